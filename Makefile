@@ -1,0 +1,82 @@
+# Needs git, make and Python 3.11 or later; the rest goes into virtual environments of its own.
+
+PYTHON ?= python3
+WORKERS ?= auto
+ARGS ?=
+
+DEMO_VENV := .venv-demo
+TEST_VENV := .venv-test
+SOURCES := $(wildcard relmap/*.py relmap/*/*.py relmap/*/*/*.py)
+LINTED := $(wildcard relmap tests examples benchmarks)
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help demo test lint types format clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo 'make demo     install relmap into $(DEMO_VENV) and run its demo, which fills the folder demo'
+	@echo 'make test     ruff, mypy and every test, in $(TEST_VENV) (ARGS="-k name" goes to pytest)'
+	@echo 'make lint     ruff check and ruff format --check'
+	@echo 'make types    mypy --strict'
+	@echo 'make format   let ruff mend and format what it can'
+	@echo 'make clean    remove what the other targets made'
+	@echo 'PYTHON=/path/to/python chooses the interpreter (3.11 or later; now: $(PYTHON))'
+
+demo: $(DEMO_VENV)/.ready
+	@$(DEMO_VENV)/bin/relmap demo -o demo
+
+# pytest comes last, so that its closing line is the last one printed.
+test: lint types
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m pytest \
+		-n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
+
+lint: $(TEST_VENV)/.ready
+	@$(TEST_VENV)/bin/python -m ruff check $(LINTED)
+	@$(TEST_VENV)/bin/python -m ruff format --check $(LINTED)
+
+types: $(TEST_VENV)/.ready
+	@$(TEST_VENV)/bin/python -m mypy
+
+format: $(TEST_VENV)/.ready
+	@$(TEST_VENV)/bin/python -m ruff check --fix $(LINTED)
+	@$(TEST_VENV)/bin/python -m ruff format $(LINTED)
+
+clean:
+	@rm -rf $(DEMO_VENV) $(TEST_VENV) demo build dist relmap.egg-info \
+		.mypy_cache .ruff_cache .pytest_cache .hypothesis
+
+# A copy as a user installs it; build/ is removed so that no deleted module stays in it.
+$(DEMO_VENV)/.ready: pyproject.toml README.md LICENSE MANIFEST.in relmap/py.typed $(SOURCES)
+	$(call new_venv,$(DEMO_VENV))
+	@echo 'installing relmap into $(DEMO_VENV)'
+	@rm -rf build
+	@$(DEMO_VENV)/bin/python -m pip install --quiet .
+	@touch $@
+
+$(TEST_VENV)/.ready: pyproject.toml
+	$(call new_venv,$(TEST_VENV))
+	@echo 'installing relmap and its development tools into $(TEST_VENV)'
+	@$(TEST_VENV)/bin/python -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+# new_venv DIR: make DIR a virtual environment with pip, or say what is missing. Where this
+# Python has no ensurepip (some systems package it apart), its own pip fills the environment.
+define new_venv
+@command -v '$(PYTHON)' >/dev/null || { \
+	echo "relmap: no '$(PYTHON)' on this machine; name a Python 3.11 or later: make PYTHON=/path/to/python" >&2; \
+	exit 1; }
+@'$(PYTHON)' -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	echo "relmap: '$(PYTHON)' is $$('$(PYTHON)' -V 2>&1); name a Python 3.11 or later: make PYTHON=/path/to/python" >&2; \
+	exit 1; }
+@if '$(PYTHON)' -c 'import venv, ensurepip' 2>/dev/null; then \
+	'$(PYTHON)' -m venv --clear $(1); \
+elif '$(PYTHON)' -c 'import venv, pip' 2>/dev/null; then \
+	'$(PYTHON)' -m venv --clear --without-pip $(1) && \
+	'$(PYTHON)' -m pip --python $(1)/bin/python install --quiet pip; \
+else \
+	echo "relmap: '$(PYTHON)' lacks the standard modules venv and ensurepip, and has no pip to do without them;" \
+		"install your system's package for them (on Debian and Ubuntu: python3-venv), then run make again" >&2; \
+	exit 1; \
+fi
+endef

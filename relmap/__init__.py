@@ -1,0 +1,10 @@
+"""Maps from relative locations: SLAM with no probability, scan matching or odometry."""
+from __future__ import annotations
+
+from relmap.core.config import MapperConfig
+from relmap.core.errors import RelmapError
+from relmap.points import PointMapper
+
+__version__ = "0.1.0"
+
+__all__ = ["MapperConfig", "PointMapper", "RelmapError", "__version__"]

@@ -1,0 +1,1 @@
+"""What both variants share; knows neither points nor planes."""

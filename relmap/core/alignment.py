@@ -1,0 +1,84 @@
+"""Least-squares rigid fit of matched points, in 2-D and 3-D.
+
+The "Least Squared Fitting" of section III: Arun, Huang and Blostein, "Least-squares fitting of two
+3-D point sets", PAMI 1987; the guard against reflections is Umeyama's, PAMI 1991.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+
+DEGENERATE = 1e-7
+"""Points whose spread across their line is below this share of that along it fix no rotation."""
+
+
+def fit_rigid(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    weights: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the rotation and translation that bring `source` nearest to `target`.
+
+    Minimises ``sum(weights * |target - (source @ R.T + t)|^2)`` over proper rotations R, never
+    a reflection.
+
+    Parameters
+    ----------
+    source, target : (n, d) float64, metres
+        Matched points; d is 2 or 3.
+    weights : (n,) float64, optional
+        Not negative, of positive sum; equal where left out.
+
+    Returns
+    -------
+    R : (d, d) float64
+    t : (d,) float64
+        ``target ~ source @ R.T + t``.
+
+    Raises
+    ------
+    RelmapError
+        Where the shapes do not match, no point has weight, or a value is not finite.
+    """
+    if source.shape != target.shape or source.ndim != 2 or source.shape[1] not in (2, 3):
+        raise RelmapError(
+            f"rigid fit of {source.shape} to {target.shape}: both must be (n, 2) or both (n, 3)"
+        )
+    w = np.ones(len(source)) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape != (len(source),) or not w.sum() > 0:
+        raise RelmapError("rigid fit: weights must be (n,), not negative, with a positive sum")
+    w = w / w.sum()
+    source_mean, target_mean = w @ source, w @ target
+    moment = ((source - source_mean) * w[:, None]).T @ (target - target_mean)
+    if not np.isfinite(moment).all():
+        raise RelmapError("rigid fit: a coordinate is not finite")
+    R = rotation_of_moment(moment)
+    return R, target_mean - R @ source_mean
+
+
+def rotation_of_moment(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the proper rotations (..., d, d) that fit cross moments (..., d, d) best.
+
+    The moment is ``sum(w * source_i target_j)`` of centred points; reflections are excluded by
+    turning the axis of the smallest singular value (Umeyama 1991, eq. 43).
+    """
+    U, _, Vt = np.linalg.svd(moment)
+    V = np.swapaxes(Vt, -1, -2)
+    sign = np.sign(np.linalg.det(V @ np.swapaxes(U, -1, -2)))
+    V[..., -1] *= sign[..., None]
+    return np.asarray(V @ np.swapaxes(U, -1, -2))
+
+
+def fixes_rotation(points: NDArray[np.float64]) -> bool:
+    """Tell whether points (n, d) fix a rotation.
+
+    In the plane two apart do; in space three not on one line.
+    """
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    needed = points.shape[1] - 1
+    return len(spread) >= needed and bool(
+        spread[0] > 0 and spread[needed - 1] > DEGENERATE * spread[0]
+    )

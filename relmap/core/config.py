@@ -1,0 +1,75 @@
+"""Settings of the mapper: typed, frozen, validated once."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from relmap.core.errors import RelmapError
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapperConfig:
+    """What a user may set; the defaults work on all data the project is measured on.
+
+    Attributes
+    ----------
+    group_after : int
+        A landmark is grouped each time it has been seen so often since its last group: the "few
+        iterations" of section III.  Grouped early, nearly everything in view is on the map when a
+        new landmark is aligned to it, and groups that share many landmarks drift least.
+    max_missed : int
+        A landmark unseen for more iterations than this has left the view.
+    gate_m : float or None
+        Largest displacement, metres, of a landmark between two iterations in the robot frame when
+        matching without ids; None takes half the median distance between neighbours in the scan.
+    """
+
+    group_after: int = 10
+    max_missed: int = 3
+    gate_m: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check every value.
+
+        Raises
+        ------
+        RelmapError
+            Names the key, the value and what would be right.
+        """
+        for key, lowest in (("group_after", 1), ("max_missed", 0)):
+            value = getattr(self, key)
+            if type(value) is not int or value < lowest:
+                raise RelmapError(
+                    f"setting {key} is {value!r}; it must be a whole number, {lowest} or more"
+                )
+        if self.gate_m is not None and not _is_length(self.gate_m):
+            raise RelmapError(
+                f"setting gate_m is {self.gate_m!r}; it must be a length above 0, in metres"
+            )
+
+    @classmethod
+    def from_mapping(cls, settings: Mapping[str, Any]) -> MapperConfig:
+        """Build the configuration from keys and values, as read from a file.
+
+        Raises
+        ------
+        RelmapError
+            Where a key is unknown or a value cannot be used.
+        """
+        known = [field.name for field in fields(cls)]
+        for key in settings:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+                raise RelmapError(f"unknown setting {key!r}; {hint}")
+        return cls(**settings)
+
+
+def _is_length(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return 0 < value < math.inf

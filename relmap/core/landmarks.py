@@ -1,0 +1,83 @@
+"""What a mapper hands out: the map, the table of all landmarks, and the groups behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions (n, d) as (n, 3), with z = 0 where the world is planar."""
+    spatial = np.zeros((len(positions), 3))
+    spatial[:, : positions.shape[1]] = positions
+    spatial[np.isnan(positions).any(axis=1)] = np.nan
+    return spatial
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """The mapped landmarks.
+
+    Attributes
+    ----------
+    landmark_ids : (m,) int64
+        The given id, or the number of the track where none was given.
+    positions : (m, 3) float64, map frame, metres
+        z is 0 in a planar world.
+    """
+
+    landmark_ids: NDArray[np.int64]
+    positions: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkTable:
+    """Every landmark ever seen, one row each, in ascending order of its label.
+
+    Attributes
+    ----------
+    landmark : (n,) int64
+        The given id, or the number of the track where none was given.
+    position : (n, 3) float64, map frame, metres
+        NaN where the landmark is not mapped.
+    sd : (n,) float64, metres
+        One standard deviation of the average behind the position, per axis; what the chain of
+        groups adds on the way to the landmark is not in it.  NaN where it is not mapped.
+    observations : (n,) int64
+    first_iteration, last_iteration : (n,) int64
+        Counted from the mapper's first update.
+    level : (n,) int64
+        Grouping level of the position; 0 where the landmark is not mapped.
+    status : (n,) str
+        "static" or "unmapped".
+    """
+
+    landmark: NDArray[np.int64]
+    position: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    observations: NDArray[np.int64]
+    first_iteration: NDArray[np.int64]
+    last_iteration: NDArray[np.int64]
+    level: NDArray[np.int64]
+    status: NDArray[np.str_]
+
+
+@dataclass(frozen=True, eq=False)
+class MappedGroup:
+    """A group and the relative map of its members (Figs 8 and 11).
+
+    Attributes
+    ----------
+    landmarks : (g,) int64
+        Labels of the members.
+    iterations : (i,) int64, ascending
+        The common interval.
+    relative_map : (g, d) float64, group frame, metres
+        Average over the common interval, in the group's consistent basis.
+    """
+
+    landmarks: NDArray[np.int64]
+    iterations: NDArray[np.int64]
+    relative_map: NDArray[np.float64]

@@ -1,0 +1,76 @@
+"""When a landmark is grouped: after every few sightings, and when it leaves the view."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.growing import GrowingArray
+
+NEVER = -(2**62)
+"""Iteration in which a landmark not seen yet was last seen."""
+
+
+class GroupingSchedule:
+    """Which of each landmark's observations no group has used yet, and so who is due.
+
+    Parameters
+    ----------
+    group_after : int
+        A landmark is due each time so many observations wait.
+    max_missed : int
+        A landmark unseen for more iterations than this has left the view.
+    """
+
+    def __init__(self, group_after: int, max_missed: int) -> None:
+        self._group_after = group_after
+        self._max_missed = max_missed
+        self._begin: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._waiting: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._last_seen: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._in_view = np.empty(0, dtype=np.int64)
+
+    @property
+    def begin(self) -> NDArray[np.int64]:
+        """First iteration of each landmark that no group has used yet; (n,)."""
+        return self._begin.values
+
+    @property
+    def in_view(self) -> NDArray[np.int64]:
+        """Landmarks in view, those missed for a moment included."""
+        return self._in_view
+
+    def see(self, landmarks: NDArray[np.int64], iteration: int) -> NDArray[np.int64]:
+        """Note who is seen in this iteration; return who has left the view with it."""
+        size = int(landmarks.max(initial=-1)) + 1
+        self._begin.resize(size, 0)
+        self._waiting.resize(size, 0)
+        self._last_seen.resize(size, NEVER)
+        last_seen = self._last_seen.values
+        arrived = landmarks[iteration - last_seen[landmarks] > self._max_missed + 1]
+        self._begin.values[arrived] = iteration
+        self._waiting.values[arrived] = 0
+        self._waiting.values[landmarks] += 1
+        last_seen[landmarks] = iteration
+        stays = iteration - last_seen[self._in_view] <= self._max_missed
+        left = self._in_view[~stays]
+        self._in_view = np.concatenate([self._in_view[stays], arrived])
+        return left
+
+    def due(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return those of the landmarks that are due, the ones that wait longest first."""
+        ready = landmarks[self.is_due(landmarks)]
+        return ready[np.lexsort((self.begin[ready], -self._waiting.values[ready]))]
+
+    def is_due(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which landmarks have enough observations waiting.
+
+        One whose group failed for want of company is due again after as many more.
+        """
+        waiting = self._waiting.values[landmarks]
+        return np.asarray((waiting > 0) & (waiting % self._group_after == 0))
+
+    def grouped(self, landmarks: NDArray[np.int64], end: int) -> None:
+        """Note that a group has used the landmarks' observations before iteration `end`."""
+        self._begin.values[landmarks] = end
+        self._waiting.values[landmarks] = 0

@@ -1,0 +1,101 @@
+"""From the rows of a table to an observation log."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.datasets.base import MAX_ITERATION, ObservationLog
+from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
+
+MAX_COORDINATE_M = 1e9
+"""No sensor sees a landmark further away than this."""
+
+MAX_EMPTY_ITERATIONS = 1_000_000
+"""More iterations than this without a row: the numbers are no count of scans."""
+
+
+def iteration_column(name: str) -> Column:
+    """Return the column of iteration numbers."""
+    return Column(name, 0, MAX_ITERATION, integer=True)
+
+
+def id_column(name: str, required: bool) -> Column:
+    """Return the column of known associations; negative or empty where there is none."""
+    limit = MAX_EXACT_INTEGER
+    return Column(name, -limit, limit, integer=True, required=required, empty=-1.0)
+
+
+def assemble_log(
+    table: Table,
+    iteration_name: str,
+    points_robot: NDArray[np.float64],
+    ids: NDArray[np.int64] | None,
+    id_name: str = "id",
+) -> ObservationLog:
+    """Sort the rows of a table by iteration, keeping their order within one.
+
+    Parameters
+    ----------
+    table : Table
+        With a column of iteration numbers.
+    iteration_name, id_name : str
+        Names of the columns, `id_name` for messages only.
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+        Of each row.
+    ids : (n,) int64 or None
+        Of each row.
+
+    Raises
+    ------
+    RelmapError
+        Where the iteration numbers leave out too many, or an id stands twice in one.
+    """
+    iteration = table.integers(iteration_name)
+    order = np.argsort(iteration, kind="stable")
+    _check_span(table, iteration_name, iteration[order], order)
+    if ids is not None:
+        _check_unique(table, id_name, iteration, ids)
+        ids = ids[order]
+    return ObservationLog(
+        points_robot=points_robot[order],
+        iteration=iteration[order],
+        rows=order.astype(np.int64),
+        first_iteration=int(iteration[order[0]]),
+        end_iteration=int(iteration[order[-1]]) + 1,
+        ids=ids,
+    )
+
+
+def _check_span(
+    table: Table, name: str, ascending: NDArray[np.int64], order: NDArray[np.intp]
+) -> None:
+    steps = np.diff(ascending)
+    empty = int(np.maximum(steps - 1, 0).sum())
+    if empty > MAX_EMPTY_ITERATIONS:
+        widest = int(np.argmax(steps))
+        table.fail(
+            int(order[widest + 1]),
+            name,
+            f"{ascending[widest + 1]} comes after {ascending[widest]}, and in all {empty} "
+            f"iterations have no row, expected at most {MAX_EMPTY_ITERATIONS}: a count of scans",
+        )
+
+
+def _check_unique(
+    table: Table, name: str, iteration: NDArray[np.int64], ids: NDArray[np.int64]
+) -> None:
+    """Check that no landmark stands twice in one iteration."""
+    known = np.flatnonzero(ids >= 0)
+    order = known[np.lexsort((ids[known], iteration[known]))]
+    same = (np.diff(ids[order]) == 0) & (np.diff(iteration[order]) == 0)
+    if same.any():
+        again = np.flatnonzero(same)
+        k = int(again[np.argmin(order[again + 1])])
+        row, before = int(order[k + 1]), int(order[k])
+        table.fail(
+            row,
+            name,
+            f"{ids[row]} stands twice in iteration {iteration[row]} (before in line "
+            f"{table.lines[before]}), expected each landmark once",
+        )

@@ -1,0 +1,132 @@
+"""What every landmark log looks like once read, and what a format's reader offers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+
+MAX_ITERATION = 100_000_000
+"""Iteration numbers above this are taken for damage: no sensor log is that long."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The observations of one iteration.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of the iteration in the log.
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+    ids : (n,) int64 or None
+        Known association; negative where a landmark was not identified.
+    rows : (n,) int64
+        0-based rows of the log that the points stand in.
+    """
+
+    iteration: int
+    points_robot: NDArray[np.float64]
+    ids: NDArray[np.int64] | None
+    rows: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationLog:
+    """Landmark observations of a whole run, as a structure of arrays.
+
+    Attributes
+    ----------
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+        Two columns: a planar, 3-DoF world.
+    iteration : (n,) int64, ascending
+    rows : (n,) int64
+        0-based rows of the source that the observations stand in.
+    first_iteration, end_iteration : int
+        The log covers ``range(first_iteration, end_iteration)``; iterations without a row saw
+        nothing.
+    ids : (n,) int64 or None
+        Known association; negative where a landmark was not identified.
+    stamps_s : (end_iteration - first_iteration,) float64 or None
+        Time of each iteration, seconds; None where the log has no clock.
+    """
+
+    points_robot: NDArray[np.float64]
+    iteration: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    first_iteration: int
+    end_iteration: int
+    ids: NDArray[np.int64] | None = None
+    stamps_s: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        """Return the number of iterations, empty ones included."""
+        return self.end_iteration - self.first_iteration
+
+    def scans(self) -> Iterator[Scan]:
+        """Yield every iteration in order, the empty ones too."""
+        numbers = np.arange(self.first_iteration, self.end_iteration + 1)
+        offsets = np.searchsorted(self.iteration, numbers)
+        for number, begin, end in zip(numbers[:-1], offsets[:-1], offsets[1:], strict=True):
+            rows = slice(begin, end)
+            ids = None if self.ids is None else self.ids[rows]
+            yield Scan(int(number), self.points_robot[rows], ids, self.rows[rows])
+
+    def between(self, begin: int, end: int) -> ObservationLog:
+        """Return the part of the log in iterations ``range(begin, end)``.
+
+        Raises
+        ------
+        RelmapError
+            Where the log has no iteration in that range.
+        """
+        first, last = max(begin, self.first_iteration), min(end, self.end_iteration)
+        if first >= last:
+            raise RelmapError(
+                f"scans {begin}:{end} hold nothing: the log covers "
+                f"{self.first_iteration}:{self.end_iteration}"
+            )
+        rows = slice(*np.searchsorted(self.iteration, [first, last]))
+        stamps = None
+        if self.stamps_s is not None:
+            stamps = self.stamps_s[first - self.first_iteration : last - self.first_iteration]
+        return replace(
+            self,
+            points_robot=self.points_robot[rows],
+            iteration=self.iteration[rows],
+            rows=self.rows[rows],
+            first_iteration=first,
+            end_iteration=last,
+            ids=None if self.ids is None else self.ids[rows],
+            stamps_s=stamps,
+        )
+
+
+class LandmarkDataset(Protocol):
+    """One format of landmark logs."""
+
+    name: str
+    """The format's name, as ``--format`` takes it."""
+
+    description: str
+    """What its files look like, for messages."""
+
+    def recognises(self, path: Path) -> bool:
+        """Tell from its content whether the file or folder is of this format."""
+        ...
+
+    def load(self, path: Path) -> ObservationLog:
+        """Read the log.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, line, field.
+        """
+        ...

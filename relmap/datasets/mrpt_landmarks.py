@@ -1,0 +1,220 @@
+"""Range-bearing landmark logs of MRPT's kf-slam demonstrations, as ``*.observations.csv.gz``.
+
+Header ``step,id,range_m,yaw_rad,pitch_rad``; yaw is positive to the left, pitch is positive
+DOWN. Comments above the header give the sensor's pose on the robot, and the noise::
+
+    # sensor on robot: t = 0.5 0.2 0.1 ; R (row major) = 1 0 0 0 1 0 0 0 1
+    # sigma: range 0.01 m, yaw 0.001745 rad, pitch 0.001745 rad; ...
+
+The simulator's exact truth stands beside a log ``X.observations.csv.gz`` in
+``X_ground_truth.txt`` (landmarks) and ``X_ground_truth_robot_path.txt``.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import (
+    MAX_COORDINATE_M,
+    assemble_log,
+    id_column,
+    iteration_column,
+)
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.table import Column, Table, header_text, parse_number, read_table
+from relmap.datasets.textfile import (
+    columns_of,
+    only_table,
+    open_text,
+    quoted,
+    require_utf8,
+    shown,
+    tables_with,
+)
+
+_COLUMNS = (
+    iteration_column("step"),
+    id_column("id", required=True),
+    Column("range_m", 0.0, MAX_COORDINATE_M, "metres"),
+    Column("yaw_rad", -math.tau, math.tau, "radians"),
+    Column("pitch_rad", -math.tau, math.tau, "radians"),
+)
+_HALLMARK = frozenset({"range_m", "yaw_rad"})
+_SENSOR = re.compile(r"sensor on robot: *t = *([^;]*);[^=]*= *(.*)")
+_PITCH_SIGMA = re.compile(r"sigma:.*\bpitch +(\S+) +rad")
+_ROTATION_TOLERANCE = 1e-4
+
+_LANDMARKS = "_ground_truth.txt"
+_PATH = "_ground_truth_robot_path.txt"
+_LOG = re.compile(r"\.observations\.csv(\.gz)?$")
+
+
+class MrptLandmarks:
+    """Reads one log of ranges and bearings, or a folder that holds just one."""
+
+    name = "mrpt-landmarks"
+    description = f"an MRPT landmark log with the header {header_text(_COLUMNS)}"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the header is that of an MRPT landmark log, or nearly so."""
+        if os.path.isdir(path):
+            return bool(tables_with(path, _HALLMARK))
+        found = columns_of(path)
+        return not found.isdisjoint({"yaw_rad", "pitch_rad"})
+
+    def load(self, path: Path) -> ObservationLog:
+        """Read the log: points in the robot's frame, two columns where the world is planar.
+
+        It is where the pitch is free of noise and always 0, and the sensor stands upright.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, line, field.
+        """
+        table = read_table(only_table(path, _HALLMARK, "MRPT landmark log"), _COLUMNS)
+        R_robot_sensor, t_robot_sensor = _sensor_pose(table)
+        points_robot = _points_sensor(table) @ R_robot_sensor.T + t_robot_sensor
+        upright = np.array_equal(R_robot_sensor[2], [0.0, 0.0, 1.0])
+        if upright and _pitch_sigma(table) == 0.0 and not table.columns["pitch_rad"].any():
+            points_robot = points_robot[:, :2]
+        return assemble_log(table, "step", points_robot, table.integers("id"))
+
+
+def _points_sensor(table: Table) -> NDArray[np.float64]:
+    """Return the points, (n, 3), sensor frame, metres."""
+    yaw, pitch = table.columns["yaw_rad"], table.columns["pitch_rad"]
+    ahead, left = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
+    directions = np.column_stack([ahead, left, -np.sin(pitch)])
+    points: NDArray[np.float64] = table.columns["range_m"][:, None] * directions
+    return points
+
+
+def _sensor_pose(table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return rotation (3, 3) and translation (3,) of the sensor on the robot, metres."""
+    for comment in table.comments:
+        if match := _SENSOR.search(comment):
+            try:
+                t = np.array([parse_number(text) for text in match[1].split()])
+                R = np.array([parse_number(text) for text in match[2].split()]).reshape(3, 3)
+            except ValueError:
+                break
+            rigid = np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_TOLERANCE
+            if t.shape == (3,) and np.isfinite(t).all() and rigid and np.linalg.det(R) > 0:
+                return R, t
+            break
+    raise RelmapError(
+        f"{shown(table.path)}: comments above the header: no usable sensor pose, expected "
+        "'# sensor on robot: t = 0 0 0 ; R (row major) = 1 0 0 0 1 0 0 0 1' (t in metres)"
+    )
+
+
+def _pitch_sigma(table: Table) -> float:
+    """Return the pitch noise that the comments tell, radians; NaN where they do not."""
+    for comment in table.comments:
+        if match := _PITCH_SIGMA.search(comment):
+            try:
+                return parse_number(match[1])
+            except ValueError:
+                break
+    return math.nan
+
+
+def is_ground_truth(path: Path) -> bool:
+    """Tell whether a path is named as a truth file is, or a folder holds a file so named."""
+    if os.path.isdir(path):
+        return bool(_landmark_files(path))
+    return path.name.endswith((_LANDMARKS, _PATH))
+
+
+def read_ground_truth(
+    path: Path | str,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Read the exact truth of a log.
+
+    Parameters
+    ----------
+    path : Path or str
+        The log, either of its two truth files, or a folder with the truth of just one log.
+
+    Returns
+    -------
+    landmark_ids : (m,) int64
+    positions : (m, 3) float64, map frame, metres
+    poses : (k, 4, 4) float64
+        T_map_robot of every step.
+
+    Raises
+    ------
+    RelmapError
+        Where a file is missing, or a row of it is not what the format promises.
+    """
+    base = _truth_base(Path(path))
+    landmarks_file = Path(f"{base}{_LANDMARKS}")
+    landmarks, lines = _read_columns(landmarks_file, 7, "x y z 5 0 0.0 id")
+    ids = landmarks[:, 6]
+    different, counts = np.unique(ids, return_counts=True)
+    wrong = (ids != np.rint(ids)) | np.isin(ids, different[counts > 1])
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise RelmapError(
+            f"{shown(landmarks_file)}: line {lines[row]}, field id: {ids[row]:.10g} is no "
+            "integer or stands twice, expected each landmark's own number"
+        )
+    path_6d, _ = _read_columns(Path(f"{base}{_PATH}"), 6, "x y z yaw pitch roll")
+    poses = np.tile(np.eye(4), (len(path_6d), 1, 1))
+    poses[:, :3, :3] = Rotation.from_euler("ZYX", path_6d[:, 3:]).as_matrix()
+    poses[:, :3, 3] = path_6d[:, :3]
+    return ids.astype(np.int64), landmarks[:, :3].copy(), poses
+
+
+def _landmark_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f"*{_LANDMARKS}"))
+
+
+def _truth_base(path: Path) -> str:
+    """Return what the names of both truth files begin with, folder included."""
+    if os.path.isdir(path):
+        found = _landmark_files(path)
+        if len(found) != 1:
+            names = ", ".join(shown(file.name) for file in found) or "none"
+            raise RelmapError(f"{shown(path)}: expected one *{_LANDMARKS} in the folder: {names}")
+        path = found[0]
+    name = str(path)
+    for ending in (_LANDMARKS, _PATH):
+        if name.endswith(ending):
+            return name.removesuffix(ending)
+    return _LOG.sub("", name)
+
+
+def _read_columns(path: Path, width: int, columns: str) -> tuple[NDArray[np.float64], list[int]]:
+    """Read rows of numbers between spaces, and their line numbers; ``%`` starts a comment."""
+    rows, lines = [], []
+    with open_text(path) as stream:
+        for number, line in enumerate(stream, 1):
+            require_utf8(path, number, line)
+            cells = line.partition("%")[0].split()
+            if not cells:
+                continue
+            try:
+                row = [parse_number(cell) for cell in cells]
+            except ValueError:
+                row = []
+            if len(row) != width or not all(abs(value) <= MAX_COORDINATE_M for value in row):
+                raise RelmapError(
+                    f"{shown(path)}: line {number}: {quoted(line)}, "
+                    f"expected {width} finite numbers: {columns}"
+                )
+            rows.append(row)
+            lines.append(number)
+    if not rows:
+        raise RelmapError(f"{shown(path)}: holds no row, expected {width} numbers: {columns}")
+    return np.array(rows), lines

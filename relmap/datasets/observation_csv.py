@@ -1,0 +1,154 @@
+"""The project's own observation log: ``observations.csv``, plain or gzipped.
+
+Header ``iteration,x,y[,z][,id]`` in any order, rows in any order; robot frame, metres; ``id`` is a
+known association, negative or empty where there is none. Without ``z`` the world is planar.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import (
+    MAX_COORDINATE_M,
+    assemble_log,
+    id_column,
+    iteration_column,
+)
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.table import Column, header_text, read_table
+from relmap.datasets.textfile import columns_of, shown
+
+FILE_NAMES = ("observations.csv", "observations.csv.gz")
+"""The log's name in a folder."""
+
+_COLUMNS = (
+    iteration_column("iteration"),
+    Column("x", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
+    Column("y", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
+    Column("z", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=False),
+    id_column("id", required=False),
+)
+_GZIP_LEVEL = 4
+_ROWS_AT_ONCE = 50_000
+
+
+class ObservationCsv:
+    """Reads ``observations.csv``, or a folder that holds it."""
+
+    name = "observation-csv"
+    description = f"observations.csv with the header {header_text(_COLUMNS)}"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the header is that of an observation log, or nearly so.
+
+        A header that lacks a column or misspells one is recognised too, so that the reader can
+        say what is wrong with it.
+        """
+        if os.path.isdir(path):
+            return any("range_m" not in columns_of(member) for member in _members(path))
+        found = columns_of(path)
+        if any("iteration" in column.lower() for column in found):
+            return True
+        return len(found & {column.name for column in _COLUMNS}) >= 2
+
+    def load(self, path: Path) -> ObservationLog:
+        """Read the log.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, line, field.
+        """
+        table = read_table(_file_of(path), _COLUMNS)
+        axes = [table.columns[axis] for axis in "xyz" if axis in table.columns]
+        ids = table.integers("id") if "id" in table.columns else None
+        return assemble_log(table, "iteration", np.column_stack(axes), ids)
+
+
+def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
+    """Write a log so that reading it gives the same numbers, bit by bit.
+
+    Rows are written in the log's order; iterations without a row leave no trace in the file, so
+    empty ones at either end are lost. The file appears whole or not at all. A name that ends in
+    ``.gz`` is gzipped, and the same log gives the same bytes.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written, or would hold what the reader refuses.
+    """
+    path = Path(path)
+    if not len(log.points_robot):
+        raise RelmapError(f"{shown(path)}: not written: the log has no observation")
+    good = (np.abs(log.points_robot) <= MAX_COORDINATE_M).all(axis=1)
+    if not good.all():
+        raise RelmapError(
+            f"{shown(path)}: not written: observation {np.argmin(good)} is not finite or out of "
+            f"range, expected coordinates within {MAX_COORDINATE_M:g} metres"
+        )
+    try:
+        with _replacing(path) as stream:
+            stream.writelines(_lines(log))
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
+
+
+def _lines(log: ObservationLog) -> Iterator[str]:
+    names = ["iteration", *"xyz"[: log.points_robot.shape[1]]]
+    yield ",".join(names if log.ids is None else [*names, "id"]) + "\n"
+    for begin in range(0, len(log.iteration), _ROWS_AT_ONCE):
+        rows = slice(begin, begin + _ROWS_AT_ONCE)
+        columns: list[Iterable[int | float]] = [log.iteration[rows].tolist()]
+        columns += [axis.tolist() for axis in log.points_robot[rows].T]
+        if log.ids is not None:
+            columns.append(log.ids[rows].tolist())
+        texts = (map(repr, column) for column in columns)
+        yield "".join(map("{}\n".format, map(",".join, zip(*texts, strict=True))))
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[TextIO]:
+    """Open a file beside the path, and put it in the path's place once it is whole."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            if path.suffix == ".gz":
+                with (
+                    gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as packed,
+                    io.TextIOWrapper(packed, "ascii", newline="\n") as stream,
+                ):
+                    yield stream
+            else:
+                with io.TextIOWrapper(file, "ascii", newline="\n") as stream:
+                    yield stream
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def _members(folder: Path) -> list[Path]:
+    return [folder / name for name in FILE_NAMES if os.path.isfile(folder / name)]
+
+
+def _file_of(path: Path) -> Path:
+    """Return the log's file: the path itself, or the one in the folder."""
+    if not os.path.isdir(path):
+        return path
+    members = _members(path)
+    if len(members) == 1:
+        return members[0]
+    found = "both" if members else "neither"
+    raise RelmapError(
+        f"{shown(path)}: holds {found} of {' and '.join(FILE_NAMES)}, expected one of them"
+    )

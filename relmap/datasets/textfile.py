@@ -1,0 +1,245 @@
+"""Text files that may be gzipped, damaged, enormous or no text at all."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import stat
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from relmap.core.errors import RelmapError
+
+if TYPE_CHECKING:
+    from _typeshed import WriteableBuffer
+
+MAX_BYTES = 1 << 30
+"""A log is at most 1 GiB of text, gzip unpacked: some fifteen million observations."""
+
+MAX_LINE_BYTES = 1 << 16
+"""A longer line is no row of a table."""
+
+_GZIP_MAGIC = b"\x1f\x8b"
+_SHOWN_CHARACTERS = 60
+
+
+def shown(value: object) -> str:
+    """Return a text or path for a one-line message: as it stands if printable, else quoted."""
+    text = str(value)
+    return text if text.isprintable() else repr(text)
+
+
+def quoted(text: str) -> str:
+    """Return text from a file for a one-line message, quoted, shortened and escaped."""
+    text = text.strip()
+    if len(text) > _SHOWN_CHARACTERS:
+        text = text[: _SHOWN_CHARACTERS - 3] + "..."
+    return ascii(text) if not text.isprintable() else repr(text)
+
+
+def require_path(path: Path) -> int:
+    """Return the mode of what stands at the path.
+
+    Raises
+    ------
+    RelmapError
+        Where nothing can be had there, or neither a file nor a folder.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError) as error:
+        raise unreadable(path, error) from error
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise RelmapError(f"{shown(path)}: is a device or pipe, expected a file or folder")
+    return mode
+
+
+def unreadable(path: Path, error: Exception) -> RelmapError:
+    """Return the error to raise where the operating system refuses to read a path."""
+    if isinstance(error, FileNotFoundError):
+        return RelmapError(f"{shown(path)}: does not exist, expected a file or folder to read")
+    reason = getattr(error, "strerror", None) or error
+    return RelmapError(f"{shown(path)}: cannot be read: {shown(reason)}")
+
+
+@contextmanager
+def open_text(path: Path) -> Iterator[TextIO]:
+    r"""Open a UTF-8 text file, gzipped (by its magic bytes) or not, to be read once.
+
+    Lines end in ``\n`` however the file ends them, and a byte-order mark is dropped. Bytes that
+    are not UTF-8 come as lone surrogates: `require_utf8` names the line.
+
+    Raises
+    ------
+    RelmapError
+        At opening where the file cannot be read; while reading where it is damaged, larger than
+        `MAX_BYTES` or not text.
+    """
+    if stat.S_ISDIR(require_path(path)):
+        raise RelmapError(f"{shown(path)}: is a folder, expected a file")
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise unreadable(path, error) from error
+    with file:
+        guard = _GuardedBytes(path, file)
+        buffer = io.BufferedReader(guard, MAX_LINE_BYTES)
+        with io.TextIOWrapper(buffer, "utf-8-sig", "surrogateescape") as stream:
+            yield stream
+
+
+class _GuardedBytes(io.RawIOBase):
+    """The bytes of a file, unpacked; stops with a RelmapError at what no text log can hold."""
+
+    def __init__(self, path: Path, file: io.BufferedReader) -> None:
+        super().__init__()
+        self._path = path
+        self._file = file
+        self._source: io.BufferedReader | gzip.GzipFile | None = None
+        self._bytes = 0
+        self._lines = 0
+        self._open_line = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: WriteableBuffer, /) -> int:
+        data = self._read(len(memoryview(buffer)))
+        self._check(data)
+        memoryview(buffer)[: len(data)] = data
+        return len(data)
+
+    def _read(self, size: int) -> bytes:
+        try:
+            if self._source is None:
+                packed = self._file.peek(2)[:2] == _GZIP_MAGIC
+                self._source = gzip.GzipFile(fileobj=self._file) if packed else self._file
+            return self._source.read1(size)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise self._fail(f"damaged gzip: {shown(error)}; expected a whole file") from error
+        except OSError as error:
+            raise unreadable(self._path, error) from error
+
+    def _check(self, data: bytes) -> None:
+        self._bytes += len(data)
+        if self._bytes > MAX_BYTES:
+            raise self._fail(f"more than {MAX_BYTES} bytes of text, expected a log of at most that")
+        nul = data.find(b"\0")
+        if nul >= 0:
+            self._lines += data.count(b"\n", 0, nul)
+            raise self._fail("a NUL byte: a binary file or UTF-16, expected UTF-8 text")
+        self._lines += data.count(b"\n")
+        end = max(data.rfind(b"\n"), data.rfind(b"\r"))
+        self._open_line = len(data) - 1 - end if end >= 0 else self._open_line + len(data)
+        if self._open_line > MAX_LINE_BYTES:
+            raise self._fail(f"a line of more than {MAX_LINE_BYTES} bytes, expected a table")
+
+    def _fail(self, problem: str) -> RelmapError:
+        return RelmapError(f"{shown(self._path)}: line {self._lines + 1}: {problem}")
+
+
+def require_utf8(path: Path, number: int, line: str) -> None:
+    """Check a line as `open_text` gives it.
+
+    Raises
+    ------
+    RelmapError
+        Where the line holds bytes that are not UTF-8.
+    """
+    if line.isascii():
+        return
+    try:
+        line.encode()
+    except UnicodeEncodeError as error:
+        byte = ord(line[error.start]) & 0xFF
+        raise RelmapError(
+            f"{shown(path)}: line {number}: byte 0x{byte:02x} is not UTF-8, expected UTF-8 text"
+        ) from error
+
+
+@dataclass(frozen=True)
+class Head:
+    """What stands above the rows of a table.
+
+    Attributes
+    ----------
+    comments : tuple of str
+        The lines that start with ``#``, without it.
+    columns : tuple of str
+        The cells of the header.
+    line : int
+        1-based line of the header.
+    """
+
+    comments: tuple[str, ...]
+    columns: tuple[str, ...]
+    line: int
+
+
+def read_head(path: Path, stream: TextIO) -> Head:
+    """Read comments and header from a stream of `open_text`, up to the first row.
+
+    Raises
+    ------
+    RelmapError
+        Where the file is empty, holds no header or is not text.
+    """
+    comments = []
+    number = 0
+    for number, line in enumerate(stream, 1):
+        require_utf8(path, number, line)
+        text = line.strip()
+        if text.startswith("#"):
+            comments.append(text.lstrip("#").strip())
+        elif text:
+            return Head(tuple(comments), tuple(cell.strip() for cell in text.split(",")), number)
+    problem = "holds no header" if number else "is empty"
+    raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
+
+
+def columns_of(path: Path) -> frozenset[str]:
+    """Return the header's cells of a table; none where the file cannot be read as one."""
+    try:
+        with open_text(path) as stream:
+            return frozenset(read_head(path, stream).columns)
+    except RelmapError:
+        return frozenset()
+
+
+def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
+    """Return the files whose header has all the columns: the path itself, or those in the folder.
+
+    In a folder only names that end in ``.csv`` or ``.csv.gz`` are looked into.
+    """
+    if not os.path.isdir(path):
+        return [path] if columns <= columns_of(path) else []
+    try:
+        members = sorted(path.iterdir())
+    except OSError as error:
+        raise unreadable(path, error) from error
+    names = (member for member in members if member.name.endswith((".csv", ".csv.gz")))
+    return [member for member in names if columns <= columns_of(member)]
+
+
+def only_table(path: Path, columns: frozenset[str], kind: str) -> Path:
+    """Return the one table to read: the path itself if a file, else the only one in the folder.
+
+    Raises
+    ------
+    RelmapError
+        Where the folder holds none or several whose header has all the columns.
+    """
+    if not os.path.isdir(path):
+        return path
+    found = tables_with(path, columns)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise RelmapError(f"{shown(path)}: holds no {kind}, expected one *.csv or *.csv.gz")
+    names = ", ".join(shown(member.name) for member in found)
+    raise RelmapError(f"{shown(path)}: holds {len(found)} {kind}s, expected one of {names}")

@@ -1,0 +1,214 @@
+"""Victoria Park, Sydney: trees seen by the laser on a pickup truck (Guivant and Nebot, ACFR).
+
+``trees_per_scan.csv.gz``: header ``scan,t_ms,range_m,bearing_rad,diameter_m``; bearing 0 at the
+laser's right, pi/2 straight ahead. The robot frame is the LASER's (x ahead, y left), 3.78 m ahead
+of the rear axle's centre and 0.50 m to its left. Two files beside it are read where they stand:
+
+* ``VictoriaParkSinSincronizar.mat``: ``TLsr`` (1, scans), the time of every scan, seconds.
+* ``data_sensor_clean_clean.mat``: t ms, range, bearing, x_est, y_est, tree id, associated by
+  S. Huang and Z. Wang (UTS) with an EKF. Not a truth: another program's result.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import assemble_log, iteration_column
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.table import Column, Table, header_text, read_table
+from relmap.datasets.textfile import columns_of, only_table, quoted, shown, tables_with
+
+CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
+"""Holds the time of every scan, those without a tree too."""
+
+ASSOCIATION_FILE = "data_sensor_clean_clean.mat"
+"""Holds tree numbers."""
+
+_COLUMNS = (
+    iteration_column("scan"),
+    Column("t_ms", 0, 1e12, "milliseconds"),
+    Column("range_m", 0.0, 1000.0, "metres"),
+    Column("bearing_rad", -math.tau, math.tau, "radians"),
+    Column("diameter_m", 0.0, 1000.0, "metres"),
+)
+_HALLMARK = frozenset({"scan", "range_m", "bearing_rad"})
+_KIND = "Victoria Park log"
+
+_SAME_SCAN_S = 5e-4
+_SAME_TREE_M = 0.05
+_SCAN_APART_M = 10_000.0
+
+_LOG = logging.getLogger(__name__)
+
+
+class VictoriaPark:
+    """Reads ``trees_per_scan.csv.gz``, or the folder that holds it."""
+
+    name = "victoria-park"
+    description = f"Victoria Park's trees with the header {header_text(_COLUMNS)}"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the header is that of Victoria Park's trees, or nearly so."""
+        if os.path.isdir(path):
+            return bool(tables_with(path, _HALLMARK))
+        found = columns_of(path)
+        return "bearing_rad" in found or found >= {"scan", "t_ms"}
+
+    def load(self, path: Path) -> ObservationLog:
+        """Read the log: planar, laser frame, one iteration per scan.
+
+        Trees have ids where the association file stands beside, -1 for a tree it does not have.
+        Without the clock file the log ends with the last scan that has a tree, and the time of a
+        scan without one is interpolated.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, line, field.
+        """
+        file = only_table(path, _HALLMARK, _KIND)
+        table = read_table(file, _COLUMNS)
+        points_robot = _points(table.columns["range_m"], table.columns["bearing_rad"])
+        log = assemble_log(table, "scan", points_robot, None)
+        log = _with_clock(table, log, file.with_name(CLOCK_FILE))
+        association = file.with_name(ASSOCIATION_FILE)
+        if not os.path.isfile(association):
+            return log
+        return replace(log, ids=_match_ids(log, association))
+
+
+def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Read the trees' places from the association file: an EKF's, not a surveyed truth.
+
+    The file holds the filter's estimate at every observation, which moves by 0.45 m (median) and
+    up to 3.5 m; the last one of each tree fits the observed distances best and is returned.
+
+    Parameters
+    ----------
+    path : Path or str
+        The folder, or any file in it.
+
+    Returns
+    -------
+    ids : (m,) int64, ascending
+    positions : (m, 3) float64, metres
+        z = 0; x ahead and y left of the rear axle's centre at the start.
+
+    Raises
+    ------
+    RelmapError
+        Where the association file is missing or damaged.
+    """
+    path = Path(path)
+    folder = path if os.path.isdir(path) else path.parent
+    rows = _read_association(folder / ASSOCIATION_FILE)
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    rows = rows[rows[:, 5] >= 0]
+    ids, last_from_end = np.unique(rows[::-1, 5], return_index=True)
+    positions = np.zeros((len(ids), 3))
+    positions[:, :2] = rows[::-1][last_from_end, 3:5]
+    return ids.astype(np.int64), positions
+
+
+def _points(range_m: NDArray[np.float64], bearing_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the points, (n, 2), laser frame, metres."""
+    ahead, left = np.sin(bearing_rad), -np.cos(bearing_rad)
+    points: NDArray[np.float64] = range_m[:, None] * np.column_stack([ahead, left])
+    return points
+
+
+def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLog:
+    """Give the log its stamps, and the empty scans at its ends where the clock knows them."""
+    row_stamps = table.columns["t_ms"][log.rows] / 1000
+    scans, first_rows, counts = np.unique(log.iteration, return_index=True, return_counts=True)
+    scan_stamps = row_stamps[first_rows]
+    wrong = row_stamps != np.repeat(scan_stamps, counts)
+    wrong[first_rows[1:]] |= np.diff(scan_stamps) <= 0
+    if wrong.any():
+        table.fail(
+            int(log.rows[np.argmax(wrong)]),
+            "t_ms",
+            "differs within a scan or does not grow from scan to scan, expected each scan's time",
+        )
+    if not os.path.isfile(clock):
+        every_scan = np.arange(log.first_iteration, log.end_iteration)
+        return replace(log, stamps_s=np.interp(every_scan, scans, scan_stamps))
+    stamps_s = _read_matrix(clock, "TLsr").ravel()
+    if not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
+        raise RelmapError(f"{shown(clock)}: field TLsr: is not a growing time, expected seconds")
+    late = scans >= len(stamps_s)
+    late[~late] = np.abs(stamps_s[scans[~late]] - scan_stamps[~late]) > _SAME_SCAN_S
+    if late.any():
+        row = int(log.rows[first_rows[np.argmax(late)]])
+        table.fail(row, "t_ms", f"expected the scan's time as in {clock.name}, field TLsr")
+    return replace(log, stamps_s=stamps_s, first_iteration=0, end_iteration=len(stamps_s))
+
+
+def _match_ids(log: ObservationLog, file: Path) -> NDArray[np.int64]:
+    """Return each observation's tree number, -1 where the association file has none.
+
+    Both files hold detections of the same scans: equal time stamp, and the nearest point.
+    """
+    rows = _read_association(file)
+    assert log.stamps_s is not None
+    scan = _nearest(log.stamps_s, rows[:, 0] / 1000)
+    same = np.abs(log.stamps_s[scan] - rows[:, 0] / 1000) < _SAME_SCAN_S
+    rows, scan = rows[same], scan[same] + log.first_iteration
+    theirs = np.column_stack([scan * _SCAN_APART_M, _points(rows[:, 1], rows[:, 2])])
+    ours = np.column_stack([log.iteration * _SCAN_APART_M, log.points_robot])
+    distance, match = cKDTree(ours).query(theirs, distance_upper_bound=_SAME_TREE_M)
+    found = np.isfinite(distance)
+    matched = np.asarray(match)[found]
+    if len(matched) == 0 or len(np.unique(matched)) < len(matched):
+        raise RelmapError(
+            f"{shown(file)}: does not fit the trees beside it ({len(matched)} of {len(same)} rows "
+            "found there, not each once), expected detections of the same scans"
+        )
+    ids = np.full(len(log.iteration), -1, dtype=np.int64)
+    ids[matched] = rows[found, 5].astype(np.int64)
+    _LOG.info("%d of %d tree numbers matched to %d trees", len(matched), len(same), len(ids))
+    return ids
+
+
+def _nearest(ascending: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the index of the element nearest to each value."""
+    middles = (ascending[1:] + ascending[:-1]) / 2
+    return np.asarray(np.searchsorted(middles, values), dtype=np.int64)
+
+
+def _read_association(file: Path) -> NDArray[np.float64]:
+    """Return t ms, range m, bearing rad, x m, y m, id, as (n, 6)."""
+    rows = _read_matrix(file, file.stem)
+    good = rows.shape[1] == 6 and bool(np.isfinite(rows).all())
+    if not good or (np.abs(rows) > 1e12).any() or (rows[:, 5] != np.rint(rows[:, 5])).any():
+        raise RelmapError(
+            f"{shown(file)}: field {file.stem}: is not finite rows of 6 with an integer id, "
+            "expected t_ms, range_m, bearing_rad, x_est_m, y_est_m, id"
+        )
+    return rows
+
+
+def _read_matrix(file: Path, name: str) -> NDArray[np.float64]:
+    """Return a matrix of real numbers from a MATLAB file."""
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(file, appendmat=False, variable_names=[name])
+        matrix = content[name]
+        if matrix.dtype.kind not in "fiu" or matrix.ndim != 2 or not matrix.size:
+            raise TypeError(f"not a matrix of numbers: {matrix.dtype} {matrix.shape}")
+        return np.asarray(matrix, dtype=np.float64)
+    except Exception as error:  # a damaged file makes loadmat raise almost anything
+        reason = quoted(f"{type(error).__name__}: {error}")
+        raise RelmapError(
+            f"{shown(file)}: cannot be read: {reason}, expected a MATLAB file with {name}"
+        ) from error

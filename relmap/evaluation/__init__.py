@@ -1,0 +1,1 @@
+"""How good a result is: runs, metrics and the truth."""

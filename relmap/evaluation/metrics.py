@@ -1,0 +1,181 @@
+"""How good a map and a trajectory are: the figures of `relmap evaluate`, each on plain arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.alignment import fit_rigid
+
+MATCH_S = 0.01
+"""Two stamps this close belong to one instant (the tolerance of the TUM benchmark's tools)."""
+
+
+def rms(errors: NDArray[np.float64]) -> float | None:
+    """Return the root mean square of the lengths of error vectors (n, d); None where n is 0."""
+    if not len(errors):
+        return None
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def align(
+    source: NDArray[np.float64], target: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the rigid motion (no scale) that brings the source closest to the target.
+
+    Parameters
+    ----------
+    source, target : (n, d) float64, metres
+        d is 2 or 3; row i of one belongs to row i of the other.
+
+    Returns
+    -------
+    R : (d, d) float64
+    t : (d,) float64
+        ``target ~ source @ R.T + t``; no motion at all where there are no points.
+    """
+    d = source.shape[1]
+    if not len(source):
+        return np.eye(d), np.zeros(d)
+    return fit_rigid(source, target)
+
+
+def majority_ids(
+    landmark: NDArray[np.int64], true_id: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Tell which true landmark each mapped one stands for: the one most of its observations saw.
+
+    Parameters
+    ----------
+    landmark, true_id : (n,) int64
+        Label and true id of each observation; a negative true id is unknown and does not count.
+
+    Returns
+    -------
+    labels : (m,) int64
+        The landmarks with at least one known observation, ascending.
+    ids : (m,) int64
+        What they stand for; the smaller id where two are level.
+    agreeing : (m,) int64
+        How many of their observations are of that id.
+    """
+    known = true_id >= 0
+    pairs = np.column_stack([landmark[known], true_id[known]])
+    pairs, votes = np.unique(pairs, axis=0, return_counts=True)
+    order = np.lexsort((pairs[:, 1], -votes, pairs[:, 0]))
+    labels, first = np.unique(pairs[order, 0], return_index=True)
+    best = order[first]
+    return labels, pairs[best, 1], votes[best]
+
+
+def purity(landmark: NDArray[np.int64], true_id: NDArray[np.int64]) -> float | None:
+    """Return the share of observations that are of what most of their landmark's are of.
+
+    Parameters
+    ----------
+    landmark, true_id : (n,) int64
+        As `majority_ids` takes them.
+
+    Returns
+    -------
+    float or None
+        None where no observation has a true id.
+    """
+    known = int((true_id >= 0).sum())
+    if not known:
+        return None
+    return int(majority_ids(landmark, true_id)[2].sum()) / known
+
+
+def seen_often(
+    true_id: NDArray[np.int64], iteration: NDArray[np.int64], iterations: int = 10
+) -> NDArray[np.int64]:
+    """Return the true ids that were seen in at least so many iterations, ascending.
+
+    Parameters
+    ----------
+    true_id, iteration : (n,) int64
+        Of each observation; negative ids are left out.
+    iterations : int
+        How many it takes.
+    """
+    pairs = np.unique(np.column_stack([true_id, iteration])[true_id >= 0], axis=0)
+    ids, counts = np.unique(pairs[:, 0], return_counts=True)
+    return np.asarray(ids[counts >= iterations], np.int64)
+
+
+def match_stamps(
+    stamps_s: NDArray[np.float64], others_s: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which stamps (n,) belong to which others (m,): index arrays of the same length.
+
+    Each goes to the nearest other within `MATCH_S`; no other is given twice.
+    """
+    if not (len(stamps_s) and len(others_s)):
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    order = np.argsort(others_s, kind="stable")
+    sorted_s = others_s[order]
+    after = np.searchsorted(sorted_s, stamps_s).clip(0, len(order) - 1)
+    before = (after - 1).clip(0)
+    take_before = np.abs(sorted_s[before] - stamps_s) <= np.abs(sorted_s[after] - stamps_s)
+    nearest = np.where(take_before, before, after)
+    gap = np.abs(sorted_s[nearest] - stamps_s)
+    close = np.flatnonzero(gap <= MATCH_S)
+    close = close[np.argsort(gap[close], kind="stable")]
+    _, first = np.unique(nearest[close], return_index=True)
+    mine = np.sort(close[first])
+    return mine, order[nearest[mine]]
+
+
+def ate(poses: NDArray[np.float64], true_poses: NDArray[np.float64], planar: bool) -> float | None:
+    """Return the absolute trajectory error: RMSE of the positions after rigid alignment, metres.
+
+    Parameters
+    ----------
+    poses, true_poses : (k, 4, 4) float64
+        T_map_robot of the same instants.
+    planar : bool
+        Whether to align and compare in the plane.
+
+    Returns
+    -------
+    float or None
+        None where k is 0.
+
+    References
+    ----------
+    Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+    """
+    d = 2 if planar else 3
+    position, truth = poses[:, :d, 3], true_poses[:, :d, 3]
+    R, t = align(position, truth)
+    return rms(position @ R.T + t - truth)
+
+
+def rpe(
+    poses: NDArray[np.float64],
+    true_poses: NDArray[np.float64],
+    instant: NDArray[np.intp],
+) -> float | None:
+    """Return the relative pose error from one instant to the next: RMSE of its shift, metres.
+
+    Parameters
+    ----------
+    poses, true_poses : (k, 4, 4) float64
+        T_map_robot of the same instants.
+    instant : (k,) int, ascending
+        Number of each instant; only pairs of neighbouring numbers are compared.
+
+    Returns
+    -------
+    float or None
+        None where there is no such pair.
+
+    References
+    ----------
+    Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+    """
+    step = np.flatnonzero(np.diff(instant) == 1)
+    motion = np.linalg.solve(poses[step], poses[step + 1])
+    true_motion = np.linalg.solve(true_poses[step], true_poses[step + 1])
+    return rms(np.linalg.solve(true_motion, motion)[:, :3, 3])

@@ -1,0 +1,202 @@
+"""One run: a log goes through a mapper, iteration by iteration, and comes out as a result."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from time import perf_counter
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkTable
+from relmap.datasets.base import ObservationLog, Scan
+from relmap.results import Result, Tracks, shifted
+
+Association = Literal["nearest", "known"]
+Progress = Callable[[Iterable[Scan]], Iterable[Scan]]
+"""Wraps the scans of a run, to show how far it is."""
+
+
+class Grouped(Protocol):
+    """A group of landmarks that were mapped together."""
+
+    @property
+    def landmarks(self) -> NDArray[np.int64]:
+        """Labels, (g,) int64."""
+        ...
+
+
+class Mapper(Protocol):
+    """What a mapper offers to a run; see `relmap.PointMapper`."""
+
+    def update(
+        self, points: NDArray[np.float64], ids: NDArray[np.int64] | None = None
+    ) -> NDArray[np.int64]:
+        """Take one iteration's observations; return the label of each."""
+        ...
+
+    def finish(self) -> object:
+        """Map what is left."""
+        ...
+
+    @property
+    def landmarks(self) -> LandmarkTable:
+        """Every landmark ever seen."""
+        ...
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """Pose of every iteration, (k, 4, 4), NaN where there is none."""
+        ...
+
+    @property
+    def groups(self) -> Sequence[Grouped]:
+        """The groups in the order in which they were mapped."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A result with what only the running program knows.
+
+    Attributes
+    ----------
+    result : Result
+    groups : tuple of (g,) int64
+        Landmark labels of each group.
+    """
+
+    result: Result
+    groups: tuple[NDArray[np.int64], ...]
+
+
+def run_mapper(
+    mapper: Mapper,
+    log: ObservationLog,
+    association: Association,
+    about: dict[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Run:
+    """Map a whole log.
+
+    Parameters
+    ----------
+    mapper : Mapper
+        A fresh one.
+    log : ObservationLog
+    association : "nearest" or "known"
+        ``known`` hands the ids of the log to the mapper, ``nearest`` keeps them from it.
+    about : dict, optional
+        What else the summary should tell: configuration, input, ...
+    progress : callable, optional
+        Wraps the iterable of scans.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    RelmapError
+        Where ``known`` is asked of a log without ids.
+    """
+    if association == "known" and log.ids is None:
+        raise RelmapError("association known needs a log with ids, and this one has none")
+    scans: Iterable[Scan] = log.scans()
+    labels, durations_s = [], []
+    for scan in progress(scans) if progress else scans:
+        ids = scan.ids if association == "known" else None
+        began = perf_counter()
+        labels.append(mapper.update(scan.points_robot, ids=ids))
+        durations_s.append(perf_counter() - began)
+    mapper.finish()
+    label = np.concatenate(labels) if labels else np.empty(0, np.int64)
+    table, poses, groups = mapper.landmarks, mapper.trajectory, mapper.groups
+    summary = {
+        **(about or {}),
+        "association": association,
+        "dimensions": log.points_robot.shape[1],
+        "scans": [log.first_iteration, log.end_iteration],
+        "versions": versions(),
+        "counts": _counts(log, table, poses, len(groups)),
+        "timing": timing(np.array(durations_s)),
+    }
+    result = Result(
+        shifted(table, log.first_iteration),
+        _tracks(log, label),
+        *_trajectory(log, poses),
+        summary,
+    )
+    return Run(result, tuple(group.landmarks for group in groups))
+
+
+def _tracks(log: ObservationLog, label: NDArray[np.int64]) -> Tracks:
+    known = label >= 0
+    return Tracks(log.iteration[known], log.rows[known], label[known])
+
+
+def _trajectory(
+    log: ObservationLog, poses: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    there = np.isfinite(poses).all(axis=(1, 2))
+    return stamps_of(log)[there], poses[there]
+
+
+def stamps_of(log: ObservationLog) -> NDArray[np.float64]:
+    """Return the time of each iteration, seconds, or its number where the log has no clock."""
+    if log.stamps_s is not None:
+        return log.stamps_s
+    return np.arange(log.first_iteration, log.end_iteration, dtype=np.float64)
+
+
+def _counts(
+    log: ObservationLog, table: LandmarkTable, poses: NDArray[np.float64], groups: int
+) -> dict[str, int]:
+    return {
+        "iterations": len(log),
+        "observations": len(log.points_robot),
+        "landmarks": len(table.landmark),
+        "mapped": int(np.isfinite(table.position).all(axis=1).sum()),
+        "static": int((table.status == "static").sum()),
+        "dynamic": int((table.status == "dynamic").sum()),
+        "unmapped": int((table.status == "unmapped").sum()),
+        "groups": groups,
+        "iterations_without_observation": len(log) - len(np.unique(log.iteration)),
+        "iterations_without_pose": int(len(log) - np.isfinite(poses).all(axis=(1, 2)).sum()),
+    }
+
+
+def timing(durations_s: NDArray[np.float64]) -> dict[str, float | None]:
+    """Return the time per iteration in milliseconds, from that of each in seconds, (k,)."""
+    if not len(durations_s):
+        return dict.fromkeys(["median_ms", "p95_ms", "first_100_median_ms", "last_100_median_ms"])
+    in_ms = 1e3 * durations_s
+    return {
+        "median_ms": float(np.median(in_ms)),
+        "p95_ms": float(np.percentile(in_ms, 95)),
+        "first_100_median_ms": float(np.median(in_ms[:100])),
+        "last_100_median_ms": float(np.median(in_ms[-100:])),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the numbers may depend on."""
+    return {
+        "relmap": relmap_version(),
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+    }
+
+
+def relmap_version() -> str:
+    """Return the version of the installed package, ``unknown`` where it is not installed."""
+    try:
+        return version("relmap")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,3 @@
+"""Mapping of walls (section II)."""
+
+from __future__ import annotations

@@ -1,0 +1,87 @@
+"""The consistent basis of a group of points, and its relative map (section III, Fig. 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.alignment import fixes_rotation
+
+
+def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
+    """Choose basis points that are spaced apart.
+
+    B0 is the point farthest from the centre, B1 the farthest from B0, and in space B2 the farthest
+    from the line through both.
+
+    Parameters
+    ----------
+    points : (g, d) float64
+        The group in one iteration.
+
+    Returns
+    -------
+    (d,) int64 or None
+        Rows of B0, B1 (and B2); None where the points lie on one spot or, in space, on one line.
+    """
+    if not fixes_rotation(points):
+        return None
+    b0 = int(np.argmax(np.sum((points - points.mean(axis=0)) ** 2, axis=1)))
+    from_b0 = points - points[b0]
+    b1 = int(np.argmax(np.sum(from_b0**2, axis=1)))
+    if points.shape[1] == 2:
+        return np.array([b0, b1])
+    along = from_b0[b1] / np.linalg.norm(from_b0[b1])
+    across = from_b0 - np.outer(from_b0 @ along, along)
+    return np.array([b0, b1, int(np.argmax(np.sum(across**2, axis=1)))])
+
+
+def to_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Bring every iteration of a group into the consistent basis.
+
+    B0 comes to the origin, B1 onto the negative x axis, and in space B2 into the xz plane, at
+    positive z.
+
+    Parameters
+    ----------
+    block : (g, i, d) float64, robot frame, metres
+    basis : (d,) int64
+        Rows of B0, B1 (and B2).
+
+    Returns
+    -------
+    (g, i, d) float64, group frame, metres
+    """
+    origin = block[basis[0]]
+    x = _unit(origin - block[basis[1]])
+    if len(basis) == 2:
+        axes = [x, np.stack([-x[:, 1], x[:, 0]], axis=1)]
+    else:
+        to_b2 = block[basis[2]] - origin
+        z = _unit(to_b2 - np.sum(to_b2 * x, axis=1, keepdims=True) * x)
+        axes = [x, np.cross(z, x), z]
+    return np.asarray(np.einsum("gid,iad->gia", block - origin, np.stack(axes, axis=1)))
+
+
+def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Average a group's locations in its consistent basis (section III).
+
+    Parameters
+    ----------
+    block : (g, i, d) float64, robot frame, metres
+        Every member seen in every iteration.
+
+    Returns
+    -------
+    (g, d) float64, group frame, metres, or None where the group fixes no basis
+    """
+    basis = choose_basis(block[:, block.shape[1] // 2])
+    if basis is None:
+        return None
+    with np.errstate(invalid="ignore"):
+        mean = to_basis(block, basis).mean(axis=1)
+    return mean if np.isfinite(mean).all() else None
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -1,0 +1,120 @@
+"""The real data sets: counts that their descriptions state, and the exact truth."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.core.errors import RelmapError
+from relmap.datasets import open_log, write_observation_csv
+from relmap.datasets.mrpt_landmarks import read_ground_truth
+from relmap.datasets.victoria_park import read_reference_map
+
+
+@pytest.mark.parametrize(
+    ("name", "steps", "mean", "fewest", "most", "seen", "columns", "error_m"),
+    [
+        ("kf-slam_demo", 250, 14.4, 3, 28, 70, 2, 0.010),
+        ("kf-slam_6D_demo", 600, 9.7, 1, 22, 48, 3, 0.016),
+        ("kf-slam_6D_demo_noncentered", 600, 14.3, 4, 24, 44, 3, 0.016),
+    ],
+)
+def test_mrpt_logs_agree_with_their_truth(
+    shared_data: Path,
+    name: str,
+    steps: int,
+    mean: float,
+    fewest: int,
+    most: int,
+    seen: int,
+    columns: int,
+    error_m: float,
+) -> None:
+    log = open_log(shared_data / "mrpt-kf-slam" / f"{name}.observations.csv.gz")
+    counts = [len(scan.points_robot) for scan in log.scans()]
+    assert (len(counts), min(counts), max(counts)) == (steps, fewest, most)
+    assert np.mean(counts) == pytest.approx(mean, abs=0.05)
+    assert log.points_robot.shape[1] == columns
+    assert log.ids is not None
+    assert len(np.unique(log.ids)) == seen
+
+    ids, positions, poses = read_ground_truth(
+        shared_data / "mrpt-kf-slam" / f"{name}_ground_truth.txt"
+    )
+    assert len(poses) == steps
+    points_robot = np.zeros((len(log.rows), 3))
+    points_robot[:, :columns] = log.points_robot
+    rotations, translations = poses[log.iteration, :3, :3], poses[log.iteration, :3, 3]
+    points_map = np.einsum("nij,nj->ni", rotations, points_robot) + translations
+    order = np.argsort(ids)
+    true = positions[order][np.searchsorted(ids[order], log.ids)]
+    errors = np.linalg.norm(points_map - true, axis=1)
+    assert np.median(errors) == pytest.approx(error_m, abs=0.001)
+    assert errors.max() < 0.1
+
+
+def test_mrpt_folder_with_several_logs_is_ambiguous(shared_data: Path) -> None:
+    with pytest.raises(RelmapError, match="3 MRPT landmark logs") as caught:
+        open_log(shared_data / "mrpt-kf-slam")
+    assert "kf-slam_6D_demo_noncentered.observations.csv.gz" in str(caught.value)
+
+
+def test_victoria_park(shared_data: Path) -> None:
+    log = open_log(shared_data / "victoria-park")
+    counts = np.array([len(scan.points_robot) for scan in log.scans()])
+    assert (len(log.rows), len(counts)) == (52974, 7249)
+    assert (counts.max(), (counts == 0).sum()) == (18, 19)
+    assert counts[1181:1642].mean() == pytest.approx(8.26, abs=0.005)
+    assert counts[1181:1642].min() >= 4 > max(counts[1180], counts[1642])
+    assert counts[4220:4634].mean() == pytest.approx(8.65, abs=0.005)
+    assert log.stamps_s is not None
+    assert log.stamps_s[[0, -1]].tolist() == pytest.approx([21.819, 1570.208])
+    assert (log.points_robot[:, 0] > -1e-9).all()
+    assert np.linalg.norm(log.points_robot, axis=1).max() < 75.3
+
+
+def test_victoria_park_ids(shared_data: Path) -> None:
+    """Every associated detection is found, once, and neighbours in time agree on its place."""
+    log = open_log(shared_data / "victoria-park" / "trees_per_scan.csv.gz")
+    assert log.ids is not None
+    assert ((log.ids >= 0).sum(), len(np.unique(log.ids))) == (46860, 300)
+    scans = list(log.between(1181, 1642).scans())
+    moves = []
+    for before, after in pairwise(scans):
+        assert before.ids is not None
+        assert after.ids is not None
+        shared, i, j = np.intersect1d(before.ids, after.ids, return_indices=True)
+        moves.append((after.points_robot[j] - before.points_robot[i])[shared >= 0])
+    assert min(len(move) for move in moves) >= 3
+    assert np.quantile(np.linalg.norm(np.vstack(moves), axis=1), 0.95) < 1.5
+
+
+def test_victoria_park_reference_map_fits_the_observed_distances(shared_data: Path) -> None:
+    log = open_log(shared_data / "victoria-park")
+    ids, positions = read_reference_map(shared_data / "victoria-park")
+    assert (len(ids), positions.shape) == (299, (299, 3))
+    assert not positions[:, 2].any()
+    differences = []
+    for scan in log.scans():
+        assert scan.ids is not None
+        known = scan.ids >= 0
+        points, places = scan.points_robot[known], positions[np.searchsorted(ids, scan.ids[known])]
+        if len(points) > 1:
+            seen = np.linalg.norm(points[1:] - points[:-1], axis=1)
+            differences.append(seen - np.linalg.norm(places[1:] - places[:-1], axis=1))
+    assert np.median(np.abs(np.concatenate(differences))) < 0.1
+
+
+def test_real_log_goes_through_the_projects_own_format(shared_data: Path, tmp_path: Path) -> None:
+    log = open_log(shared_data / "victoria-park")
+    write_observation_csv(tmp_path / "observations.csv.gz", log)
+    back = open_log(tmp_path)
+    assert np.array_equal(back.points_robot, log.points_robot)
+    assert np.array_equal(back.iteration, log.iteration)
+    assert back.ids is not None
+    assert log.ids is not None
+    assert np.array_equal(back.ids, log.ids)
+    assert (back.first_iteration, back.end_iteration) == (log.first_iteration, log.end_iteration)

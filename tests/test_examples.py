@@ -1,0 +1,49 @@
+"""Every file of ``examples/`` runs, and so does the first Python block of the README."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLES = sorted(FOLDER.glob("*.py"))
+TIMEOUT_S = 300
+
+
+def run_file(path: Path, env: dict[str, str], folder: Path) -> None:
+    """Run a Python file in a folder, in an interpreter of its own; fail with what it said."""
+    done = subprocess.run(
+        [sys.executable, str(path)],
+        env=env,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, f"{path.name} failed:\n{done.stdout}{done.stderr}"
+
+
+def test_there_are_examples() -> None:
+    assert EXAMPLES, f"{FOLDER} holds no example"
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
+def test_example_runs(path: Path, child_env: dict[str, str], tmp_path: Path) -> None:
+    run_file(path, child_env, tmp_path)
+
+
+def test_first_python_block_of_the_readme_runs_as_shown(
+    repo_root: Path, child_env: dict[str, str], tmp_path: Path
+) -> None:
+    readme = (repo_root / "README.md").read_text(encoding="utf-8")
+    block = re.search(r"^```python\n(.*?)^```$", readme, flags=re.MULTILINE | re.DOTALL)
+    assert block is not None, "README.md has no ```python block"
+    assert len(block[1].splitlines()) < 10
+    script = tmp_path / "readme_block.py"
+    script.write_text(block[1], encoding="utf-8")
+    run_file(script, child_env, tmp_path)

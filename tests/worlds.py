@@ -1,0 +1,67 @@
+"""Small worlds with exact truth, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap import MapperConfig, PointMapper
+from relmap.core.alignment import fit_rigid
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A robot that walks along a road of landmarks.
+
+    ``landmarks`` (m, d) are in the frame of the first pose; ``scans`` are pairs of ids and points.
+    """
+
+    landmarks: NDArray[np.float64]
+    poses: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
+    scans: list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+
+
+def random_rotation(dimension: int, angle: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a rotation of up to `angle` radians about each axis."""
+    if dimension == 2:
+        a = rng.uniform(-angle, angle)
+        return np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+    return Rotation.from_euler("ZYX", rng.uniform(-angle, angle, 3)).as_matrix()
+
+
+def walk(dimension: int, seed: int, sigma: float = 0.0, iterations: int = 120) -> Walk:
+    """Walk along x through landmarks 2 m apart, seeing those up to 8 m before and behind."""
+    rng = np.random.default_rng(seed)
+    m = iterations // 5
+    road = np.column_stack([np.arange(m) * 2.0 - 8.0, rng.uniform(-6, 6, (m, dimension - 1))])
+    scans, poses = [], []
+    first_R = random_rotation(dimension, 1.0, rng)
+    for k in range(iterations):
+        R = random_rotation(dimension, 0.1, rng) @ first_R
+        t = np.concatenate([[0.25 * k], rng.uniform(-0.2, 0.2, dimension - 1)])
+        seen = rng.permutation(np.flatnonzero(np.abs(road[:, 0] - t[0]) < 8.0))
+        noise = sigma * rng.standard_normal((len(seen), dimension))
+        scans.append((seen, (road[seen] - t) @ R + noise))
+        poses.append((R, t))
+    R0, t0 = poses[0]
+    return Walk((road - t0) @ R0, poses, scans)
+
+
+def mapped(
+    scans: list[tuple[NDArray[np.int64], NDArray[np.float64]]], **settings: int
+) -> PointMapper:
+    """Map scans with known association."""
+    mapper = PointMapper(MapperConfig(**settings))  # type: ignore[arg-type]
+    for ids, points in scans:
+        mapper.update(points, ids)
+    mapper.finish()
+    return mapper
+
+
+def aligned_rmse(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+    """Return the root mean squared distance after rigid alignment."""
+    R, t = fit_rigid(positions, truth)
+    return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
