@@ -1,4 +1,5 @@
 """Maps from relative locations: SLAM with no probability, scan matching or odometry."""
+
 from __future__ import annotations
 
 from relmap.core.config import MapperConfig

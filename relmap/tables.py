@@ -108,7 +108,7 @@ def _numbers(texts: list[str], kind: Kind) -> NDArray[Any]:
     """Return the numbers in the cells (n,); ValueError or OverflowError where one is none."""
     if kind == "int":
         return np.array(list(map(int, texts)), dtype=np.int64)
-    gaps = [not text for text in texts] if kind == "float or empty" else False
+    gaps = np.array([kind == "float or empty" and not text for text in texts], dtype=bool)
     values = np.array([float(text or "nan") for text in texts], dtype=np.float64)
     if not ((np.abs(values) <= MAX_COORDINATE_M) | gaps).all():
         raise ValueError

@@ -15,7 +15,7 @@ def errors(world: eight.FigureEight) -> np.ndarray:
     assert log.ids is not None
     T = world.trajectory[log.iteration]
     true = np.einsum("nij,ni->nj", T[:, :3, :3], world.landmarks_map[log.ids] - T[:, :3, 3])
-    return (log.points_robot - true)[world.status[log.ids] == "static"]
+    return np.asarray((log.points_robot - true)[world.status[log.ids] == "static"])
 
 
 def test_the_loop_is_as_long_as_it_says_and_climbs_half_way() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap import MapperConfig, PointMapper
+from relmap import PointMapper
 from relmap.core.alignment import fit_rigid
 
 
@@ -51,10 +51,10 @@ def walk(dimension: int, seed: int, sigma: float = 0.0, iterations: int = 120) -
 
 
 def mapped(
-    scans: list[tuple[NDArray[np.int64], NDArray[np.float64]]], **settings: int
+    scans: list[tuple[NDArray[np.int64], NDArray[np.float64]]],
 ) -> PointMapper:
     """Map scans with known association."""
-    mapper = PointMapper(MapperConfig(**settings))  # type: ignore[arg-type]
+    mapper = PointMapper()
     for ids, points in scans:
         mapper.update(points, ids)
     mapper.finish()

@@ -10,6 +10,8 @@ from typing import Any
 
 from relmap.core.errors import RelmapError
 
+REGISTRATIONS = ("constellation", "nearest-previous")
+
 
 @dataclass(frozen=True, kw_only=True)
 class MapperConfig:
@@ -23,13 +25,17 @@ class MapperConfig:
         new landmark is aligned to it, and groups that share many landmarks drift least.
     max_missed : int
         A landmark unseen for more iterations than this has left the view.
+    registration : "constellation" or "nearest-previous"
+        How observations without ids find their landmarks: by relative locations that agree, or the
+        paper's own way, by the nearest of the previous iteration.
     gate_m : float or None
-        Largest displacement, metres, of a landmark between two iterations in the robot frame when
-        matching without ids; None takes half the median distance between neighbours in the scan.
+        Only for "nearest-previous": largest displacement, metres, between two iterations; None
+        takes half the median distance between neighbours in the scan.
     """
 
     group_after: int = 10
-    max_missed: int = 3
+    max_missed: int = 5
+    registration: str = "constellation"
     gate_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -46,6 +52,11 @@ class MapperConfig:
                 raise RelmapError(
                     f"setting {key} is {value!r}; it must be a whole number, {lowest} or more"
                 )
+        if self.registration not in REGISTRATIONS:
+            raise RelmapError(
+                f"setting registration is {self.registration!r}; "
+                f"it must be {' or '.join(REGISTRATIONS)}"
+            )
         if self.gate_m is not None and not _is_length(self.gate_m):
             raise RelmapError(
                 f"setting gate_m is {self.gate_m!r}; it must be a length above 0, in metres"

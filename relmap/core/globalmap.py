@@ -8,17 +8,26 @@ from numpy.typing import NDArray
 from relmap.core.alignment import fit_rigid, fixes_rotation
 from relmap.core.growing import GrowingArray
 
+UNMAPPED = -1
+"""Piece of a landmark that is not mapped."""
+
 
 class GlobalMap:
-    """Positions of landmarks in one frame, each the average over the groups that placed it."""
+    """Positions of landmarks, each the average over the groups that placed it.
+
+    Where a group shares too little with what is mapped, it founds a new piece of the map, with a
+    frame of its own.  Two pieces become one when a group ties them.
+    """
 
     def __init__(self) -> None:
         self._positions: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
         self._weights: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._pieces: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._n_founded = 0
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Position of each landmark (n, d), map frame, metres; NaN where it is not mapped."""
+        """Position of each landmark (n, d), frame of its piece, metres; NaN if not mapped."""
         return self._positions.values
 
     @property
@@ -27,9 +36,9 @@ class GlobalMap:
         return self._weights.values
 
     @property
-    def is_empty(self) -> bool:
-        """Whether nothing is mapped yet."""
-        return not self.weights.any()
+    def pieces(self) -> NDArray[np.int64]:
+        """Piece that each landmark belongs to (n,), or `UNMAPPED`."""
+        return self._pieces.values
 
     def resize(self, n: int, dimension: int) -> None:
         """Make room for landmarks 0 to n - 1 of that many coordinates, the new ones not mapped."""
@@ -37,20 +46,33 @@ class GlobalMap:
             self._positions = GrowingArray(np.float64, (dimension,))
         self._positions.resize(n, np.nan)
         self._weights.resize(n, 0.0)
+        self._pieces.resize(n, UNMAPPED)
+
+    def pieces_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the pieces that the landmarks belong to, that of the most first."""
+        pieces, counts = np.unique(self.pieces[landmarks], return_counts=True)
+        mapped = pieces != UNMAPPED
+        return np.asarray(pieces[mapped][np.argsort(-counts[mapped], kind="stable")])
+
+    def weights_in(self, piece: int, landmarks: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the weights (g,) of landmarks, 0 for those outside the piece."""
+        return np.where(self.pieces[landmarks] == piece, self.weights[landmarks], 0.0)
 
     def align(
         self,
+        piece: int,
         landmarks: NDArray[np.int64],
         relative_map: NDArray[np.float64],
         n_iterations: int,
     ) -> NDArray[np.float64] | None:
-        """Fit a group's relative map to those of its members that are mapped.
+        """Fit a group's relative map to those of its members that are mapped in a piece.
 
         Each counts with the number of iterations behind its two positions, the one in the map and
         the one in the group: variances add, so the weights add in parallel.
 
         Parameters
         ----------
+        piece : int
         landmarks : (g,) int64
         relative_map : (g, d) float64, group frame, metres
         n_iterations : int
@@ -58,26 +80,61 @@ class GlobalMap:
 
         Returns
         -------
-        (g, d) float64, map frame, metres, or None where the mapped members fix no rotation
+        (g, d) float64, frame of the piece, metres, or None where the members fix no rotation
         """
-        shared = self.weights[landmarks] > 0
-        placed = self.positions[landmarks[shared]]
-        if not fixes_rotation(placed):
+        in_map = self.weights_in(piece, landmarks)
+        shared = in_map > 0
+        there = self.positions[landmarks[shared]]
+        if not fixes_rotation(there):
             return None
-        weights = 1 / (1 / self.weights[landmarks[shared]] + 1 / n_iterations)
-        R, t = fit_rigid(relative_map[shared], placed, weights)
+        weights = 1 / (1 / in_map[shared] + 1 / n_iterations)
+        R, t = fit_rigid(relative_map[shared], there, weights)
         return relative_map @ R.T + t
 
-    def average_in(
+    def found(
         self,
         landmarks: NDArray[np.int64],
         positions: NDArray[np.float64],
         weights: NDArray[np.float64],
     ) -> None:
-        """Average positions (g, d) into the map; weights (g,) in iterations not used before."""
-        old = self.weights[landmarks]
+        """Begin a new piece with positions (g, d) in its own frame and weights (g,)."""
+        piece, self._n_founded = self._n_founded, self._n_founded + 1
+        self.average_in(piece, landmarks, positions, weights)
+
+    def average_in(
+        self,
+        piece: int,
+        landmarks: NDArray[np.int64],
+        positions: NDArray[np.float64],
+        weights: NDArray[np.float64],
+    ) -> None:
+        """Average positions (g, d) into a piece; weights (g,) in iterations not used before.
+
+        Members that belonged to another piece join this one, and where they fix how that piece
+        lies, all of it does.
+        """
+        for other in self.pieces_of(landmarks):
+            if other != piece:
+                self._join(int(other), piece, landmarks, positions)
+        old = self.weights_in(piece, landmarks)
         total = old + weights
         here = np.where(old[:, None] > 0, self.positions[landmarks], positions)
         share = np.divide(weights, total, out=np.zeros_like(total), where=total > 0)
         self.positions[landmarks] = here + share[:, None] * (positions - here)
         self.weights[landmarks] = total
+        self.pieces[landmarks] = piece
+
+    def _join(
+        self,
+        other: int,
+        piece: int,
+        landmarks: NDArray[np.int64],
+        positions: NDArray[np.float64],
+    ) -> None:
+        shared = self.pieces[landmarks] == other
+        there = self.positions[landmarks[shared]]
+        if fixes_rotation(there):
+            R, t = fit_rigid(there, positions[shared])
+            moved = self.pieces == other
+            self.positions[moved] = self.positions[moved] @ R.T + t
+            self.pieces[moved] = piece

@@ -18,7 +18,7 @@ def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
-    """The mapped landmarks.
+    """The mapped landmarks: those of the largest piece.
 
     Attributes
     ----------
@@ -30,6 +30,24 @@ class LandmarkMap:
 
     landmark_ids: NDArray[np.int64]
     positions: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A part of the map with a frame of its own, which nothing ties to the rest.
+
+    Attributes
+    ----------
+    landmark_ids : (m,) int64
+    positions : (m, 3) float64, frame of the piece, metres
+    first_iteration, last_iteration : int
+        When its landmarks were seen first and last, counted from the mapper's first update.
+    """
+
+    landmark_ids: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    first_iteration: int
+    last_iteration: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +70,9 @@ class LandmarkTable:
         Grouping level of the position; 0 where the landmark is not mapped.
     status : (n,) str
         "static" or "unmapped".
+    piece : (n,) int64
+        Place of the landmark's piece in the order of their sizes: 0 for the map itself, above 0
+        for pieces that nothing ties to it (those landmarks count as not mapped here), -1 for none.
     """
 
     landmark: NDArray[np.int64]
@@ -62,6 +83,7 @@ class LandmarkTable:
     last_iteration: NDArray[np.int64]
     level: NDArray[np.int64]
     status: NDArray[np.str_]
+    piece: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,16 @@ from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import GlobalMap
 from relmap.core.grouping import Group, grow_group
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, in_space
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.noise import NoiseEstimate
 from relmap.core.pose import poses_from_map
-from relmap.core.registration import KnownAssociation, NearestPrevious, Registration
+from relmap.core.readout import landmark_table, map_pieces, positions_in_largest_piece
+from relmap.core.registration import (
+    Constellation,
+    KnownAssociation,
+    NearestPrevious,
+    Registration,
+)
 from relmap.core.scan import checked_ids, checked_points
 from relmap.core.schedule import GroupingSchedule
 from relmap.core.store import ObservationStore
@@ -86,17 +92,23 @@ class RelativeMapper(ABC):
         return labels
 
     def finish(self) -> None:
-        """Group what is still in view and not mapped yet, as if it had left."""
-        self._group_unmapped(self._schedule.in_view)
+        """Group what is still in view and not mapped yet."""
+        for seed in self._schedule.in_view:
+            if self._map.weights[seed] == 0 and not self._group(seed):
+                self._found_piece(seed)
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
-            nearest = NearestPrevious(self.config.gate_m)
-            self._registration = nearest if ids is None else KnownAssociation()
+            self._registration = KnownAssociation() if ids is not None else self._own_registration()
         if isinstance(self._registration, KnownAssociation) != (ids is not None):
             given = "came with" if ids is None else "did not come with"
             raise RelmapError(f"ids {given} the scans before; give them with every scan or none")
         return self._registration
+
+    def _own_registration(self) -> Registration:
+        if self.config.registration == "nearest-previous":
+            return NearestPrevious(self.config.gate_m)
+        return Constellation(self.config.max_missed)
 
     def _observe(
         self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]
@@ -110,51 +122,72 @@ class RelativeMapper(ABC):
     def _group_due(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
         """Group whoever was seen often enough since the last time, or is seen no longer."""
         for seed in self._schedule.due(seen):
-            if self._schedule.is_due(seed):
-                self._group(seed)
-        self._group_unmapped(left)
-
-    def _group_unmapped(self, landmarks: NDArray[np.int64]) -> None:
-        for seed in landmarks:
+            if self._schedule.is_due(seed) and not self._group(seed):
+                self._found_piece(seed)
+        for seed in left:
             if self._map.weights[seed] == 0:
                 self._group(seed)
 
-    def _group(self, seed: int) -> None:
+    def _group(self, seed: int) -> bool:
         """Grow a group around a landmark, average it, and align it to the map (section III)."""
-        end = self._store.n_iterations
-        begin = max(self._schedule.begin[seed], end - LONGEST_INTERVAL)
-        chart = PointChart.around(seed, self._store, begin, end)
-        if self._map.is_empty:  # the frame is the robot's at the start of the first group
-            chart = chart.from_the_start()
+        chart = self._chart(seed)
         fixes = self._min_shared()
-        weights = self._map.weights[chart.landmarks]
-        group = grow_group(chart, weights, fixes + 1, 0 if self._map.is_empty else fixes)
+        for piece in self._map.pieces_of(chart.landmarks):
+            weights = self._map.weights_in(piece, chart.landmarks)
+            group = grow_group(chart, weights, min_members=fixes + 1, min_shared=fixes)
+            if group is not None and self._align(group, piece):
+                return True
+        return False
+
+    def _align(self, group: Group, piece: int) -> bool:
+        block = self._store.gather(group.landmarks, group.iterations)
+        relative_map = self._relative_map(block)
+        if relative_map is None:
+            return False
+        n_iterations = len(group.iterations)
+        placed = self._map.align(piece, group.landmarks, relative_map, n_iterations)
+        if placed is None:
+            return False
+        self._map.average_in(piece, group.landmarks, placed, self._unused(group))
+        self._keep(group, relative_map, block)
+        return True
+
+    def _found_piece(self, seed: int) -> None:
+        """Begin the map, or a new piece of it where what is in view is not enough to go on.
+
+        The frame is that of the robot in the first iteration of the group.
+        """
+        fixes = self._min_shared()
+        if np.sum(self._map.weights[self._schedule.in_view] > 0) >= fixes:
+            return
+        chart = self._chart(seed).from_the_start()
+        group = grow_group(chart, np.zeros(len(chart.landmarks)), fixes + 1, min_shared=0)
         if group is None:
             return
         block = self._store.gather(group.landmarks, group.iterations)
         relative_map = self._relative_map(block)
         if relative_map is None:
             return
-        self._place(group, relative_map, block)
+        R, t = fit_rigid(relative_map, block[:, 0])
+        self._map.found(group.landmarks, relative_map @ R.T + t, self._unused(group))
+        self._keep(group, relative_map, block)
 
-    def _place(
+    def _chart(self, seed: int) -> PointChart:
+        end = self._store.n_iterations
+        begin = max(self._schedule.begin[seed], end - LONGEST_INTERVAL)
+        return PointChart.around(seed, self._store, begin, end)
+
+    def _unused(self, group: Group) -> NDArray[np.float64]:
+        """Return how many iterations of each member no group has used before; (g,)."""
+        begin = self._schedule.begin[group.landmarks]
+        return np.asarray(np.sum(group.iterations >= begin[:, None], axis=1, dtype=np.float64))
+
+    def _keep(
         self, group: Group, relative_map: NDArray[np.float64], block: NDArray[np.float64]
     ) -> None:
-        """Bring a relative map into the global one; the first goes to its first observations."""
-        members, iterations = group.landmarks, group.iterations
-        if self._map.is_empty:
-            R, t = fit_rigid(relative_map, block[:, 0])
-            placed = relative_map @ R.T + t
-        else:
-            aligned = self._map.align(members, relative_map, len(iterations))
-            if aligned is None:
-                return
-            placed = aligned
-        unused = np.sum(iterations >= self._schedule.begin[members][:, None], axis=1)
-        self._map.average_in(members, placed, unused)
-        self._schedule.grouped(members, self._store.n_iterations)
+        self._schedule.grouped(group.landmarks, self._store.n_iterations)
         self._noise.add(block)
-        self._groups.append(MappedGroup(members, iterations, relative_map))
+        self._groups.append(MappedGroup(group.landmarks, group.iterations, relative_map))
 
     @property
     def map(self) -> LandmarkMap:
@@ -166,27 +199,12 @@ class RelativeMapper(ABC):
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen, mapped or not."""
-        n = len(self._map.weights)
-        labels = self._labels
-        order = np.argsort(labels)
-        seen = self._store.landmarks
-        iterations = self._store.seen(0, self._store.n_iterations)[1]
-        first, last = np.full(n, self._store.n_iterations), np.full(n, -1)
-        np.minimum.at(first, seen, iterations)
-        np.maximum.at(last, seen, iterations)
-        weights = self._map.weights
-        mapped = weights > 0
-        sd = np.where(mapped, self._noise.sigma_m / np.sqrt(np.where(mapped, weights, 1)), np.nan)
-        return LandmarkTable(
-            landmark=labels[order],
-            position=in_space(self._map.positions)[order],
-            sd=sd[order],
-            observations=np.bincount(seen, minlength=n)[order],
-            first_iteration=first[order],
-            last_iteration=last[order],
-            level=mapped.astype(np.int64)[order],
-            status=np.where(mapped, "static", "unmapped")[order],
-        )
+        return landmark_table(self._store, self._map, self._labels, self.noise_m)
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """The pieces of the map, the largest first; more than one where it fell apart."""
+        return map_pieces(self._store, self._map, self._labels)
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -197,7 +215,8 @@ class RelativeMapper(ABC):
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
-        return poses_from_map(self._store, self._map.positions, 0, self._store.n_iterations)
+        positions = positions_in_largest_piece(self._map)
+        return poses_from_map(self._store, positions, 0, self._store.n_iterations)
 
     @property
     def noise_m(self) -> float:

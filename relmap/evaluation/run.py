@@ -5,15 +5,16 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from time import perf_counter
 from typing import Any, Literal, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+import relmap
 from relmap.core.errors import RelmapError
-from relmap.core.landmarks import LandmarkTable
+from relmap.core.landmarks import LandmarkTable, Piece
 from relmap.datasets.base import ObservationLog, Scan
 from relmap.results import Result, Tracks, shifted
 
@@ -52,6 +53,11 @@ class Mapper(Protocol):
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """Pose of every iteration, (k, 4, 4), NaN where there is none."""
+        ...
+
+    @property
+    def pieces(self) -> Sequence[Piece]:
+        """The pieces of the map, the largest first."""
         ...
 
     @property
@@ -117,6 +123,7 @@ def run_mapper(
     mapper.finish()
     label = np.concatenate(labels) if labels else np.empty(0, np.int64)
     table, poses, groups = mapper.landmarks, mapper.trajectory, mapper.groups
+    pieces = tuple(mapper.pieces)
     summary = {
         **(about or {}),
         "association": association,
@@ -124,6 +131,7 @@ def run_mapper(
         "scans": [log.first_iteration, log.end_iteration],
         "versions": versions(),
         "counts": _counts(log, table, poses, len(groups)),
+        "pieces": [_summary_of(piece, log.first_iteration) for piece in pieces],
         "timing": timing(np.array(durations_s)),
     }
     result = Result(
@@ -131,8 +139,17 @@ def run_mapper(
         _tracks(log, label),
         *_trajectory(log, poses),
         summary,
+        pieces,
     )
     return Run(result, tuple(group.landmarks for group in groups))
+
+
+def _summary_of(piece: Piece, first_iteration: int) -> dict[str, int]:
+    return {
+        "landmarks": len(piece.landmark_ids),
+        "first_iteration": first_iteration + piece.first_iteration,
+        "last_iteration": first_iteration + piece.last_iteration,
+    }
 
 
 def _tracks(log: ObservationLog, label: NDArray[np.int64]) -> Tracks:
@@ -187,16 +204,8 @@ def timing(durations_s: NDArray[np.float64]) -> dict[str, float | None]:
 def versions() -> dict[str, str]:
     """Return the versions of what the numbers may depend on."""
     return {
-        "relmap": relmap_version(),
+        "relmap": relmap.__version__,
         "python": platform.python_version(),
-        "numpy": version("numpy"),
-        "scipy": version("scipy"),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
     }
-
-
-def relmap_version() -> str:
-    """Return the version of the installed package, ``unknown`` where it is not installed."""
-    try:
-        return version("relmap")
-    except PackageNotFoundError:
-        return "unknown"

@@ -1,0 +1,120 @@
+"""The command line: one verb per file, and one line for what goes wrong."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from relmap import __version__
+from relmap.cli import demo, evaluate, map, simulate
+from relmap.core.errors import RelmapError
+
+# typer exports what is raised for a bad value, but not the class above it, of all bad usage.
+_UsageError: type[Exception] = typer.BadParameter.__mro__[1]
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+UNHEARD = 1
+
+_HELP = """Make maps from landmarks seen by a moving robot, without knowing how it moved.
+
+Start with 'relmap demo', or go step by step:
+
+\b
+  relmap simulate figure-eight -o eight
+  relmap map eight/observations.csv -o result
+  relmap evaluate result --truth eight
+"""
+
+app = typer.Typer(
+    name="relmap",
+    help=_HELP,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.add_typer(simulate.app, name="simulate")
+app.command("map", help=map.HELP)(map.map_command)
+app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
+app.command("demo", help=demo.HELP)(demo.demo_command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"relmap {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments after the program's name; those of this process by default.
+
+    Returns
+    -------
+    int
+        What the process should exit with: 0, 2 for bad input, 130 where Ctrl-C ended it, 1 where
+        nobody reads the output any more.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = typer.main.get_command(app).main(arguments, "relmap", standalone_mode=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except RelmapError as error:
+        return _complain(str(error))
+    except _UsageError as error:
+        return _complain(_usage_line(error))
+    except MemoryError:
+        return _complain("not enough memory")
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except OSError as error:
+        if error.errno == errno.EPIPE:
+            return _leave_pipe()
+        where = f": {error.filename}" if error.filename else ""
+        return _complain(f"{error.strerror or error}{where}")
+    if code == INTERRUPTED:
+        typer.echo("relmap: interrupted", err=True)
+    return int(code or 0)
+
+
+def _complain(message: str) -> int:
+    line = " ".join(message.split())
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    typer.echo(f"relmap: error: {shown}", err=True)
+    return BAD_INPUT
+
+
+def _usage_line(error: Any) -> str:
+    message = error.format_message().rstrip(".")
+    return f"{message}; see '{error.ctx.command_path} --help'" if error.ctx else message
+
+
+def _leave_pipe() -> int:
+    # Whoever read our output went away; Python must not try to flush to it at exit.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return UNHEARD

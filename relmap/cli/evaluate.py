@@ -1,0 +1,129 @@
+"""``relmap evaluate``: compare a result with the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from relmap.core.errors import RelmapError
+
+if TYPE_CHECKING:
+    from relmap.datasets.base import ObservationLog
+    from relmap.evaluation.evaluate import Evaluation
+    from relmap.results import Result
+
+HELP = """Tell how good a result is where the truth is known.
+
+DIR is a folder that 'relmap map' wrote.  It prints a table and writes DIR/evaluation.json.
+
+\b
+Example:
+  relmap evaluate result --truth eight
+
+\b
+The figures:
+  landmark_rmse_m     how far the mapped landmarks are from their true places, after the map
+                      was turned and shifted to fit (root mean square, metres)
+  coverage            share of the landmarks seen at least ten times that are in the map
+  landmarks_per_true  mapped landmarks per true one; above 1, some stand there twice
+  purity              share of observations given to the right landmark
+  ate_m, rpe_m        error of the robot's path: as a whole, and from one step to the next
+"""
+
+FIGURES = {
+    "landmark_rmse_m": "landmark RMSE [m]",
+    "coverage": "coverage",
+    "landmarks_per_true": "landmarks per true one",
+    "purity": "purity",
+    "ate_m": "ATE [m]",
+    "rpe_m": "RPE [m]",
+}
+
+
+def evaluate_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The result folder.")],
+    truth: Annotated[
+        Path,
+        typer.Option(
+            "--truth",
+            metavar="TRUTH",
+            help="Folder as 'relmap simulate' writes it, or MRPT's ..._ground_truth.txt.",
+        ),
+    ],
+    log: Annotated[
+        Path | None,
+        typer.Option(
+            "--log",
+            metavar="LOG",
+            help="The log that was mapped, if it is not where it was at that time.",
+        ),
+    ] = None,
+) -> None:
+    """Evaluate a result; the arguments are explained in the help text."""
+    from relmap.cli.console import print_table
+
+    evaluation = evaluate_folder(folder, truth, log)
+    rows = [(name, figure(getattr(evaluation, key))) for key, name in FIGURES.items()]
+    print_table(f"{folder} against {truth}", ("figure", "value"), rows)
+    if evaluation.purity is None:
+        typer.echo("no log with ids was found: give it with --log to have every figure")
+    typer.echo(f"wrote evaluation.json to {folder}")
+
+
+def figure(value: float | None) -> str:
+    """Return a figure as a person reads it."""
+    return "-" if value is None else f"{value:.4f}"
+
+
+def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evaluation:
+    """Evaluate a result folder and write its ``evaluation.json``.
+
+    Raises
+    ------
+    RelmapError
+        Where the result, the truth or the log cannot be used, or the file cannot be written.
+    """
+    from relmap.evaluation.evaluate import evaluate
+    from relmap.evaluation.truth import read_truth
+    from relmap.files import atomic_write
+    from relmap.results import EVALUATION, json_text, read_result
+
+    result = read_result(folder)
+    evaluation = evaluate(result, read_truth(truth), find_log(result, truth, log))
+    atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
+    return evaluation
+
+
+def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | None:
+    """Return the log that was mapped: the one given, where it was then, or beside the truth.
+
+    Raises
+    ------
+    RelmapError
+        Where the log given cannot be read, or the one found is damaged.
+    """
+    from relmap.cli.map import recognised_format
+    from relmap.datasets import open_log
+    from relmap.evaluation.evaluate import mapped_part
+
+    form = result.summary.get("format")
+    if log is not None:
+        return open_log(log, recognised_format(log) or form)
+    source = result.summary.get("input")
+    beside = truth if truth.is_dir() else truth.parent
+    if beside.name == "truth":
+        beside = beside.parent
+    candidates = [(beside / name, None) for name in ("observations.csv", "observations.csv.gz")]
+    if isinstance(source, str):
+        candidates.insert(0, (Path(source), form))
+    for path, name in candidates:
+        if path.exists():
+            try:
+                found = open_log(path, name)
+                mapped_part(result, found)
+            except RelmapError:
+                continue
+            return found
+    return None

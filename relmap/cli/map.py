@@ -1,0 +1,216 @@
+"""``relmap map``: make a map from a log."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from relmap.cli.console import Out
+from relmap.core.errors import RelmapError
+
+if TYPE_CHECKING:
+    from relmap.core.config import MapperConfig
+    from relmap.datasets.base import ObservationLog
+    from relmap.evaluation.run import Run
+
+Association = Literal["nearest", "known"]
+Variant = Literal["points", "planes"]
+Registration = Literal["constellation", "nearest-previous"]
+
+HELP = """Make a map from a log of landmarks that a moving robot saw.
+
+INPUT is a file or folder.  The simplest is a CSV file with the header iteration,x,y,z or
+iteration,x,y (a planar world) and one row per landmark seen: its place in the robot's frame
+(x ahead, y left, z up, metres).  A column id may tell which landmark it is.
+
+\b
+Formats of INPUT:
+  observation-csv  the CSV file just described, or a folder with observations.csv
+  mrpt-landmarks   range and bearing to landmarks, from a log of MRPT
+  victoria-park    trees per scan, from the Victoria Park data set
+
+It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv and
+summary.json.
+
+\b
+Examples:
+  relmap map eight/observations.csv -o result
+  relmap map eight/observations.csv -o result --association known --scans 0:300
+"""
+
+
+def map_command(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The log.")],
+    out: Out,
+    variant: Annotated[
+        Variant, typer.Option(help="What the landmarks are (planes are not there yet).")
+    ] = "points",
+    association: Annotated[
+        Association,
+        typer.Option(help="Find out which landmark is which, or take the log's ids."),
+    ] = "nearest",
+    scans: Annotated[
+        str | None,
+        typer.Option(
+            "--scans", metavar="A:B", help="Map only iterations A to B - 1, counted from 0."
+        ),
+    ] = None,
+    log_format: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            help="Format of INPUT, from the list above; recognised where left out.",
+        ),
+    ] = None,
+    registration: Annotated[
+        Registration | None,
+        typer.Option(
+            help="How observations without ids are matched: by constellations that agree, or "
+            "the paper's way, to the nearest of the previous iteration."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config",
+            metavar="FILE.toml",
+            help="Settings of the mapper: the fields of relmap.MapperConfig, as field = value.",
+        ),
+    ] = None,
+) -> None:
+    """Map a log; the arguments are explained in the help text."""
+    if variant == "planes":
+        raise RelmapError("--variant planes is not there yet: points is the only variant so far")
+    run = map_input(source, out, association, scans, log_format, config, registration)
+    counts, timing = run.result.summary["counts"], run.result.summary["timing"]
+    apart = len(run.result.pieces) - 1
+    typer.echo(
+        f"wrote 7 files to {out}: {counts['mapped']} of {counts['landmarks']} landmarks mapped "
+        f"from {counts['observations']} observations in {counts['iterations']} iterations, "
+        f"median {timing['median_ms']:.2g} ms each"
+        + (f"; {apart} pieces could not be tied to the map" if apart > 0 else "")
+    )
+
+
+def map_input(
+    source: Path,
+    out: Path,
+    association: Association = "nearest",
+    scans: str | None = None,
+    log_format: str | None = None,
+    config: Path | None = None,
+    registration: Registration | None = None,
+) -> Run:
+    """Map a log into a result folder.
+
+    Raises
+    ------
+    RelmapError
+        Where an argument or the log cannot be used, or the folder cannot be written; an earlier
+        result in it is then as it was.
+    """
+    from relmap.cli.console import tracked
+    from relmap.datasets import open_log
+    from relmap.evaluation.run import run_mapper
+    from relmap.files import staged_folder
+    from relmap.plots.run import write_map_png
+    from relmap.points.mapper import PointMapper
+    from relmap.results import EVALUATION, MAP_PNG, write_result
+
+    interval = parse_scans(scans)
+    settings = read_config(config)
+    if registration is not None:
+        settings = replace(settings, registration=registration)
+    log = open_log(source, log_format)
+    if interval is not None:
+        log = log.between(*interval)
+    check_association(log, association, source)
+    with staged_folder(out, stale=[EVALUATION]) as staging:
+        about = _about(source, log_format or recognised_format(source), settings)
+        run = run_mapper(
+            PointMapper(settings),
+            log,
+            association,
+            about,
+            lambda scans: tracked(scans, len(log), "mapping"),
+        )
+        write_result(staging, run.result)
+        write_map_png(staging / MAP_PNG, run.result, run.groups)
+    return run
+
+
+def _about(source: Path, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
+    return {
+        "input": str(source),
+        "format": log_format,
+        "variant": "points",
+        "seed": None,
+        "configuration": asdict(settings),
+    }
+
+
+def recognised_format(source: Path) -> str | None:
+    """Return the name of the format that a log is recognised as; None where it is not."""
+    from relmap.datasets import DATASETS
+
+    names = [dataset.name for dataset in DATASETS if dataset.recognises(source)]
+    return names[0] if len(names) == 1 else None
+
+
+def check_association(log: ObservationLog, association: Association, source: Path) -> None:
+    """Make sure that a log has the ids that a known association needs.
+
+    Raises
+    ------
+    RelmapError
+        Where it has none.
+    """
+    if association == "known" and (log.ids is None or not (log.ids >= 0).any()):
+        raise RelmapError(
+            f"--association known needs the identity of each landmark, and {source} has no ids"
+        )
+
+
+def parse_scans(text: str | None) -> tuple[int, int] | None:
+    """Return the interval that ``A:B`` names.
+
+    Raises
+    ------
+    RelmapError
+        Where it is not two whole numbers with 0 <= A < B.
+    """
+    if text is None:
+        return None
+    begin, colon, end = text.partition(":")
+    if colon and begin.isascii() and begin.isdigit() and end.isascii() and end.isdigit():
+        interval = int(begin), int(end)
+        if interval[0] < interval[1]:
+            return interval
+    raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
+
+
+def read_config(path: Path | None) -> MapperConfig:
+    """Read a mapper's configuration from a TOML file; the default one where there is none.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be read, is not TOML or holds what a configuration does not know.
+    """
+    import tomllib
+
+    from relmap.core.config import MapperConfig
+    from relmap.files import read_text
+
+    if path is None:
+        return MapperConfig()
+    try:
+        return MapperConfig.from_mapping(tomllib.loads(read_text(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise RelmapError(f"{path}: not TOML: {error}") from error
+    except RelmapError as error:
+        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error

@@ -1,0 +1,76 @@
+"""From the state of a mapper to what it hands out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.landmarks import LandmarkTable, Piece, in_space
+from relmap.core.store import ObservationStore
+
+
+def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
+    """Return the positions (n, d) of the largest piece, map frame, metres; NaN for the others."""
+    return np.where(_ranks(global_map)[:, None] == 0, global_map.positions, np.nan)
+
+
+def landmark_table(
+    store: ObservationStore, global_map: GlobalMap, labels: NDArray[np.int64], noise_m: float
+) -> LandmarkTable:
+    """Return the table of all landmarks, in ascending order of their labels (n,)."""
+    order = np.argsort(labels)
+    rank = _ranks(global_map)
+    first, last = _intervals(store, len(labels))
+    mapped = rank == 0
+    averaged = np.where(mapped, np.maximum(global_map.weights, 1), 1)
+    return LandmarkTable(
+        landmark=labels[order],
+        position=in_space(positions_in_largest_piece(global_map))[order],
+        sd=np.where(mapped, noise_m / np.sqrt(averaged), np.nan)[order],
+        observations=np.bincount(store.landmarks, minlength=len(labels))[order],
+        first_iteration=first[order],
+        last_iteration=last[order],
+        level=mapped.astype(np.int64)[order],
+        status=np.where(mapped, "static", "unmapped")[order],
+        piece=rank[order],
+    )
+
+
+def map_pieces(
+    store: ObservationStore, global_map: GlobalMap, labels: NDArray[np.int64]
+) -> list[Piece]:
+    """Return the pieces of the map, the largest first."""
+    rank = _ranks(global_map)
+    first, last = _intervals(store, len(labels))
+    pieces = []
+    for piece in range(int(rank.max(initial=UNMAPPED)) + 1):
+        members = np.flatnonzero(rank == piece)
+        members = members[np.argsort(labels[members])]
+        positions = in_space(global_map.positions[members])
+        seen = int(first[members].min()), int(last[members].max())
+        pieces.append(Piece(labels[members], positions, *seen))
+    return pieces
+
+
+def _ranks(global_map: GlobalMap) -> NDArray[np.int64]:
+    """Return the place of each landmark's piece in the order of their sizes, or `UNMAPPED`."""
+    mapped = global_map.pieces != UNMAPPED
+    pieces, members, counts = np.unique(
+        global_map.pieces[mapped], return_inverse=True, return_counts=True
+    )
+    rank_of = np.empty(len(pieces), dtype=np.int64)
+    rank_of[np.argsort(-counts, kind="stable")] = np.arange(len(pieces))
+    ranks = np.full(len(mapped), UNMAPPED)
+    ranks[mapped] = rank_of[members]
+    return ranks
+
+
+def _intervals(store: ObservationStore, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first and the last iteration in which each landmark was seen; (n,) each."""
+    landmarks, iterations = store.seen(0, store.n_iterations)
+    last = np.full(n, -1)
+    last[landmarks] = iterations
+    first = np.full(n, -1)
+    first[landmarks[::-1]] = iterations[::-1]
+    return first, last

@@ -1,0 +1,72 @@
+"""What every registration offers."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+UNIDENTIFIED = -1
+"""In place of a landmark: the observation belongs to none that is known."""
+
+
+class Registration(Protocol):
+    """How observations find their landmarks, which are numbered in the order of first sight."""
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """What each landmark is called outside; (n_landmarks,)."""
+        ...
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
+        ...
+
+
+class Numbering:
+    """Numbers landmarks in the order of first sight."""
+
+    def __init__(self) -> None:
+        self.n_landmarks = 0
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """Landmarks go by their number; (n_landmarks,)."""
+        return np.arange(self.n_landmarks)
+
+    def number_new(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Give every `UNIDENTIFIED` entry (n,) a number of its own, in place; return which."""
+        new = landmarks == UNIDENTIFIED
+        n_new = int(new.sum())
+        landmarks[new] = self.n_landmarks + np.arange(n_new)
+        self.n_landmarks += n_new
+        return np.asarray(new)
+
+
+def nearest(
+    tree: cKDTree, points: NDArray[np.float64], rank: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return distances and indices (n, rank) of the points' nearest in the tree, nearest first.
+
+    Where the tree holds fewer, the distance is infinite and the index the tree's size.
+    """
+    distance, index = tree.query(points, k=range(1, rank + 1))
+    return np.asarray(distance), np.asarray(index)
+
+
+def nearest_claim(
+    wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int
+) -> NDArray[np.bool_]:
+    """Of rows that want the same one of `n` targets, tell the nearest; the first of equals.
+
+    Rows at infinite distance want nothing.
+    """
+    order = np.argsort(distance, kind="stable")[::-1]
+    winner = np.full(n + 1, -1)
+    winner[wanted[order]] = order
+    won = winner[wanted] == np.arange(len(wanted))
+    return np.asarray(won & np.isfinite(distance))

@@ -1,0 +1,227 @@
+"""Registration that holds: matches are right where relative locations agree.
+
+The relative locations of static landmarks do not change from one iteration to the next.  So the
+placement of the previous robot frame in the present one is that on which most matches agree; it
+carries every track to where it is expected, and only what is found there continues the track.  It
+is forgotten afterwards: neither a pose nor a motion enters the map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.registration.base import UNIDENTIFIED, Numbering, nearest, nearest_claim
+from relmap.core.registration.placement import Placement, agreeing_pairs, trimmed_fit
+from relmap.core.registration.tracks import LiveTracks
+
+ENOUGH = 3
+"""Matches that must agree: two distances agree by chance now and then, three rarely."""
+PLENTY = 6
+"""Matches whose agreement is never chance."""
+SHARE = 0.6
+"""Share of the nearest neighbours that must agree before a wider search is spared."""
+SCARCE_SHARE = 0.4
+"""Share of what could be matched that must agree where matches are few."""
+SAMPLE = 128
+"""Tracks that a placement is fitted to at most; more would not make it better."""
+SEARCH = 30
+"""Tracks that the wider search looks at, those seen longest."""
+NEIGHBOURS = 8
+"""Candidates of each of them."""
+REACH = 1.6
+"""How far the wider search goes, in spacings."""
+CONTINUITY = 0.15
+"""How far a moving landmark may stray in an iteration, in spacings."""
+YOUNG = 3
+"""A track seen less often than this may turn out to be moving."""
+COARSE = 0.1
+"""Tolerance before the noise is known, in spacings."""
+SIGMAS = 4.5
+"""Tolerance when it is known, in standard deviations."""
+EXACT = 1e-3
+"""Least tolerance, in spacings, where there is no noise at all."""
+SLOWNESS = 0.1
+"""Share of the latest iteration in the estimates of spacing and noise."""
+CHI2_MEDIAN = {2: 1.386, 3: 2.366}
+"""Median of a sum of d squared standard normals."""
+
+
+class Constellation:
+    """Matches scans by the relative locations of what is in them.
+
+    Parameters
+    ----------
+    max_missed : int
+        A track unseen for more iterations than this ends; until then it is carried along.
+    """
+
+    def __init__(self, max_missed: int) -> None:
+        self._max_missed = max_missed
+        self._numbering = Numbering()
+        self._tracks: LiveTracks | None = None
+        self._stray: LiveTracks | None = None
+        self._spacing_m = np.inf
+        self._noise_m: float | None = None
+
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """Landmarks go by their number; (n_landmarks,)."""
+        return self._numbering.labels
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Match points (n, d) to the live tracks; the rest are new landmarks."""
+        landmarks = np.full(len(points_robot), UNIDENTIFIED)
+        continued = self._continue(points_robot, landmarks) if len(points_robot) else None
+        new = self._numbering.number_new(landmarks)
+        begun = LiveTracks.begun(landmarks[new], points_robot[new])
+        if continued is None:
+            self._begin_anew(begun)
+        else:
+            self._tracks, self._stray = continued.joined(begun), None
+        return landmarks
+
+    def _continue(
+        self, points_robot: NDArray[np.float64], landmarks: NDArray[np.int64]
+    ) -> LiveTracks | None:
+        """Enter the landmark of each point that continues a track; return the tracks, carried."""
+        scan = cKDTree(points_robot)
+        for tracks in (self._tracks, self._stray):
+            if tracks is None:
+                continue
+            placement = self._placement(tracks, scan)
+            if placement is None:
+                placement = self._placement_of_unknown_noise(tracks, scan)
+            if placement is not None:
+                carried = tracks.carried(placement.apply(tracks.points))
+                rows, found, strayed = self._links(carried, scan)
+                landmarks[found] = tracks.landmarks[rows]
+                self._learn(carried.points[rows[~strayed]], points_robot[found[~strayed]])
+                carried.see(rows, points_robot[found], strayed)
+                return carried.kept(carried.missed <= self._max_missed)
+        return None
+
+    def _begin_anew(self, begun: LiveTracks) -> None:
+        """Wait with a scan that could not be tied to the tracks: the next one may tie to either."""
+        if self._tracks is None:
+            self._tracks = begun if len(begun) else None
+            self._spacing_m = _spacing(begun.points)
+            return
+        self._tracks.missed += 1
+        if len(begun):
+            self._stray = begun
+        if self._tracks.missed.min() > self._max_missed:
+            self._tracks, self._stray = self._stray, None
+
+    def _placement(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
+        """Find the placement of the tracks' frame in the scan's on which most matches agree."""
+        latest = np.flatnonzero(tracks.missed == tracks.missed.min())
+        possible = min(len(latest), scan.n)
+        if possible < ENOUGH:
+            return None
+        sample = latest[:: -(-len(latest) // SAMPLE)]
+        distances, targets = nearest(scan, tracks.points[sample])
+        distance, target = distances[:, 0], targets[:, 0]
+        distance[distance > self._spacing_m] = np.inf
+        claimed = nearest_claim(target, distance, scan.n)
+        points = np.asarray(scan.data)
+        placement = trimmed_fit(
+            tracks.points[sample[claimed]], points[target[claimed]], self._tolerance_m
+        )
+        enough = ENOUGH + int(tracks.missed.min())
+        if placement is not None and placement.n_agreeing >= max(enough, SHARE * claimed.sum()):
+            return placement
+        placement = self._search(tracks, scan)
+        needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
+        return placement if placement is not None and placement.n_agreeing >= needed else None
+
+    def _placement_of_unknown_noise(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
+        """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
+        learnt, self._noise_m = self._noise_m, None
+        possible = min(np.sum(tracks.missed == tracks.missed.min()), scan.n)
+        if learnt is not None and possible >= PLENTY:
+            placement = self._placement(tracks, scan)
+            if placement is not None and placement.n_agreeing >= SHARE * possible:
+                return placement
+        self._noise_m = learnt
+        return None
+
+    def _search(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
+        """Look for a constellation that moved farther than its landmarks are apart."""
+        recent = np.flatnonzero(tracks.missed <= tracks.missed.min() + 1)
+        known = recent[np.argsort(-tracks.seen[recent], kind="stable")[:SEARCH]]
+        distance, target = nearest(scan, tracks.points[known], NEIGHBOURS)
+        row, column = np.nonzero(distance <= REACH * self._spacing_m)
+        if len(row) < ENOUGH:
+            return None
+        pairs = np.column_stack([known[row], target[row, column]])
+        points = np.asarray(scan.data)
+        agreeing = pairs[agreeing_pairs(tracks.points, points, pairs, 1.5 * self._tolerance_m)]
+        if len(agreeing) < ENOUGH:
+            return None
+        placement = trimmed_fit(
+            tracks.points[agreeing[:, 0]], points[agreeing[:, 1]], self._tolerance_m
+        )
+        return placement if placement is not None and placement.n_agreeing >= ENOUGH else None
+
+    def _links(
+        self, carried: LiveTracks, scan: cKDTree
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Link tracks, carried along, to what is found where they are expected.
+
+        Returns
+        -------
+        rows, found : (k,) int64
+            Tracks and the points that continue them.
+        strayed : (k,) bool
+            Where the track moves against the others: it is followed by continuity.
+        """
+        distance, target = nearest(scan, carried.points, 2)
+        if scan.n > 1:
+            self._spacing_m += SLOWNESS * (float(np.median(distance[:, 1])) - self._spacing_m)
+        at_rest = np.where(distance[:, 0] <= self._gate_m, distance[:, 0], np.inf)
+        linked = nearest_claim(target[:, 0], at_rest, scan.n)
+        taken = np.zeros(scan.n + 1, dtype=bool)
+        taken[target[linked, 0]] = True
+        may_move = (carried.restless > 0) | (carried.seen < YOUNG)
+        free = may_move & (carried.missed == 0) & ~linked & ~taken[target[:, 0]]
+        near = free & (distance[:, 0] <= CONTINUITY * self._spacing_m)
+        strayed = nearest_claim(target[:, 0], np.where(near, distance[:, 0], np.inf), scan.n)
+        rows = np.flatnonzero(linked | strayed)
+        return rows, target[rows, 0], strayed[rows]
+
+    @property
+    def _tolerance_m(self) -> float:
+        """How far apart matches that agree may lie."""
+        coarse = COARSE * self._spacing_m
+        if self._noise_m is None:
+            return coarse
+        return min(max(SIGMAS * self._noise_m, EXACT * self._spacing_m), 1.5 * coarse)
+
+    @property
+    def _gate_m(self) -> float:
+        """How far from where it is expected a track may be found."""
+        return max(self._tolerance_m, min(2 * self._tolerance_m, 0.8 * COARSE * self._spacing_m))
+
+    def _learn(self, expected: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+        """Learn the noise of a coordinate's difference from links of landmarks at rest."""
+        n, d = expected.shape
+        if n <= ENOUGH:
+            return
+        squares = np.sum((expected - found) ** 2, axis=1)
+        variance = float(np.median(squares)) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
+        if self._noise_m is None:
+            self._noise_m = float(np.sqrt(variance))
+        else:
+            self._noise_m = float(
+                np.sqrt(self._noise_m**2 + SLOWNESS * (variance - self._noise_m**2))
+            )
+
+
+def _spacing(points: NDArray[np.float64]) -> float:
+    if len(points) < 2:
+        return np.inf
+    return float(np.median(nearest(cKDTree(points), points, 2)[0][:, 1]))

@@ -1,0 +1,1 @@
+"""Pictures of runs; matplotlib is loaded only when one is drawn."""

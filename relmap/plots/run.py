@@ -1,0 +1,175 @@
+"""The picture of a run: its map from above and from the side, the path, the truth if known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.files import atomic_write
+from relmap.plots.sheet import Sheet
+from relmap.results import Result
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from relmap.evaluation.evaluate import Overlay
+
+PATH = "#1f4e9e"
+TRUTH = "#c0392b"
+GROUP = "#7f7f7f"
+MOST_LINKS = 6000
+"""So many links between groups and members are drawn; of more groups only a part is shown."""
+
+
+def write_map_png(
+    path: Path,
+    result: Result,
+    groups: Sequence[NDArray[np.int64]] = (),
+    truth: Overlay | None = None,
+    title: str | None = None,
+) -> None:
+    """Draw a run into a PNG file; see `plot_run`.  The same run gives the same bytes.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        picture = BytesIO()
+        plot_run(result, groups, truth, title).savefig(picture, metadata={"Software": None})
+    atomic_write(path, picture.getvalue())
+
+
+def plot_run(
+    result: Result,
+    groups: Sequence[NDArray[np.int64]] = (),
+    truth: Overlay | None = None,
+    title: str | None = None,
+) -> Figure:
+    """Draw the map of a run from above and, where it is not planar, from the side.
+
+    Parameters
+    ----------
+    result : Result
+    groups : sequence of (g,) int64
+        Labels of the landmarks of each group; drawn as links from its middle to its members.
+    truth : Overlay, optional
+    title : str, optional
+        The counts where left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    positions = result.landmarks.position[result.mapped]
+    everything = [positions, result.poses[:, :3, 3]]
+    if truth is not None:
+        everything += [truth.landmarks_map, truth.path_map]
+    sheet = Sheet(np.concatenate(everything), result.planar)
+    for axes, pair in sheet.views:
+        _draw_groups(axes, result, groups, pair)
+        if truth is not None:
+            _draw_truth(axes, truth, pair)
+        _draw_path(axes, result, pair)
+        dots = _draw_landmarks(axes, result, pair)
+    if dots is not None:
+        sheet.add_colours(dots, "standard deviation of a landmark [m]")
+    mapped, known = len(positions), len(result.landmarks.landmark)
+    sheet.finish(title or f"{mapped} of {known} landmarks mapped")
+    return sheet.figure
+
+
+def _marker_area(n: int) -> float:
+    """Return the area of a dot, points squared, that n of them can have."""
+    return float(np.clip(6000 / max(n, 1), 2.0, 28.0))
+
+
+def _draw_landmarks(axes: Axes, result: Result, pair: list[int]) -> Any:
+    """Draw the mapped landmarks; return what the colour bar explains, None where nothing does."""
+    from matplotlib.colors import LogNorm
+
+    table = result.landmarks
+    area = _marker_area(int(result.mapped.sum()))
+    static = result.mapped & (table.status != "dynamic")
+    known = static & np.isfinite(table.sd) & (table.sd > 0)
+    x, y = pair
+    plain, moving = static & ~known, result.mapped & ~static
+    style: dict[str, Any] = {"s": area, "linewidths": 0, "zorder": 6}
+    if plain.any():
+        at = table.position[plain]
+        axes.scatter(at[:, x], at[:, y], c="black", label="landmark", **style)
+    if moving.any():
+        cross = {**style, "marker": "x", "linewidths": 1.0, "s": area + 6}
+        at = table.position[moving]
+        axes.scatter(at[:, x], at[:, y], c="#d81b60", label="dynamic landmark", **cross)
+    if not known.any():
+        return None
+    sd = table.sd[known]
+    norm = LogNorm(sd.min(), sd.max()) if sd.max() > 1.2 * sd.min() else None
+    at = table.position[known]
+    return axes.scatter(at[:, x], at[:, y], c=sd, norm=norm, label="landmark", **style)
+
+
+def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
+    position = result.poses[:, :3, 3][:, pair]
+    if not len(position):
+        return
+    axes.plot(*position.T, color=PATH, linewidth=1.4, zorder=7, label="path of the robot")
+    axes.plot(*position[0], "o", color=PATH, markersize=6, zorder=8, label="start", linestyle="")
+
+
+def _draw_groups(
+    axes: Axes, result: Result, groups: Sequence[NDArray[np.int64]], pair: list[int]
+) -> None:
+    from matplotlib.collections import LineCollection
+
+    place = dict(
+        zip(
+            result.landmarks.landmark[result.mapped].tolist(),
+            result.landmarks.position[result.mapped][:, pair],
+            strict=True,
+        )
+    )
+    links: list[NDArray[np.float64]] = []
+    every = max(1, math.ceil(sum(map(len, groups)) / MOST_LINKS))
+    for group in groups[::every]:
+        members = np.array([place[label] for label in group.tolist() if label in place])
+        if len(members):
+            middle = members.mean(axis=0)
+            links.extend(np.array([middle, member]) for member in members)
+    if links:
+        alpha = float(np.clip(200 / len(links), 0.04, 0.35))
+        style: dict[str, Any] = {"colors": GROUP, "linewidths": 0.6, "alpha": alpha, "zorder": 1}
+        axes.add_collection(LineCollection(links, **style))
+        label = "group, from its middle to its members"
+        label += f" (one of {every} shown)" if every > 1 else ""
+        axes.plot([], [], color=GROUP, linewidth=0.8, label=label)
+
+
+def _draw_truth(axes: Axes, truth: Overlay, pair: list[int]) -> None:
+    from matplotlib.collections import LineCollection
+
+    area = _marker_area(len(truth.landmarks_map))
+    rings: dict[str, Any] = {
+        "s": 2.5 * area + min(12.0, area / 2),
+        "facecolors": "none",
+        "edgecolors": TRUTH,
+    }
+    x, y = truth.landmarks_map[:, pair].T
+    axes.scatter(x, y, linewidths=0.2 + area / 56, label="true landmark", zorder=5, **rings)
+    lines = list(truth.errors_map[:, :, pair])
+    axes.add_collection(LineCollection(lines, colors=TRUTH, linewidths=0.7, zorder=5))
+    if len(truth.path_map):
+        path = truth.path_map[:, pair].T
+        axes.plot(*path, "--", color=TRUTH, linewidth=0.8, zorder=2, label="true path")

@@ -1,0 +1,338 @@
+"""Whatever is wrong: exit code 2, one line on stderr, and an earlier result as it was."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import relmap
+from relmap.cli import main
+
+GOOD = "iteration,x,y,z\n" + "".join(
+    f"{k},{x - 0.1 * k!r},{y!r},{z!r}\n"
+    for k in range(12)
+    for x, y, z in [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0), (4.0, 4.0, 4.0)]
+)
+
+Check = Callable[..., str]
+
+
+def shown(value: object) -> str:
+    """Return a parameter's name for the list of tests: raw bytes have none."""
+    return value if isinstance(value, str) else type(value).__name__
+
+
+def snapshot(folder: Path) -> dict[str, bytes | None]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log, a truth and a result; the working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text(GOOD)
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "landmarks.csv").write_text(
+        "landmark,x,y,z,status\n0,1,0,0,static\n1,0,2,0,static\n2,0,0,3,static\n"
+    )
+    assert main(["map", "log.csv", "-o", "out"]) == 0
+    assert main(["evaluate", "out", "--truth", "truth"]) == 0
+    return tmp_path
+
+
+@pytest.fixture
+def refused(place: Path, capsys: pytest.CaptureFixture[str]) -> Check:
+    """Run a command that must be refused and leave everything as it was; return its one line."""
+
+    def check(*arguments: str) -> str:
+        before = snapshot(place)
+        capsys.readouterr()
+        assert main(arguments) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("relmap: error: ")
+        assert printed.err.endswith("\n")
+        assert len(printed.err.splitlines()) == 1
+        assert printed.err.isascii() or printed.err.strip().isprintable()
+        assert snapshot(place) == before
+        return printed.err
+
+    return check
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is empty"),
+        (b"iteration,x,y,z\n", "no row"),
+        (b"iteration,x,z\n1,2,3\n", "missing column y"),
+        (b"1,2,3,4\n5,6,7,8\n", "log.bad"),
+        (b"iteration,x,y,z\n1,2,nan,4\n", "line 2, field y"),
+        (b"iteration,x,y,z\n1,2,3,4\n1,inf,3,4\n", "line 3, field x"),
+        (b"iteration,x,y,z\n1,2,three,4\n", "line 2, field y"),
+        (b"iteration,x,y,z\n1,2,3,4\n1,2,3\n", "line 3"),
+        (b"iteration,x,y,z\n1,2,3,4,5\n", "line 2"),
+        (b"iteration,x,y,z\n-1,2,3,4\n", "line 2, field iteration"),
+        (b"iteration,x,y,z\n1.5,2,3,4\n", "line 2, field iteration"),
+        (b"iteration,x,y,z\n1,2,3,4\n99999999999999999999,2,3,4\n", "line 3, field iteration"),
+        (b"iteration,x,y,z\n0,2,3,4\n99999999,2,3,4\n", "iteration"),
+        (gzip.compress(GOOD.encode(), mtime=0)[:-20], "gzip"),
+        (bytes(range(256)) * 40, "log.bad"),
+        (b"\x1f\x8b" + bytes(range(256)), "gzip"),
+        (b"\xff\xfe" + GOOD.encode("utf-16-le"), "log.bad"),
+    ],
+    ids=shown,
+)
+def test_bad_log(place: Path, refused: Check, content: bytes, message: str) -> None:
+    (place / "log.bad").write_bytes(content)
+    assert message in refused("map", "log.bad", "-o", "out")
+    refused("map", "log.bad", "-o", "new/folder")
+    refused("evaluate", "out", "--truth", "truth", "--log", "log.bad")
+
+
+def test_no_log(place: Path, refused: Check) -> None:
+    (place / "empty").mkdir()
+    assert "does not exist" in refused("map", "none.csv", "-o", "out")
+    assert "holds no landmark log" in refused("map", "empty", "-o", "out")
+    assert "not known" in refused("map", "log.csv", "-o", "out", "--format", "cassette")
+    assert "does not exist" in refused("evaluate", "out", "--truth", "truth", "--log", "none")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mapp"], "No such command 'mapp'"),
+        (["--loud"], "No such option: --loud"),
+        (["map"], "Missing argument 'INPUT'"),
+        (["map", "log.csv"], "Missing option '--out'"),
+        (["map", "log.csv", "-o"], "requires an argument"),
+        (["map", "log.csv", "-o", ""], "empty"),
+        (["map", "log.csv", "extra", "-o", "out"], "unexpected extra argument"),
+        (["map", "log.csv", "-o", "out", "--fast"], "No such option: --fast"),
+        (["map", "log.csv", "-o", "out", "--refine"], "No such option: --refine"),
+        (["map", "log.csv", "-o", "out", "--association", "guess"], "'nearest', 'known'"),
+        (["map", "log.csv", "-o", "out", "--association", "known"], "has no ids"),
+        (["map", "log.csv", "-o", "out", "--variant", "planes"], "not there yet"),
+        (["map", "log.csv", "-o", "out", "--variant", "lines"], "'points', 'planes'"),
+        (["map", "log.csv", "-o", "out", "--config", "none.toml"], "does not exist"),
+        (["map", "log.csv", "-o", "out", "--config", "truth"], "is a folder"),
+        (["simulate"], "Missing command"),
+        (["simulate", "figure-nine", "-o", "new"], "No such command"),
+        (["simulate", "figure-eight"], "Missing option '--out'"),
+        (["simulate", "figure-eight", "-o", "new", "--density", "0"], "density"),
+        (["simulate", "figure-eight", "-o", "new", "--density", "many"], "--density"),
+        (["simulate", "figure-eight", "-o", "new", "--iterations", "0"], "iterations"),
+        (["simulate", "figure-eight", "-o", "new", "--iterations", "1.5"], "--iterations"),
+        (["simulate", "figure-eight", "-o", "new", "--noise", "pink"], "'gaussian', 'uniform'"),
+        (["simulate", "figure-eight", "-o", "new", "--sigma", "nan"], "sigma"),
+        (["simulate", "figure-eight", "-o", "new", "--sigma", "-1"], "sigma"),
+        (["simulate", "figure-eight", "-o", "new", "--dynamic", "1.5"], "dynamic"),
+        (["simulate", "figure-eight", "-o", "new", "--seed", "-1"], "seed"),
+        (["evaluate", "out"], "Missing option '--truth'"),
+        (["evaluate", "truth", "--truth", "truth"], "not a result folder"),
+        (["evaluate", "none", "--truth", "truth"], "not a result folder"),
+        (["demo", "--seed", "one"], "--seed"),
+        (["demo", "--seed", "-1", "-o", "new"], "seed"),
+        (["demo", "extra"], "unexpected extra argument"),
+        (["map", "no\nsuch\x1bfile", "-o", "out"], "does not exist"),
+        (["--no\nsuch"], "No such option"),
+    ],
+)
+def test_bad_command(refused: Check, arguments: list[str], message: str) -> None:
+    assert message in refused(*arguments)
+
+
+@pytest.mark.parametrize(
+    "scans",
+    ["", "5", "5:", ":5", "a:b", "5:5", "6:5", "-1:5", "1:2:3", "\u0663:\u0665", " 1:2", "50:60"],
+)
+def test_bad_scans(refused: Check, scans: str) -> None:
+    assert "scans" in refused("map", "log.csv", "-o", "out", f"--scans={scans}")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("group_affer = 3\n", "group_affer"),
+        ("[mapper]\ngroup_after = 3\n", "mapper"),
+        ("group_after = -3\n", "group_after"),
+        ('group_after = "many"\n', "group_after"),
+        ("group_after = nan\n", "group_after"),
+        ("group_after 3\n", "not TOML"),
+        ("\0", "mapper.toml"),
+    ],
+)
+def test_bad_configuration(place: Path, refused: Check, text: str, message: str) -> None:
+    (place / "mapper.toml").write_text(text)
+    line = refused("map", "log.csv", "-o", "out", "--config", "mapper.toml")
+    assert message in line
+    assert "mapper.toml" in line
+
+
+@pytest.mark.parametrize("out", ["log.csv", "log.csv/below", "/proc/no", "/dev/null", "x" * 300])
+def test_folder_that_cannot_be_written(refused: Check, out: str) -> None:
+    assert "cannot write into" in refused("map", "log.csv", "-o", out)
+    assert "cannot write into" in refused("simulate", "figure-eight", "-o", out)
+    assert "cannot write into" in refused("demo", "-o", out)
+
+
+def test_folder_in_the_place_of_a_file(place: Path, refused: Check) -> None:
+    for name in ("new/landmarks.csv", "out/sub"):
+        (place / name).mkdir(parents=True)
+    assert "new/landmarks.csv" in refused("map", "log.csv", "-o", "new")
+    (place / "out" / "evaluation.json").unlink()
+    (place / "out" / "evaluation.json").mkdir()
+    assert "cannot write" in refused("evaluate", "out", "--truth", "truth")
+
+
+def test_full_disk(refused: Check, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert "out/landmarks.csv: No space left" in refused("map", "log.csv", "-o", "out")
+    assert "No space left" in refused("evaluate", "out", "--truth", "truth")
+    options = ["--iterations", "5", "--density", "4"]
+    assert "No space left" in refused("simulate", "figure-eight", "-o", "new/one", *options)
+
+
+def test_not_enough_memory(refused: Check, monkeypatch: pytest.MonkeyPatch) -> None:
+    def exhausted(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("relmap.evaluation.run.run_mapper", exhausted)
+    assert "not enough memory" in refused("map", "log.csv", "-o", "out")
+
+
+def test_a_bug_shows_its_traceback(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def bug(*_: object) -> None:
+        raise ZeroDivisionError
+
+    before = snapshot(place)
+    monkeypatch.setattr("relmap.evaluation.run.run_mapper", bug)
+    with pytest.raises(ZeroDivisionError):
+        main(["map", "log.csv", "-o", "out"])
+    assert snapshot(place) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("summary.json", b"", "not JSON"),
+        ("summary.json", b"[]", "not a JSON object"),
+        ("summary.json", b"{}", "scans"),
+        ("landmarks.csv", b"", "is empty"),
+        ("landmarks.csv", b"landmark,x\n", "no column y"),
+        (
+            "tracks.csv.gz",
+            gzip.compress(b"iteration,row,landmark\n0,0,x\n", mtime=0),
+            "line 2, field landmark",
+        ),
+        (
+            "tracks.csv.gz",
+            gzip.compress(b"iteration,row,landmark\n0,9999,1\n", mtime=0),
+            "not the one",
+        ),
+        ("tracks.csv.gz", gzip.compress(b"iteration,row,landmark\n", mtime=0)[:-6], "gzip"),
+        ("trajectory.tum", b"1 2 3\n", "3 fields"),
+        ("trajectory.tum", b"\x00\x01", "NUL"),
+        ("landmarks.csv", None, "does not exist"),
+        ("tracks.csv.gz", None, "does not exist"),
+        ("trajectory.tum", None, "does not exist"),
+    ],
+    ids=shown,
+)
+def test_damaged_result(
+    place: Path, refused: Check, name: str, content: bytes | None, message: str
+) -> None:
+    if content is None:
+        (place / "out" / name).unlink()
+    else:
+        (place / "out" / name).write_bytes(content)
+    assert message in refused("evaluate", "out", "--truth", "truth", "--log", "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("landmark,x,y,z\n0,1,0,0\n", "no column status"),
+        ("landmark,x,y,z,status\n0,1,0,,static\n", "line 2, field z"),
+        ("landmark,x,y,z,status\n0,1,0,nan,static\n", "line 2, field z"),
+        ("landmark,x,y,z,status\none,1,0,0,static\n", "line 2, field landmark"),
+        ("landmark,x,y,z,status\n0,1,0,0,lost\n", "landmark 0 is 'lost'"),
+        ("landmark,x,y,z,status\n0,1,0,0,static\n0,1,0,0,static\n", "stands there twice"),
+        ("landmark,x,y,z,status\n0,1,0,0\n", "line 2: 4 fields"),
+    ],
+)
+def test_bad_truth(place: Path, refused: Check, text: str, message: str) -> None:
+    (place / "truth" / "landmarks.csv").write_text(text)
+    assert message in refused("evaluate", "out", "--truth", "truth")
+
+
+def test_no_truth(place: Path, refused: Check) -> None:
+    (place / "empty").mkdir()
+    (place / "bad_ground_truth.txt").write_text("1 2 3\n")
+    (place / "truth" / "trajectory.tum").write_text("1 2 3\n")
+    assert "does not exist" in refused("evaluate", "out", "--truth", "none")
+    assert "holds no truth" in refused("evaluate", "out", "--truth", "empty")
+    assert "is no truth" in refused("evaluate", "out", "--truth", "log.csv")
+    assert "result folder" in refused("evaluate", "out", "--truth", "out")
+    assert "bad_ground_truth" in refused("evaluate", "out", "--truth", "bad_ground_truth.txt")
+    assert "trajectory.tum: line 1" in refused("evaluate", "out", "--truth", "truth")
+
+
+def test_another_log_is_refused(place: Path, refused: Check) -> None:
+    (place / "short.csv").write_text("".join(GOOD.splitlines(keepends=True)[:20]))
+    line = refused("evaluate", "out", "--truth", "truth", "--log", "short.csv")
+    assert "not the one that was mapped" in line
+
+
+def run(arguments: list[str], folder: Path, most_bytes: int | None = None) -> tuple[int, str]:
+    """Run the command line in a process of its own, perhaps with a limit to its files' sizes."""
+
+    def limit() -> None:
+        if most_bytes is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
+
+    env = os.environ | {"PYTHONPATH": str(Path(relmap.__file__).resolve().parents[1])}
+    done = subprocess.run(
+        [sys.executable, "-m", "relmap.cli", *arguments],
+        cwd=folder,
+        env=env | {"PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        preexec_fn=limit,
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "most_bytes"),
+    [
+        (["map", "none.csv", "-o", "out"], None),
+        (["map", "log.csv", "-o", "out", "--loud"], None),
+        (["map", "log.csv", "-o", "log.csv/below"], None),
+        (["map", "log.csv", "-o", "out"], 3000),
+    ],
+)
+def test_from_a_shell(place: Path, arguments: list[str], most_bytes: int | None) -> None:
+    before = snapshot(place)
+    code, errors = run(arguments, place, most_bytes)
+    assert code == 2
+    assert errors.startswith("relmap: error: ")
+    assert errors.count("\n") == 1
+    assert snapshot(place) == before

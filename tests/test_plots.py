@@ -1,0 +1,137 @@
+"""The picture of a run: what is in it, and that the same run gives the same bytes."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from relmap.core.landmarks import LandmarkTable
+from relmap.evaluation.evaluate import Overlay
+from relmap.plots.run import plot_run, write_map_png
+from relmap.results import Result, Tracks
+
+
+def make_result(n: int, planar: bool = False, dynamic: int = 0) -> Result:
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-50, 50, (n, 3)) * [1, 1, 0 if planar else 0.2]
+    status = np.where(np.arange(n) < dynamic, "dynamic", "static")
+    numbers = np.arange(n)
+    table = LandmarkTable(
+        numbers,
+        position,
+        rng.uniform(0.01, 0.1, n),
+        numbers + 1,
+        numbers,
+        numbers,
+        numbers + 1,
+        status,
+        np.zeros(n, np.int64),
+    )
+    poses = np.tile(np.eye(4), (20, 1, 1))
+    poses[:, 0, 3] = np.linspace(-40, 40, 20)
+    nothing = np.empty(0, np.int64)
+    summary = {"dimensions": 2 if planar else 3}
+    tracks = Tracks(nothing, nothing, nothing)
+    return Result(table, tracks, np.linspace(0, 19, 20), poses, summary)
+
+
+def make_truth(result: Result) -> Overlay:
+    position = result.landmarks.position
+    return Overlay(position + 0.1, result.poses[:, :3, 3], np.stack([position, position + 0.1], 1))
+
+
+def labels(figure: Figure) -> set[str]:
+    return {text.get_text() for legend in figure.legends for text in legend.get_texts()}
+
+
+def test_two_views_in_space_and_one_in_the_plane() -> None:
+    for planar, axes in ((True, {"y [m]"}), (False, {"y [m]", "z [m]"})):
+        figure = plot_run(make_result(10, planar))
+        assert {each.get_ylabel() for each in figure.axes} >= axes
+        assert len(figure.axes) == len(axes) + 1  # the colour bar
+
+
+def test_axes_have_one_scale() -> None:
+    figure = plot_run(make_result(30))
+    width, height = figure.get_size_inches()
+    scales = []
+    for axes in figure.axes[:2]:
+        box = axes.get_position()
+        scales += [
+            box.width * width / np.ptp(axes.get_xlim()),
+            box.height * height / np.ptp(axes.get_ylim()),
+        ]
+    assert scales == pytest.approx([scales[0]] * 4)
+
+
+def test_everything_is_named_in_the_legend() -> None:
+    result = make_result(10, dynamic=3)
+    figure = plot_run(result, [np.arange(5), np.arange(4, 10)], make_truth(result))
+    assert labels(figure) == {
+        "landmark",
+        "dynamic landmark",
+        "true landmark",
+        "true path",
+        "path of the robot",
+        "start",
+        "group, from its middle to its members",
+    }
+
+
+def test_title() -> None:
+    assert plot_run(make_result(3)).axes[0].get_title() == "3 of 3 landmarks mapped"
+    assert plot_run(make_result(3), title="mine").axes[0].get_title() == "mine"
+
+
+def test_of_very_many_groups_a_part_is_shown() -> None:
+    result = make_result(100)
+    figure = plot_run(result, [np.arange(100)] * 600)
+    assert "group, from its middle to its members (one of 10 shown)" in labels(figure)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 7400])
+def test_any_number_of_landmarks(tmp_path: Path, n: int) -> None:
+    result = make_result(n)
+    write_map_png(tmp_path / "map.png", result, truth=make_truth(result))
+    with Image.open(tmp_path / "map.png") as image:
+        assert min(image.size) > 500
+        assert max(image.size) < 3000
+
+
+def test_nothing_at_all_is_still_a_picture(tmp_path: Path) -> None:
+    result = make_result(0)
+    empty = Result(result.landmarks, result.tracks, np.empty(0), np.empty((0, 4, 4)), {})
+    write_map_png(tmp_path / "map.png", empty)
+    assert (tmp_path / "map.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("sd", [np.nan, 0.0, 0.5])
+def test_landmarks_of_one_sd_or_none(tmp_path: Path, sd: float) -> None:
+    result = make_result(5)
+    result.landmarks.sd[:] = sd
+    write_map_png(tmp_path / "map.png", result)
+
+
+def test_same_run_same_bytes_whatever_the_style(tmp_path: Path) -> None:
+    result = make_result(10)
+    write_map_png(tmp_path / "a.png", result)
+    with mpl.rc_context({"axes.facecolor": "black", "savefig.dpi": 50}):
+        write_map_png(tmp_path / "b.png", result)
+        assert mpl.rcParams["axes.facecolor"] == "black"
+    content = (tmp_path / "a.png").read_bytes()
+    assert content == (tmp_path / "b.png").read_bytes()
+    with Image.open(io.BytesIO(content)) as image:
+        assert set(image.info) <= {"dpi"}
+
+
+def test_no_state_of_pyplot_is_touched(tmp_path: Path) -> None:
+    before = "matplotlib.pyplot" in sys.modules
+    write_map_png(tmp_path / "a.png", make_result(3))
+    assert ("matplotlib.pyplot" in sys.modules) == before
