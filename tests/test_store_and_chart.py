@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from relmap.core.chart import PointChart
 from relmap.core.grouping import grow_group
@@ -81,27 +82,45 @@ def paper_chart() -> PointChart:
 
 def test_chart_sorts_by_common_interval_as_in_figure_10() -> None:
     chart = paper_chart()
-    order = chart.sorted_by_common_interval(np.zeros(8))
+    order = chart.sorted_by_common_interval(np.arange(8), np.zeros(8))
     assert chart.landmarks[order].tolist() == [3, 2, 1, 7, 4, 0, 5, 6]
 
 
+def grown(
+    chart: PointChart, weights: NDArray[np.float64], min_members: int, min_shared: int
+) -> tuple[list[int], list[int]] | None:
+    """Grow a group of all candidates; return its landmarks and iterations."""
+    everybody = np.arange(len(chart.landmarks))
+    group = grow_group(chart, everybody, weights, min_members, min_shared)
+    if group is None:
+        return None
+    return chart.landmarks[group.rows].tolist(), chart.iterations[group.columns].tolist()
+
+
 def test_group_grows_to_the_largest_area_as_in_figure_11() -> None:
-    group = grow_group(paper_chart(), np.zeros(8), min_members=4, min_shared=0)
+    group = grown(paper_chart(), np.zeros(8), min_members=4, min_shared=0)
     # Areas down the chart: 10, 18, 24, 28 (landmarks 3 2 1 7, iterations 3-9), 5 x 5 = 25, 30.
+    assert group == ([3, 2, 1, 7, 4, 0], [5, 6, 7, 8, 9])
+
+
+def test_only_candidates_become_members() -> None:
+    chart = paper_chart()
+    candidates = np.flatnonzero(np.isin(chart.landmarks, [3, 2, 1, 7]))
+    group = grow_group(chart, candidates, np.zeros(8), min_members=4, min_shared=0)
     assert group is not None
-    assert group.landmarks.tolist() == [3, 2, 1, 7, 4, 0]
-    assert group.iterations.tolist() == [5, 6, 7, 8, 9]
+    assert set(chart.landmarks[group.rows].tolist()) == {3, 2, 1, 7}
+    assert grow_group(chart, candidates[:3], np.zeros(8), min_members=4, min_shared=0) is None
 
 
 def test_group_reaches_down_to_the_mapped_landmarks_that_fix_it() -> None:
     chart = paper_chart()
     weights = np.where(np.isin(chart.landmarks, [2, 1, 5]), 9.0, 0.0)
-    group = grow_group(chart, weights, min_members=4, min_shared=3)
-    assert group is None  # 5 left the view before the others came: nothing in common
+    # 5 left the view before the others came: nothing in common.
+    assert grown(chart, weights, min_members=4, min_shared=3) is None
     weights = np.where(np.isin(chart.landmarks, [2, 1, 0]), 9.0, 0.0)
-    group = grow_group(chart, weights, min_members=4, min_shared=3)
+    group = grown(chart, weights, min_members=4, min_shared=3)
     assert group is not None
-    assert {0, 1, 2, 3} <= set(group.landmarks.tolist())
+    assert {0, 1, 2, 3} <= set(group[0])
 
 
 @given(visibility, st.integers(0, 3), st.integers(0, 2**32 - 1))
@@ -112,11 +131,10 @@ def test_every_member_is_visible_in_the_whole_common_interval(
     weights = np.random.default_rng(seed).integers(0, 3, table.shape[1]).astype(float)
     for landmark in np.unique(store.landmarks):
         chart = PointChart.around(int(landmark), store, 0, len(visible))
-        here = weights[chart.landmarks]
-        group = grow_group(chart, here, min_shared + 1, min_shared)
+        group = grown(chart, weights[chart.landmarks], min_shared + 1, min_shared)
         if group is None:
             continue
-        assert np.isfinite(store.gather(group.landmarks, group.iterations)).all()
-        assert group.landmarks[0] == landmark
-        assert len(group.landmarks) > min_shared
-        assert np.sum(weights[group.landmarks] > 0) >= min_shared
+        members, iterations = map(np.array, group)
+        assert np.isfinite(store.gather(members, iterations)).all()
+        assert len(members) > min_shared
+        assert np.sum(weights[members] > 0) >= min_shared

@@ -77,8 +77,8 @@ def fixes_rotation(points: NDArray[np.float64]) -> bool:
 
     In the plane two apart do; in space three not on one line.
     """
+    if len(points) < points.shape[1]:
+        return False
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     needed = points.shape[1] - 1
-    return len(spread) >= needed and bool(
-        spread[0] > 0 and spread[needed - 1] > DEGENERATE * spread[0]
-    )
+    return bool(spread[0] > 0 and spread[needed - 1] > DEGENERATE * spread[0])

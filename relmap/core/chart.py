@@ -42,9 +42,13 @@ class PointChart:
         first = np.argsort(present != seed, kind="stable")
         return cls(present[first], when, visible[first])
 
-    def from_the_start(self) -> PointChart:
-        """Return the chart of those that were visible in its first iteration."""
-        rows = self.visible[:, 0]
+    @property
+    def seed(self) -> int:
+        """The landmark that the chart is about."""
+        return int(self.landmarks[0])
+
+    def only(self, rows: NDArray[np.bool_]) -> PointChart:
+        """Return the chart of some of its landmarks, the seed among them."""
         return PointChart(self.landmarks[rows], self.iterations, self.visible[rows])
 
     @property
@@ -52,13 +56,17 @@ class PointChart:
         """Number of iterations each landmark shares with the seed; (n,)."""
         return np.asarray(self.visible.sum(axis=1))
 
-    def sorted_by_common_interval(self, preference: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Return the order (n,) with larger common intervals higher up, the seed on top (Fig. 10).
+    def sorted_by_common_interval(
+        self, rows: NDArray[np.int64], preference: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Return the order of some rows (k,) with larger common intervals higher up (Fig. 10).
+
+        The seed shares all its iterations with itself, so it comes out on top.
 
         Parameters
         ----------
-        preference : (n,) float64
-            Of landmarks with equal common intervals, the larger preference goes first.
+        rows : (k,) int64
+        preference : (k,) float64
+            Of rows with equal common intervals, the larger preference goes first.
         """
-        others = 1 + np.lexsort((-preference[1:], -self.common_interval[1:]))
-        return np.concatenate([[0], others])
+        return np.lexsort((-preference, -self.common_interval[rows]))

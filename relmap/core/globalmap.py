@@ -63,7 +63,7 @@ class GlobalMap:
         piece: int,
         landmarks: NDArray[np.int64],
         relative_map: NDArray[np.float64],
-        n_iterations: int,
+        n_iterations: NDArray[np.int64],
     ) -> NDArray[np.float64] | None:
         """Fit a group's relative map to those of its members that are mapped in a piece.
 
@@ -75,8 +75,8 @@ class GlobalMap:
         piece : int
         landmarks : (g,) int64
         relative_map : (g, d) float64, group frame, metres
-        n_iterations : int
-            Iterations averaged into the relative map.
+        n_iterations : (g,) int64
+            Iterations averaged into each position of the relative map.
 
         Returns
         -------
@@ -87,7 +87,7 @@ class GlobalMap:
         there = self.positions[landmarks[shared]]
         if not fixes_rotation(there):
             return None
-        weights = 1 / (1 / in_map[shared] + 1 / n_iterations)
+        weights = 1 / (1 / in_map[shared] + 1 / n_iterations[shared])
         R, t = fit_rigid(relative_map[shared], there, weights)
         return relative_map @ R.T + t
 
@@ -100,6 +100,12 @@ class GlobalMap:
         """Begin a new piece with positions (g, d) in its own frame and weights (g,)."""
         piece, self._n_founded = self._n_founded, self._n_founded + 1
         self.average_in(piece, landmarks, positions, weights)
+
+    def remove(self, landmarks: NDArray[np.int64]) -> None:
+        """Take landmarks (k,) off the map."""
+        self.positions[landmarks] = np.nan
+        self.weights[landmarks] = 0.0
+        self.pieces[landmarks] = UNMAPPED
 
     def average_in(
         self,

@@ -12,22 +12,26 @@ from relmap.core.chart import PointChart
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Landmarks that were all visible in each of some iterations.
+    """Landmarks of a chart that were all visible in each of some of its iterations.
 
     Attributes
     ----------
-    landmarks : (g,) int64
-        The seed first.
-    iterations : (i,) int64, ascending
-        The common interval.
+    rows : (g,) int64
+        Rows of the members in the chart.
+    columns : (i,) int64, ascending
+        Columns of the common interval in the chart.
     """
 
-    landmarks: NDArray[np.int64]
-    iterations: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
 
 
 def grow_group(
-    chart: PointChart, weights: NDArray[np.float64], min_members: int, min_shared: int
+    chart: PointChart,
+    candidates: NDArray[np.int64],
+    weights: NDArray[np.float64],
+    min_members: int,
+    min_shared: int,
 ) -> Group | None:
     """Grow a group down the sorted chart to the largest members x common interval (Fig. 11).
 
@@ -38,10 +42,12 @@ def grow_group(
     Parameters
     ----------
     chart : PointChart
+    candidates : (c,) int64
+        Rows of the chart that may become members.
     weights : (n,) float64
         How well each landmark of the chart is mapped, in iterations averaged; 0 if it is not.
     min_members : int
-        Smallest size of a group, the seed included.
+        Smallest size of a group.
     min_shared : int
         Smallest number of mapped landmarks in it; 0 for the first group of a map.
 
@@ -50,7 +56,9 @@ def grow_group(
     Group or None
         None where the chart holds no such group.
     """
-    order = chart.sorted_by_common_interval(weights)
+    if len(candidates) < min_members:
+        return None
+    order = candidates[chart.sorted_by_common_interval(candidates, weights[candidates])]
     together = np.logical_and.accumulate(chart.visible[order], axis=0)
     size = np.arange(1, len(order) + 1)
     shared = np.cumsum(weights[order] > 0)
@@ -58,4 +66,4 @@ def grow_group(
     best = int(np.argmax(area))
     if area[best] == 0:
         return None
-    return Group(chart.landmarks[order[: best + 1]], chart.iterations[together[best]])
+    return Group(order[: best + 1], np.flatnonzero(together[best]))

@@ -5,12 +5,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+FORGETTING = 0.99
+"""What each group leaves of the weight of those before: the noise may change on the way."""
+LOWEST = 0.12
+"""Share of pairs taken for static where nothing is known: a third of all landmarks make as many."""
+RAISED = 1.5
+"""What brings the variance at the upper end of that share to a typical one."""
+PAIRED = 40
+"""Landmarks that a first guess looks at."""
+
 
 class NoiseEstimate:
-    """Pooled standard deviation of an observed coordinate.
+    """Standard deviation of an observed coordinate.
 
     The distance of a member from the centre of its group is the same in every iteration, however
-    the robot moves; how much it varies is the noise, seen along one direction.
+    the robot moves; how much it varies is the noise, seen along one direction.  The median over
+    the members keeps those out that move after all.
     """
 
     def __init__(self) -> None:
@@ -20,12 +30,50 @@ class NoiseEstimate:
     def add(self, block: NDArray[np.float64]) -> None:
         """Take in a group's observations (g, i, d), robot frame, metres."""
         g, n = block.shape[:2]
+        freedoms = (g - 1) * (n - 1)
+        if freedoms == 0:
+            return
         radius = np.linalg.norm(block - block.mean(axis=0), axis=2)
-        self._squares += float(np.sum((radius - radius.mean(axis=1, keepdims=True)) ** 2))
         # The centre holds 1/g of the member itself, which takes that share of its noise away.
-        self._freedoms += (g - 1) * (n - 1)
+        variance = radius.var(axis=1, ddof=1) * g / (g - 1)
+        typical = float(np.median(variance)) / _chi_square_median(n - 1)
+        self._squares = FORGETTING * self._squares + typical * freedoms
+        self._freedoms = FORGETTING * self._freedoms + freedoms
 
     @property
     def sigma_m(self) -> float:
         """Standard deviation of one coordinate, metres; NaN before anything was seen twice."""
         return float(np.sqrt(self._squares / self._freedoms)) if self._freedoms else np.nan
+
+
+def guess_noise(block: NDArray[np.float64]) -> float:
+    """Guess the noise of a block of which nobody knows yet what in it is static.
+
+    The distances between static landmarks deviate least, and they are a good share of all.
+
+    Parameters
+    ----------
+    block : (n, i, d) float64, robot frame, metres
+        NaN where a landmark was not seen.
+
+    Returns
+    -------
+    float
+        Standard deviation of one coordinate, metres; NaN where no two were seen together twice.
+    """
+    few = block[np.argsort(-np.isfinite(block[:, :, 0]).sum(axis=1), kind="stable")[:PAIRED]]
+    a, b = np.triu_indices(len(few), k=1)
+    distance = np.linalg.norm(few[a] - few[b], axis=2)
+    n = np.isfinite(distance).sum(axis=1)
+    often = 2 * n > n.max(initial=2)
+    distance, n = distance[often], n[often]
+    if not len(n):
+        return np.nan
+    mean = np.nansum(distance, axis=1) / n
+    variance = np.nansum((distance - mean[:, None]) ** 2, axis=1) / (n - 1)
+    return float(np.sqrt(RAISED * np.quantile(variance, LOWEST) / 2))
+
+
+def _chi_square_median(freedoms: int) -> float:
+    """Return the median of chi-square over its mean (Wilson and Hilferty, 1931)."""
+    return float((1 - 2 / (9 * freedoms)) ** 3)

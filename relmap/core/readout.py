@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.building import MapBuilder
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.landmarks import LandmarkTable, Piece, in_space
 from relmap.core.store import ObservationStore
@@ -16,13 +17,15 @@ def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
 
 
 def landmark_table(
-    store: ObservationStore, global_map: GlobalMap, labels: NDArray[np.int64], noise_m: float
+    store: ObservationStore, builder: MapBuilder, labels: NDArray[np.int64]
 ) -> LandmarkTable:
     """Return the table of all landmarks, in ascending order of their labels (n,)."""
     order = np.argsort(labels)
+    global_map, noise_m = builder.map, builder.noise.sigma_m
     rank = _ranks(global_map)
     first, last = _intervals(store, len(labels))
     mapped = rank == 0
+    status = np.where(mapped, "static", np.where(builder.dynamics.dynamic, "dynamic", "unmapped"))
     averaged = np.where(mapped, np.maximum(global_map.weights, 1), 1)
     return LandmarkTable(
         landmark=labels[order],
@@ -32,7 +35,7 @@ def landmark_table(
         first_iteration=first[order],
         last_iteration=last[order],
         level=mapped.astype(np.int64)[order],
-        status=np.where(mapped, "static", "unmapped")[order],
+        status=status[order],
         piece=rank[order],
     )
 

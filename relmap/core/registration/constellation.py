@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.registration.base import UNIDENTIFIED, Numbering, nearest, nearest_claim
+from relmap.core.registration.base import UNIDENTIFIED, Numbering, middle, nearest, nearest_claim
 from relmap.core.registration.placement import Placement, agreeing_pairs, trimmed_fit
 from relmap.core.registration.tracks import LiveTracks
 
@@ -24,7 +24,7 @@ SHARE = 0.6
 """Share of the nearest neighbours that must agree before a wider search is spared."""
 SCARCE_SHARE = 0.4
 """Share of what could be matched that must agree where matches are few."""
-SAMPLE = 128
+SAMPLE = 32
 """Tracks that a placement is fitted to at most; more would not make it better."""
 SEARCH = 30
 """Tracks that the wider search looks at, those seen longest."""
@@ -96,10 +96,12 @@ class Constellation:
             if placement is None:
                 placement = self._placement_of_unknown_noise(tracks, scan)
             if placement is not None:
-                carried = tracks.carried(placement.apply(tracks.points))
+                carried = tracks.carried(
+                    placement.apply(tracks.expected), placement.apply(tracks.latest)
+                )
                 rows, found, strayed = self._links(carried, scan)
                 landmarks[found] = tracks.landmarks[rows]
-                self._learn(carried.points[rows[~strayed]], points_robot[found[~strayed]])
+                self._learn(carried.expected[rows[~strayed]], points_robot[found[~strayed]])
                 carried.see(rows, points_robot[found], strayed)
                 return carried.kept(carried.missed <= self._max_missed)
         return None
@@ -108,7 +110,7 @@ class Constellation:
         """Wait with a scan that could not be tied to the tracks: the next one may tie to either."""
         if self._tracks is None:
             self._tracks = begun if len(begun) else None
-            self._spacing_m = _spacing(begun.points)
+            self._spacing_m = _spacing(begun.expected)
             return
         self._tracks.missed += 1
         if len(begun):
@@ -123,13 +125,14 @@ class Constellation:
         if possible < ENOUGH:
             return None
         sample = latest[:: -(-len(latest) // SAMPLE)]
-        distances, targets = nearest(scan, tracks.points[sample])
+        distances, targets = nearest(scan, tracks.expected[sample], 2)
+        self._spacing_m += SLOWNESS * (middle(distances[:, 1]) - self._spacing_m)
         distance, target = distances[:, 0], targets[:, 0]
         distance[distance > self._spacing_m] = np.inf
         claimed = nearest_claim(target, distance, scan.n)
         points = np.asarray(scan.data)
         placement = trimmed_fit(
-            tracks.points[sample[claimed]], points[target[claimed]], self._tolerance_m
+            tracks.expected[sample[claimed]], points[target[claimed]], self._tolerance_m
         )
         enough = ENOUGH + int(tracks.missed.min())
         if placement is not None and placement.n_agreeing >= max(enough, SHARE * claimed.sum()):
@@ -153,17 +156,17 @@ class Constellation:
         """Look for a constellation that moved farther than its landmarks are apart."""
         recent = np.flatnonzero(tracks.missed <= tracks.missed.min() + 1)
         known = recent[np.argsort(-tracks.seen[recent], kind="stable")[:SEARCH]]
-        distance, target = nearest(scan, tracks.points[known], NEIGHBOURS)
+        distance, target = nearest(scan, tracks.expected[known], NEIGHBOURS)
         row, column = np.nonzero(distance <= REACH * self._spacing_m)
         if len(row) < ENOUGH:
             return None
         pairs = np.column_stack([known[row], target[row, column]])
         points = np.asarray(scan.data)
-        agreeing = pairs[agreeing_pairs(tracks.points, points, pairs, 1.5 * self._tolerance_m)]
+        agreeing = pairs[agreeing_pairs(tracks.expected, points, pairs, 1.5 * self._tolerance_m)]
         if len(agreeing) < ENOUGH:
             return None
         placement = trimmed_fit(
-            tracks.points[agreeing[:, 0]], points[agreeing[:, 1]], self._tolerance_m
+            tracks.expected[agreeing[:, 0]], points[agreeing[:, 1]], self._tolerance_m
         )
         return placement if placement is not None and placement.n_agreeing >= ENOUGH else None
 
@@ -179,19 +182,38 @@ class Constellation:
         strayed : (k,) bool
             Where the track moves against the others: it is followed by continuity.
         """
-        distance, target = nearest(scan, carried.points, 2)
-        if scan.n > 1:
-            self._spacing_m += SLOWNESS * (float(np.median(distance[:, 1])) - self._spacing_m)
-        at_rest = np.where(distance[:, 0] <= self._gate_m, distance[:, 0], np.inf)
-        linked = nearest_claim(target[:, 0], at_rest, scan.n)
+        distances, targets = nearest(scan, carried.expected)
+        distance, target = distances[:, 0], targets[:, 0]
+        linked = nearest_claim(target, np.where(distance <= self._gate_m, distance, np.inf), scan.n)
         taken = np.zeros(scan.n + 1, dtype=bool)
-        taken[target[linked, 0]] = True
-        may_move = (carried.restless > 0) | (carried.seen < YOUNG)
-        free = may_move & (carried.missed == 0) & ~linked & ~taken[target[:, 0]]
-        near = free & (distance[:, 0] <= CONTINUITY * self._spacing_m)
-        strayed = nearest_claim(target[:, 0], np.where(near, distance[:, 0], np.inf), scan.n)
-        rows = np.flatnonzero(linked | strayed)
-        return rows, target[rows, 0], strayed[rows]
+        taken[target[linked]] = True
+        free = np.flatnonzero(~linked & (carried.missed == 0))
+        followed, found = self._follow(carried, free, scan, taken)
+        rows = np.concatenate([np.flatnonzero(linked), followed])
+        strayed = np.arange(len(rows)) >= linked.sum()
+        return rows, np.concatenate([target[linked], found]), strayed
+
+    def _follow(
+        self,
+        carried: LiveTracks,
+        free: NDArray[np.int64],
+        scan: cKDTree,
+        taken: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Follow tracks that are not where they would be at rest, from where they were last.
+
+        One that was seen moving, or is too young to tell, may go far; one that was at rest so far
+        only as far as it could drift unnoticed: a jump is another landmark's.
+        """
+        if not len(free):
+            return free, free
+        distances, targets = nearest(scan, carried.latest[free])
+        distance, target = distances[:, 0], targets[:, 0]
+        may_move = (carried.restless[free] > 0) | (carried.seen[free] < YOUNG)
+        reach = np.where(may_move, max(CONTINUITY * self._spacing_m, self._gate_m), self._gate_m)
+        near = np.where((distance <= reach) & ~taken[target], distance, np.inf)
+        followed = nearest_claim(target, near, scan.n)
+        return free[followed], target[followed]
 
     @property
     def _tolerance_m(self) -> float:
@@ -212,7 +234,7 @@ class Constellation:
         if n <= ENOUGH:
             return
         squares = np.sum((expected - found) ** 2, axis=1)
-        variance = float(np.median(squares)) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
+        variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
         if self._noise_m is None:
             self._noise_m = float(np.sqrt(variance))
         else:
@@ -224,4 +246,4 @@ class Constellation:
 def _spacing(points: NDArray[np.float64]) -> float:
     if len(points) < 2:
         return np.inf
-    return float(np.median(nearest(cKDTree(points), points, 2)[0][:, 1]))
+    return middle(nearest(cKDTree(points), points, 2)[0][:, 1])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid
+from relmap.core.registration.base import middle
 
 TRIMMING_ROUNDS = 8
 
@@ -61,8 +62,9 @@ def trimmed_fit(
         if kept.sum() < source.shape[1]:
             return None
         R, t = fit_rigid(source[kept], target[kept])
-        error = np.linalg.norm(source @ R.T + t - target, axis=1)
-        limit = max(tolerance_m, 1.5 * float(np.median(error[kept])))
+        difference = source @ R.T + t - target
+        error = np.sqrt(np.einsum("nd,nd->n", difference, difference))
+        limit = max(tolerance_m, 1.5 * middle(error[kept]))
         near = error <= limit
         if limit == tolerance_m and (near == kept).all():
             break

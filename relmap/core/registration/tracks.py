@@ -7,18 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+MEMORY = 8
+"""Observations that the expected place of a track averages, about."""
 CAREFUL = 5
-"""A track that was seen moving counts as static again after so many iterations at rest."""
+"""A track seen moving counts as at rest again after so many iterations without moving."""
 
 
 @dataclass(eq=False)
 class LiveTracks:
-    """Tracks as seen, or carried along, in the robot frame of one iteration.
+    """Tracks in the robot frame of one iteration, carried along where they were not seen.
 
     Attributes
     ----------
     landmarks : (n,) int64
-    points : (n, d) float64, robot frame, metres
+    expected : (n, d) float64, robot frame, metres
+        Average of the last observations: where a landmark at rest is.
+    latest : (n, d) float64, robot frame, metres
+        The last observation: near where a moving landmark is.
     missed : (n,) int64
         Iterations since the track was last seen.
     seen : (n,) int64
@@ -28,7 +33,8 @@ class LiveTracks:
     """
 
     landmarks: NDArray[np.int64]
-    points: NDArray[np.float64]
+    expected: NDArray[np.float64]
+    latest: NDArray[np.float64]
     missed: NDArray[np.int64]
     seen: NDArray[np.int64]
     restless: NDArray[np.int64]
@@ -37,34 +43,35 @@ class LiveTracks:
     def begun(cls, landmarks: NDArray[np.int64], points: NDArray[np.float64]) -> LiveTracks:
         """Return tracks seen for the first time."""
         zeros = np.zeros(len(landmarks), dtype=np.int64)
-        return cls(landmarks, points, zeros, zeros + 1, zeros)
+        return cls(landmarks, points, points, zeros, zeros + 1, zeros)
 
     def __len__(self) -> int:
         """Return the number of tracks."""
         return len(self.landmarks)
 
-    def carried(self, points: NDArray[np.float64]) -> LiveTracks:
-        """Return the tracks where they are expected in the next iteration."""
-        return LiveTracks(
-            self.landmarks, points, self.missed.copy(), self.seen.copy(), self.restless.copy()
-        )
-
     def see(
         self, rows: NDArray[np.int64], points: NDArray[np.float64], strayed: NDArray[np.bool_]
     ) -> None:
-        """Note where some tracks were found, and that the others were missed."""
-        self.missed += 1
+        """Note where some tracks were found, which of them strayed, and that others were missed."""
+        self.missed = self.missed + 1
         self.missed[rows] = 0
-        self.points[rows] = points
-        self.restless[rows] = np.maximum(self.restless[rows] - 1, 0)
+        self.seen = self.seen + np.bincount(rows, minlength=len(self))
+        self.restless = np.maximum(self.restless - (self.missed == 0), 0)
         self.restless[rows[strayed]] = CAREFUL
-        self.seen[rows] += 1
+        share = np.where(self.restless > 0, 1.0, 1 / np.minimum(self.seen, MEMORY))[rows, None]
+        self.expected[rows] += share * (points - self.expected[rows])
+        self.latest[rows] = points
+
+    def carried(self, expected: NDArray[np.float64], latest: NDArray[np.float64]) -> LiveTracks:
+        """Return the tracks with their places in the next iteration."""
+        return LiveTracks(self.landmarks, expected, latest, self.missed, self.seen, self.restless)
 
     def kept(self, rows: NDArray[np.bool_]) -> LiveTracks:
         """Return some of the tracks."""
         return LiveTracks(
             self.landmarks[rows],
-            self.points[rows],
+            self.expected[rows],
+            self.latest[rows],
             self.missed[rows],
             self.seen[rows],
             self.restless[rows],
@@ -74,7 +81,8 @@ class LiveTracks:
         """Return these tracks and others."""
         return LiveTracks(
             np.concatenate([self.landmarks, other.landmarks]),
-            np.concatenate([self.points, other.points]),
+            np.concatenate([self.expected, other.expected]),
+            np.concatenate([self.latest, other.latest]),
             np.concatenate([self.missed, other.missed]),
             np.concatenate([self.seen, other.seen]),
             np.concatenate([self.restless, other.restless]),

@@ -1,0 +1,141 @@
+"""From the common interval to everything seen around it.
+
+A group's relative map rests on the iterations in which all its members were visible (section III).
+Landmarks missed now and then would leave little of it.  So every other iteration of the chart is
+fitted, by least squares, to the relative map, and everything seen in it is averaged as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.alignment import DEGENERATE, rotation_of_moment
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeMap:
+    """Average locations of landmarks relative to one another.
+
+    Attributes
+    ----------
+    landmarks : (n,) int64
+    positions : (n, d) float64, group frame, metres
+    variance : (n,) float64, square metres
+        Of a coordinate, over the iterations averaged; NaN where there is only one.
+    amplified : (n,) float64
+        What that variance is, in units of the noise's, for a landmark at rest: 1 and what the fit
+        of an iteration to the reference adds, the more the farther the landmark is from it.
+    used : (n, i) bool
+        The observations behind it: landmarks by iterations.
+    iterations : (i,) int64, ascending
+    """
+
+    landmarks: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    amplified: NDArray[np.float64]
+    used: NDArray[np.bool_]
+    iterations: NDArray[np.int64]
+
+    @property
+    def n_used(self) -> NDArray[np.int64]:
+        """Number of observations behind each position; (n,)."""
+        return np.asarray(self.used.sum(axis=1))
+
+    def only(self, rows: NDArray[np.bool_]) -> RelativeMap:
+        """Return the map of some of its landmarks."""
+        return RelativeMap(
+            self.landmarks[rows],
+            self.positions[rows],
+            self.variance[rows],
+            self.amplified[rows],
+            self.used[rows],
+            self.iterations,
+        )
+
+
+def complete(
+    landmarks: NDArray[np.int64],
+    iterations: NDArray[np.int64],
+    block: NDArray[np.float64],
+    reference: NDArray[np.float64],
+) -> RelativeMap:
+    """Average a whole chart in the frame of a relative map of some of it.
+
+    Parameters
+    ----------
+    landmarks : (n,) int64
+    iterations : (i,) int64
+    block : (n, i, d) float64, robot frame, metres
+        Observations of the landmarks in the iterations; NaN where one was not seen.
+    reference : (n, d) float64, group frame, metres
+        The relative map to fit to; NaN for landmarks outside it.
+
+    Returns
+    -------
+    RelativeMap
+        Of the landmarks seen in an iteration that the reference fixes.
+    """
+    seen = np.isfinite(block[:, :, 0])
+    placed, fixed = _placed(np.where(seen[:, :, None], block, 0.0), seen, reference)
+    used = seen & fixed
+    there = used.any(axis=1)
+    used, placed = used[there], placed[there]
+    n = used.sum(axis=1)
+    positions = np.einsum("nid,ni->nd", placed, used) / n[:, None]
+    deviation = (placed - positions[:, None]) * used[:, :, None]
+    squares = np.einsum("nid,nid->n", deviation, deviation)
+    freedoms = block.shape[2] * (n - 1)
+    variance = np.divide(squares, freedoms, out=np.full(len(n), np.nan), where=freedoms > 0)
+    amplified = _amplified(positions, reference, seen)
+    return RelativeMap(landmarks[there], positions, variance, amplified, used, iterations)
+
+
+def _amplified(
+    positions: NDArray[np.float64], reference: NDArray[np.float64], seen: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return 1 and the variance that a least-squares fit to the reference adds (Arun 1987)."""
+    members = np.isfinite(reference[:, 0])
+    points, weight = reference[members], seen[members].mean(axis=1)
+    centre = weight @ points / weight.sum()
+    apart = points - centre
+    scatter = (apart * weight[:, None]).T @ apart
+    reach = positions - centre
+    square = np.einsum("nd,nd->n", reach, reach)
+    d = positions.shape[1]
+    if d == 2:
+        turning = square / np.trace(scatter) / d
+    else:
+        spread = np.linalg.inv(np.trace(scatter) * np.eye(d) - scatter)
+        along = np.einsum("nd,de,ne->n", reach, spread, reach)
+        turning = (np.trace(spread) * square - along) / d
+    return np.asarray(1 + 1 / weight.sum() + turning)
+
+
+def _placed(
+    here: NDArray[np.float64], seen: NDArray[np.bool_], reference: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Fit each iteration to the reference; return all points there, and which ones it fixes."""
+    shared = seen & np.isfinite(reference[:, :1])
+    there = np.where(np.isfinite(reference), reference, 0.0)
+    weight = shared / np.maximum(shared.sum(axis=0), 1)
+    here_mean = np.einsum("ni,nid->id", weight, here)
+    there_mean = weight.T @ there
+    centred = here - here_mean
+    weighted = centred * weight[:, :, None]
+    moment = np.einsum("nid,ne->ide", weighted, there)
+    moment -= weighted.sum(axis=0)[:, :, None] * there_mean[:, None]
+    scatter = np.einsum("nid,nie->ide", weighted, centred)
+    fixed = fixes_pose(scatter)
+    R = rotation_of_moment(moment)
+    return np.einsum("ide,nie->nid", R, centred) + there_mean, fixed
+
+
+def fixes_pose(scatter: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which scatter matrices (..., d, d) of points are wide enough to fix a rotation."""
+    spread = np.linalg.eigvalsh(scatter)
+    across = spread[..., -1] if scatter.shape[-1] == 2 else spread[..., 1]
+    return np.asarray((across > DEGENERATE**2 * spread[..., -1]) & (spread[..., -1] > 0))
