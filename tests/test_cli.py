@@ -147,6 +147,7 @@ def test_summary(world: Path, result: Path) -> None:
         "p95_ms",
         "first_100_median_ms",
         "last_100_median_ms",
+        "refine_ms",
     ]
     assert all(value > 0 for value in summary["timing"].values())
 

@@ -120,7 +120,6 @@ def test_no_log(place: Path, refused: Check) -> None:
         (["map", "log.csv", "-o", ""], "empty"),
         (["map", "log.csv", "extra", "-o", "out"], "unexpected extra argument"),
         (["map", "log.csv", "-o", "out", "--fast"], "No such option: --fast"),
-        (["map", "log.csv", "-o", "out", "--refine"], "No such option: --refine"),
         (["map", "log.csv", "-o", "out", "--association", "guess"], "'nearest', 'known'"),
         (["map", "log.csv", "-o", "out", "--association", "known"], "has no ids"),
         (["map", "log.csv", "-o", "out", "--variant", "planes"], "not there yet"),
@@ -208,7 +207,7 @@ def test_full_disk(refused: Check, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_not_enough_memory(refused: Check, monkeypatch: pytest.MonkeyPatch) -> None:
-    def exhausted(*_: object) -> None:
+    def exhausted(*_: object, **__: object) -> None:
         raise MemoryError
 
     monkeypatch.setattr("relmap.evaluation.run.run_mapper", exhausted)
@@ -216,7 +215,7 @@ def test_not_enough_memory(refused: Check, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_bug_shows_its_traceback(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def bug(*_: object) -> None:
+    def bug(*_: object, **__: object) -> None:
         raise ZeroDivisionError
 
     before = snapshot(place)

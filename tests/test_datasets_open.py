@@ -48,12 +48,18 @@ def ids_of(log: ObservationLog) -> list[int]:
 
 
 def test_formats_are_named() -> None:
-    assert FORMATS == ("observation-csv", "mrpt-landmarks", "victoria-park")
+    assert FORMATS == (
+        "observation-csv",
+        "mrpt-landmarks",
+        "victoria-park",
+        "dlr-circles",
+        "slsjf-sim",
+    )
     assert len({dataset.description for dataset in DATASETS}) == len(DATASETS)
 
 
 @pytest.mark.parametrize(
-    ("content", "format"), list(zip([POINTS, MRPT, TREES], FORMATS, strict=True))
+    ("content", "format"), list(zip([POINTS, MRPT, TREES], FORMATS[:3], strict=True))
 )
 def test_recognised_by_content_whatever_the_name(tmp_path: Path, content: str, format: str) -> None:
     for name in ("observations.csv", "trees_per_scan.csv.gz", "log.observations.csv.gz", "x.png"):

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from relmap.core.alignment import fit_rigid
 from relmap.core.errors import RelmapError
-from relmap.datasets import open_log, write_observation_csv
+from relmap.datasets import open_log, slsjf, write_observation_csv
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.datasets.victoria_park import read_reference_map
 
@@ -106,6 +108,60 @@ def test_victoria_park_reference_map_fits_the_observed_distances(shared_data: Pa
             seen = np.linalg.norm(points[1:] - points[:-1], axis=1)
             differences.append(seen - np.linalg.norm(places[1:] - places[:-1], axis=1))
     assert np.median(np.abs(np.concatenate(differences))) < 0.1
+
+
+def test_slsjf_agrees_with_its_truth(shared_data: Path) -> None:
+    log = open_log(shared_data / "slsjf-sim-8240")
+    assert log.ids is not None
+    # 40524 rows, five of them with a negative range.
+    assert (len(log), len(log.rows), log.rows.max()) == (8240, 40519, 40523)
+    assert (log.first_iteration, len(np.unique(log.ids))) == (0, 612)
+    ids, positions, poses = slsjf.read_ground_truth(shared_data / "slsjf-sim-8240")
+    assert (len(ids), len(poses)) == (2500, 8241)
+    R, t = poses[log.iteration, :2, :2], poses[log.iteration, :2, 3]
+    points_map = np.einsum("nij,nj->ni", R, log.points_robot) + t
+    assert np.array_equal(ids, np.arange(1, 2501))
+    errors = np.linalg.norm(points_map - positions[log.ids - 1, :2], axis=1)
+    assert np.median(errors) == pytest.approx(0.097, abs=0.001)
+    assert errors.max() < 0.3
+
+
+def test_dlr_circles(shared_data: Path) -> None:
+    log = open_log(shared_data / "dlr-circles")
+    counts = np.array([len(scan.rows) for scan in log.scans()])
+    assert log.ids is not None
+    assert (len(counts), len(log.rows), counts.max()) == (3297, 14745, 13)
+    assert np.mean(counts >= 4) == pytest.approx(0.696, abs=0.0005)
+    # 577 different numbers, -1 among them.
+    assert (len(np.unique(log.ids)), np.sum(log.ids == -1), log.ids.min()) == (577, 436, -1)
+    assert log.points_robot[:, 0].min() > 0
+    assert np.linalg.norm(log.points_robot, axis=1).max() < 4.4
+
+
+def test_dlr_circles_move_as_the_odometry_tells(shared_data: Path) -> None:
+    """The header puts -Y ahead and X to the right: the steps are (-dY, -dX), turned by -dPhi."""
+    folder = shared_data / "dlr-circles"
+    text = gzip.decompress((folder / "map.circles.gz").read_bytes()).decode()
+    lines = [line.split() for line in text.splitlines() if line.startswith("STEP")]
+    steps = np.array([[-float(dy), -float(dx), -float(dphi)] for _, _, dx, dy, dphi, *_ in lines])
+    seen, told = [], []
+    for before, after in pairwise(open_log(folder).scans()):
+        assert before.ids is not None
+        assert after.ids is not None
+        shared, i, j = np.intersect1d(
+            before.ids[before.ids >= 0], after.ids[after.ids >= 0], return_indices=True
+        )
+        if len(shared) < 4:
+            continue
+        there, here = before.points_robot[before.ids >= 0][i], after.points_robot[after.ids >= 0][j]
+        R, t = fit_rigid(here, there)
+        assert np.linalg.norm(here @ R.T + t - there, axis=1).max() < 0.25
+        seen.append([*t, np.arctan2(R[1, 0], R[0, 0])])
+        told.append(steps[after.iteration])
+    assert len(seen) == 1958
+    assert np.median(np.abs(told), axis=0)[[0, 2]].min() > 0.02
+    assert (np.median(np.abs(np.subtract(seen, told)), axis=0) < [0.02, 0.012, 0.006]).all()
+    assert np.corrcoef(np.transpose(seen)[2], np.transpose(told)[2])[0, 1] > 0.98
 
 
 def test_real_log_goes_through_the_projects_own_format(shared_data: Path, tmp_path: Path) -> None:

@@ -19,6 +19,14 @@ HELP = """Tell how good a result is where the truth is known.
 DIR is a folder that 'relmap map' wrote.  It prints a table and writes DIR/evaluation.json.
 
 \b
+TRUTH is
+  a folder as 'relmap simulate' writes it
+  MRPT's ..._ground_truth.txt
+  the folder of I-SLSJF's simulation (slsjf-sim)
+  the folder of Victoria Park: trees as another program mapped them, a reference and no truth
+  the folder of DLR's circles: ids without places, so there is no RMSE
+
+\b
 Example:
   relmap evaluate result --truth eight
 
@@ -49,7 +57,7 @@ def evaluate_command(
         typer.Option(
             "--truth",
             metavar="TRUTH",
-            help="Folder as 'relmap simulate' writes it, or MRPT's ..._ground_truth.txt.",
+            help="The truth, as above.",
         ),
     ],
     log: Annotated[

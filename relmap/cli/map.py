@@ -31,6 +31,8 @@ Formats of INPUT:
   observation-csv  the CSV file just described, or a folder with observations.csv
   mrpt-landmarks   range and bearing to landmarks, from a log of MRPT
   victoria-park    trees per scan, from the Victoria Park data set
+  dlr-circles      circles on a floor, map.circles of the DLR spatial cognition data set
+  slsjf-sim        range and bearing to beacons, the folder of I-SLSJF's simulation
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv and
 summary.json.
@@ -52,6 +54,13 @@ def map_command(
         Association,
         typer.Option(help="Find out which landmark is which, or take the log's ids."),
     ] = "nearest",
+    refine: Annotated[
+        bool,
+        typer.Option(
+            "--refine/--no-refine",
+            help="At the end, fit all relative maps to one another by joint least squares.",
+        ),
+    ] = True,
     scans: Annotated[
         str | None,
         typer.Option(
@@ -85,7 +94,7 @@ def map_command(
     """Map a log; the arguments are explained in the help text."""
     if variant == "planes":
         raise RelmapError("--variant planes is not there yet: points is the only variant so far")
-    run = map_input(source, out, association, scans, log_format, config, registration)
+    run = map_input(source, out, association, scans, log_format, config, registration, refine)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
     apart = len(run.result.pieces) - 1
     typer.echo(
@@ -104,6 +113,7 @@ def map_input(
     log_format: str | None = None,
     config: Path | None = None,
     registration: Registration | None = None,
+    refine: bool = True,
 ) -> Run:
     """Map a log into a result folder.
 
@@ -137,6 +147,7 @@ def map_input(
             association,
             about,
             lambda scans: tracked(scans, len(log), "mapping"),
+            refine=refine,
         )
         write_result(staging, run.result)
         write_map_png(staging / MAP_PNG, run.result, run.groups)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 
-DEGENERATE = 1e-7
+DEGENERATE = 1e-6
 """Points whose spread across their line is below this share of that along it fix no rotation."""
 
 
@@ -72,6 +72,50 @@ def rotation_of_moment(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(V @ np.swapaxes(U, -1, -2))
 
 
+def fit_rigid_each(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    at: NDArray[np.int64],
+    n: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Fit many sets of matched points at once, each as `fit_rigid` does.
+
+    Parameters
+    ----------
+    source, target : (k, d) float64, metres
+        Matched points of all sets.
+    weights : (k,) float64
+    at : (k,) int64
+        Set of each pair, 0 to n - 1.
+    n : int
+        Number of sets.
+
+    Returns
+    -------
+    R : (n, d, d) float64
+    t : (n, d) float64
+    fixed : (n,) bool
+        Whether the points of a set fix its rotation; R and t mean nothing where they do not.
+    """
+    total = np.bincount(at, weights=weights, minlength=n)
+    share = weights / np.where(total > 0, total, 1)[at]
+    source_mean = sums_each(source * share[:, None], at, n)
+    target_mean = sums_each(target * share[:, None], at, n)
+    here, there = source - source_mean[at], target - target_mean[at]
+    weighted = (here * share[:, None])[:, :, None]
+    R = rotation_of_moment(sums_each(weighted * there[:, None, :], at, n))
+    fixed = scatter_fixes_rotation(sums_each(weighted * here[:, None, :], at, n))
+    return R, target_mean - np.einsum("nij,nj->ni", R, source_mean), fixed
+
+
+def sums_each(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+    """Sum values (k, ...) that belong to sets at (k,), 0 to n - 1; (n, ...)."""
+    columns = values.reshape(len(values), -1).T
+    sums = [np.bincount(at, weights=column, minlength=n).astype(np.float64) for column in columns]
+    return np.stack(sums, axis=-1).reshape(n, *values.shape[1:])
+
+
 def fixes_rotation(points: NDArray[np.float64]) -> bool:
     """Tell whether points (n, d) fix a rotation.
 
@@ -79,6 +123,13 @@ def fixes_rotation(points: NDArray[np.float64]) -> bool:
     """
     if len(points) < points.shape[1]:
         return False
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    needed = points.shape[1] - 1
-    return bool(spread[0] > 0 and spread[needed - 1] > DEGENERATE * spread[0])
+    centred = points - points.mean(axis=0)
+    return bool(scatter_fixes_rotation(centred.T @ centred))
+
+
+def scatter_fixes_rotation(scatter: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which scatter matrices (..., d, d) of centred points fix a rotation; (...,)."""
+    spread = np.linalg.eigvalsh(scatter)
+    widest = spread[..., -1]
+    across = widest if scatter.shape[-1] == 2 else spread[..., 1]
+    return np.asarray((widest > 0) & (across > DEGENERATE**2 * widest))

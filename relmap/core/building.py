@@ -58,6 +58,11 @@ class MapBuilder:
         self.map.resize(n, self._store.dimension)
         self.dynamics.resize(n)
 
+    def merge(self, new: int, old: int) -> None:
+        """Let an old landmark go on in place of a new one, which turned out to be it."""
+        self.map.merge(new, old)
+        self.dynamics.merge(new, old)
+
     def group(self, seed: int, fixes: int) -> bool:
         """Grow a group around a landmark and align it to the map; tell whether it could be.
 
@@ -70,13 +75,13 @@ class MapBuilder:
         chart, block = self._chart(seed)
         for piece in self.map.pieces_of(chart.landmarks):
             weights = self.map.weights_in(piece, chart.landmarks)
-            relative = self._relative_map(chart, block, weights, fixes + 1, fixes)
-            if relative is None:
+            averaged = self._average(chart, block, weights, fixes + 1, fixes)
+            if averaged is None:
                 continue
+            relative = averaged[0]
             placed = self.map.align(piece, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
-                self.map.average_in(piece, relative.landmarks, placed, self._unused(relative))
-                self._schedule.grouped(relative.landmarks, self._store.n_iterations)
+                self._place(piece, placed, *averaged)
                 return True
         return False
 
@@ -91,17 +96,35 @@ class MapBuilder:
         chart, block = self._chart(seed)
         from_the_start = chart.visible[:, 0]
         chart, block = chart.only(from_the_start), block[from_the_start]
-        relative = self._relative_map(chart, block, np.zeros(len(block)), fixes + 1, 0)
-        if relative is None:
+        averaged = self._average(chart, block, np.zeros(len(block)), fixes + 1, 0)
+        if averaged is None:
             return False
+        relative = averaged[0]
         first = block[np.isin(chart.landmarks, relative.landmarks), 0]
         if len(first) <= fixes:
             return False
         R, t = fit_rigid(relative.positions, first)
-        placed = relative.positions @ R.T + t
-        self.map.found(relative.landmarks, placed, self._unused(relative))
-        self._schedule.grouped(relative.landmarks, self._store.n_iterations)
+        self._place(self.map.new_piece(), relative.positions @ R.T + t, *averaged)
         return True
+
+    def _place(
+        self,
+        piece: int,
+        placed: NDArray[np.float64],
+        relative: RelativeMap,
+        members: NDArray[np.int64],
+        common_interval: NDArray[np.int64],
+    ) -> None:
+        """Average a relative map, placed in the frame of a piece, into the map; keep it."""
+        landmarks = relative.landmarks
+        unused = relative.used & (relative.iterations >= self._schedule.begin[landmarks][:, None])
+        n_unused = unused.sum(axis=1)
+        self.map.average_in(piece, landmarks, placed, n_unused.astype(np.float64))
+        self._schedule.grouped(landmarks, self._store.n_iterations)
+        member = np.isin(landmarks, members)
+        self.groups.append(
+            MappedGroup(landmarks, relative.positions, n_unused, member, common_interval)
+        )
 
     def _chart(self, seed: int) -> tuple[PointChart, NDArray[np.float64]]:
         end = self._store.n_iterations
@@ -109,15 +132,21 @@ class MapBuilder:
         chart = PointChart.around(seed, self._store, begin, end)
         return chart, self._store.gather(chart.landmarks, chart.iterations)
 
-    def _relative_map(
+    def _average(
         self,
         chart: PointChart,
         block: NDArray[np.float64],
         weights: NDArray[np.float64],
         min_members: int,
         min_shared: int,
-    ) -> RelativeMap | None:
-        """Average the static landmarks of a chart; take note of the dynamic ones."""
+    ) -> tuple[RelativeMap, NDArray[np.int64], NDArray[np.int64]] | None:
+        """Average the static landmarks of a chart; take note of the dynamic ones.
+
+        Returns
+        -------
+        (relative map, members, common interval) or None
+            None where no group can be grown, or it fixes no basis.
+        """
         static = self._static(chart, block, weights)
         group = grow_group(chart, static, weights, min_members, min_shared)
         if group is None:
@@ -127,15 +156,13 @@ class MapBuilder:
         if average is None:
             return None
         self.noise.add(core)
-        members, common_interval = chart.landmarks[group.rows], chart.iterations[group.columns]
-        self.groups.append(MappedGroup(members, common_interval, average))
         relative = self._completed(chart, block, group, average)
         at_rest = self.dynamics.test(relative, self.noise.sigma_m)
-        at_rest |= (relative.landmarks == chart.seed) & (relative.n_used < FEWEST)
         moving = relative.landmarks[self.dynamics.dynamic[relative.landmarks]]
         self.map.remove(moving)
         self._schedule.grouped(moving, self._store.n_iterations)
-        return relative.only(at_rest)
+        members, iterations = chart.landmarks[group.rows], chart.iterations[group.columns]
+        return relative.only(at_rest), members, iterations
 
     def _completed(
         self,
@@ -175,9 +202,3 @@ class MapBuilder:
                 bins = Binning(block, guess_m).sort(weights)
         static = bins.static
         return static[~self.dynamics.dynamic[chart.landmarks[static]]]
-
-    def _unused(self, relative: RelativeMap) -> NDArray[np.float64]:
-        """Return how many observations of each landmark no group has used before; (n,)."""
-        begin = self._schedule.begin[relative.landmarks]
-        unused = relative.used & (relative.iterations >= begin[:, None])
-        return np.asarray(unused.sum(axis=1), dtype=np.float64)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import DEGENERATE, rotation_of_moment
+from relmap.core.alignment import rotation_of_moment, scatter_fixes_rotation
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +129,6 @@ def _placed(
     moment = np.einsum("nid,ne->ide", weighted, there)
     moment -= weighted.sum(axis=0)[:, :, None] * there_mean[:, None]
     scatter = np.einsum("nid,nie->ide", weighted, centred)
-    fixed = fixes_pose(scatter)
+    fixed = scatter_fixes_rotation(scatter)
     R = rotation_of_moment(moment)
     return np.einsum("ide,nie->nid", R, centred) + there_mean, fixed
-
-
-def fixes_pose(scatter: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which scatter matrices (..., d, d) of points are wide enough to fix a rotation."""
-    spread = np.linalg.eigvalsh(scatter)
-    across = spread[..., -1] if scatter.shape[-1] == 2 else spread[..., 1]
-    return np.asarray((across > DEGENERATE**2 * spread[..., -1]) & (spread[..., -1] > 0))

@@ -67,6 +67,11 @@ class DynamicStatus:
         self._dynamic.resize(n, False)
         self._last_moved.resize(n, 0)
 
+    def merge(self, new: int, old: int) -> None:
+        """Let an old landmark be as dynamic as the new one that turned out to be it."""
+        self.dynamic[old] = self.dynamic[new]
+        self._last_moved.values[old] = self._last_moved.values[new]
+
     def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
         """Take note of who moves in a relative map; return who was seen often enough, and rests.
 

@@ -23,7 +23,7 @@ class GlobalMap:
         self._positions: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
         self._weights: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._pieces: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._n_founded = 0
+        self._n_pieces = 0
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -91,21 +91,23 @@ class GlobalMap:
         R, t = fit_rigid(relative_map[shared], there, weights)
         return relative_map @ R.T + t
 
-    def found(
-        self,
-        landmarks: NDArray[np.int64],
-        positions: NDArray[np.float64],
-        weights: NDArray[np.float64],
-    ) -> None:
-        """Begin a new piece with positions (g, d) in its own frame and weights (g,)."""
-        piece, self._n_founded = self._n_founded, self._n_founded + 1
-        self.average_in(piece, landmarks, positions, weights)
+    def new_piece(self) -> int:
+        """Return the number of a piece that nothing belongs to yet."""
+        self._n_pieces += 1
+        return self._n_pieces - 1
 
     def remove(self, landmarks: NDArray[np.int64]) -> None:
         """Take landmarks (k,) off the map."""
         self.positions[landmarks] = np.nan
         self.weights[landmarks] = 0.0
         self.pieces[landmarks] = UNMAPPED
+
+    def merge(self, new: int, old: int) -> None:
+        """Average a landmark's position into another's, and take it off the map."""
+        weights = self.weights[[new, old]]
+        self.positions[old] = weights @ self.positions[[new, old]] / weights.sum()
+        self.weights[old] = weights.sum()
+        self.remove(np.array([new]))
 
     def average_in(
         self,

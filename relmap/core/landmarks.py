@@ -88,18 +88,23 @@ class LandmarkTable:
 
 @dataclass(frozen=True, eq=False)
 class MappedGroup:
-    """A group and the relative map of its members (Figs 8 and 11).
+    """A group and its relative map (Figs 8 and 11), completed to all that its chart saw at rest.
 
     Attributes
     ----------
-    landmarks : (g,) int64
-        Labels of the members.
+    landmarks : (n,) int64
+        Labels.
+    relative_map : (n, d) float64, group frame, metres
+    n_observations : (n,) int64
+        Observations behind each position that no earlier group used.
+    member : (n,) bool
+        Whether a landmark was grown into the group: seen in all of its common interval.
     iterations : (i,) int64, ascending
         The common interval.
-    relative_map : (g, d) float64, group frame, metres
-        Average over the common interval, in the group's consistent basis.
     """
 
     landmarks: NDArray[np.int64]
-    iterations: NDArray[np.int64]
     relative_map: NDArray[np.float64]
+    n_observations: NDArray[np.int64]
+    member: NDArray[np.bool_]
+    iterations: NDArray[np.int64]

@@ -10,10 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.building import MapBuilder
 from relmap.core.config import MapperConfig
+from relmap.core.dynamics import FEWEST
 from relmap.core.errors import RelmapError
+from relmap.core.globalmap import UNMAPPED
+from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
+from relmap.core.merging import Merger
 from relmap.core.pose import poses_from_map
 from relmap.core.readout import landmark_table, map_pieces, positions_in_largest_piece
+from relmap.core.refinement import gathered, refine
 from relmap.core.registration import (
     Constellation,
     KnownAssociation,
@@ -39,8 +44,10 @@ class RelativeMapper(ABC):
         self.config = config or MapperConfig()
         self._registration: Registration | None = None
         self._store = ObservationStore()
+        self._identity = Identity()
         self._schedule = GroupingSchedule(self.config.group_after, self.config.max_missed)
         self._builder = MapBuilder(self._store, self._schedule, self._relative_map)
+        self._merger = Merger(self._builder.map, self.config.group_after)
 
     @abstractmethod
     def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -76,17 +83,42 @@ class RelativeMapper(ABC):
         registration = self._registration_for(known)
         landmarks = registration.match(points_robot, known)
         seen = landmarks >= 0
-        left = self._observe(landmarks[seen], points_robot[seen])
-        self._group_due(landmarks[seen], left)
+        self._identity.resize(int(landmarks.max(initial=-1)) + 1)
+        present = self._identity.of(landmarks[seen])
+        left = self._observe(present, points_robot[seen])
+        self._group_due(present, left)
         labels = landmarks.copy()
-        labels[seen] = registration.labels[landmarks[seen]]
+        labels[seen] = registration.labels[self._identity.of(landmarks[seen])]
         return labels
+
+    def landmarks_of(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what landmarks (n,), labelled by earlier updates, are called now.
+
+        A landmark lost and seen again has a label of its own until it is recognised.
+        """
+        if self._registration is None or isinstance(self._registration, KnownAssociation):
+            return labels
+        return np.where(labels >= 0, self._identity.of(labels), labels)
 
     def finish(self) -> None:
         """Group what is still in view and not mapped yet."""
         for seed in self._schedule.in_view:
             if self._builder.map.weights[seed] == 0:
                 self._group_or_found(seed)
+
+    def refine(self) -> None:
+        """Lay all relative maps on one another at once, by joint least squares.
+
+        The chain of groups drifts; this spreads what is left of it, after a loop was closed above
+        all, over the whole map.
+        """
+        builder = self._builder
+        for piece in np.unique(builder.map.pieces[builder.map.pieces != UNMAPPED]):
+            mapped = builder.map.pieces == piece
+            of = self._identity.of(np.arange(len(mapped)))
+            observations = gathered(builder.groups, mapped, of)
+            refined = refine(observations, builder.map.positions)
+            builder.map.positions[mapped] = refined[mapped]
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
@@ -108,6 +140,7 @@ class RelativeMapper(ABC):
         iteration = self._store.n_iterations
         self._store.append(landmarks, points_robot)
         self._builder.resize(int(landmarks.max(initial=-1)) + 1)
+        self._merger.see(landmarks, iteration)
         return self._schedule.see(landmarks, iteration)
 
     def _group_due(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
@@ -115,14 +148,28 @@ class RelativeMapper(ABC):
         for seed in self._schedule.due(seen):
             if self._schedule.is_due(seed):
                 self._group_or_found(seed)
-        for seed in left:
+        for seed in left[self._schedule.waiting[left] >= FEWEST]:
             if self._builder.map.weights[seed] == 0:
                 self._builder.group(seed, self._min_shared())
+        self._merger.leave(left)
 
     def _group_or_found(self, seed: int) -> None:
         fixes = self._min_shared()
-        if not self._builder.group(seed, fixes):
+        if self._builder.group(seed, fixes):
+            self._merge_seen_again()
+        else:
             self._builder.found_piece(seed, fixes)
+
+    def _merge_seen_again(self) -> None:
+        """Merge landmarks in view with those that they are, seen before and lost (section III)."""
+        if isinstance(self._registration, KnownAssociation):
+            return
+        placed = self._builder.groups[-1].landmarks
+        for new, old in self._merger.find(placed, self._builder.noise.sigma_m).tolist():
+            begin = self._merger.merge(new, old)
+            self._store.relabel(new, old, begin)
+            for state in (self._identity, self._schedule, self._builder):
+                state.merge(new, old)
 
     @property
     def map(self) -> LandmarkMap:
@@ -134,7 +181,7 @@ class RelativeMapper(ABC):
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen, mapped or not."""
-        return landmark_table(self._store, self._builder, self._labels)
+        return landmark_table(self._store, self._builder, self._labels, self._identity.own)
 
     @property
     def pieces(self) -> list[Piece]:
@@ -144,8 +191,9 @@ class RelativeMapper(ABC):
     @property
     def groups(self) -> list[MappedGroup]:
         """The groups behind the map, in the order in which they were placed."""
-        labels = self._labels
-        return [replace(group, landmarks=labels[group.landmarks]) for group in self._builder.groups]
+        labels, of = self._labels, self._identity.of
+        groups = self._builder.groups
+        return [replace(group, landmarks=labels[of(group.landmarks)]) for group in groups]
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import DEGENERATE, rotation_of_moment
+from relmap.core.alignment import fit_rigid_each
 from relmap.core.store import ObservationStore
 
 
@@ -34,28 +34,11 @@ def poses_from_map(
     mapped = np.isfinite(there).all(axis=1)
     if not mapped.any():
         return np.full((end - begin, 4, 4), np.nan)
+    n, d = end - begin, store.dimension
     at = iterations[mapped] - begin
-    here, there = here[mapped], there[mapped]
-    n = end - begin
-    counts = np.maximum(np.bincount(at, minlength=n), 1)[:, None]
-    here_mean = _sums(here, at, n) / counts
-    there_mean = _sums(there, at, n) / counts
-    here = here - here_mean[at]
-    moment = _sums(here[:, :, None] * (there - there_mean[at])[:, None, :], at, n)
-    scatter = np.linalg.eigvalsh(_sums(here[:, :, None] * here[:, None, :], at, n))
-    R = rotation_of_moment(moment)
-    t = there_mean - np.einsum("nij,nj->ni", R, here_mean)
-    d = store.dimension
+    R, t, fixed = fit_rigid_each(here[mapped], there[mapped], np.ones(len(at)), at, n)
     poses = np.tile(np.eye(4), (n, 1, 1))
     poses[:, :d, :d] = R
     poses[:, :d, 3] = t
-    fixed = scatter[:, 1] > DEGENERATE**2 * scatter[:, -1] if d == 3 else scatter[:, -1] > 0
     poses[~fixed] = np.nan
     return poses
-
-
-def _sums(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:
-    """Sum values (m, ...) that belong to iterations at (m,); (n, ...)."""
-    columns = values.reshape(len(values), -1).T
-    sums = [np.bincount(at, weights=column, minlength=n).astype(np.float64) for column in columns]
-    return np.stack(sums, axis=-1).reshape(n, *values.shape[1:])

@@ -17,10 +17,17 @@ def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
 
 
 def landmark_table(
-    store: ObservationStore, builder: MapBuilder, labels: NDArray[np.int64]
+    store: ObservationStore,
+    builder: MapBuilder,
+    labels: NDArray[np.int64],
+    own: NDArray[np.bool_],
 ) -> LandmarkTable:
-    """Return the table of all landmarks, in ascending order of their labels (n,)."""
+    """Return the table of all landmarks, in ascending order of their labels (n,).
+
+    Those not their own any longer, merged into another, are left out.
+    """
     order = np.argsort(labels)
+    order = order[own[order]]
     global_map, noise_m = builder.map, builder.noise.sigma_m
     rank = _ranks(global_map)
     first, last = _intervals(store, len(labels))

@@ -36,6 +36,11 @@ class GroupingSchedule:
         return self._begin.values
 
     @property
+    def waiting(self) -> NDArray[np.int64]:
+        """Number of observations of each landmark that no group has used yet; (n,)."""
+        return self._waiting.values
+
+    @property
     def in_view(self) -> NDArray[np.int64]:
         """Landmarks in view, those missed for a moment included."""
         return self._in_view
@@ -69,6 +74,12 @@ class GroupingSchedule:
         """
         waiting = self._waiting.values[landmarks]
         return np.asarray((waiting > 0) & (waiting % self._group_after == 0))
+
+    def merge(self, new: int, old: int) -> None:
+        """Let an old landmark go on in place of a new one, which turned out to be it."""
+        for column in (self._begin.values, self._waiting.values, self._last_seen.values):
+            column[old] = column[new]
+        self._in_view[self._in_view == new] = old
 
     def grouped(self, landmarks: NDArray[np.int64], end: int) -> None:
         """Note that a group has used the landmarks' observations before iteration `end`."""

@@ -60,6 +60,11 @@ class ObservationStore:
         if len(landmarks):
             self._slots.resize(int(landmarks.max()) + 1, -1)
 
+    def relabel(self, old: int, new: int, begin: int) -> None:
+        """Give the observations of a landmark, which begin in iteration `begin`, to another."""
+        rows = self.landmarks[self.offsets[begin] :]
+        rows[rows == old] = new
+
     def seen(self, begin: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return landmark and iteration of every observation in iterations `begin` to `end`."""
         offsets = self.offsets[begin : end + 1]

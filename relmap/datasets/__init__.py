@@ -9,8 +9,10 @@ from pathlib import Path
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import LandmarkDataset, ObservationLog, Scan
+from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
+from relmap.datasets.slsjf import SlsjfSimulation
 from relmap.datasets.textfile import open_text, quoted, read_head, require_path, shown
 from relmap.datasets.victoria_park import VictoriaPark
 
@@ -24,7 +26,13 @@ __all__ = [
     "write_observation_csv",
 ]
 
-DATASETS: tuple[LandmarkDataset, ...] = (ObservationCsv(), MrptLandmarks(), VictoriaPark())
+DATASETS: tuple[LandmarkDataset, ...] = (
+    ObservationCsv(),
+    MrptLandmarks(),
+    VictoriaPark(),
+    DlrCircles(),
+    SlsjfSimulation(),
+)
 """Every format, in the order in which messages list them."""
 
 FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in DATASETS)

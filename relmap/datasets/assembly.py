@@ -96,6 +96,6 @@ def _check_unique(
         table.fail(
             row,
             name,
-            f"{ids[row]} stands twice in iteration {iteration[row]} (before in line "
-            f"{table.lines[before]}), expected each landmark once",
+            f"{ids[row]} stands twice in iteration {iteration[row]} (before in "
+            f"{table.place} {table.lines[before]}), expected each landmark once",
         )

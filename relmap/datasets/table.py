@@ -70,12 +70,15 @@ class Table:
         By name; only those the file has.
     lines : (n,) int64
         1-based line of the file that each row stands in.
+    place : str
+        What messages call that number: a line, or a row where the file has no lines.
     """
 
     path: Path
     comments: tuple[str, ...]
     columns: dict[str, NDArray[np.float64]]
     lines: NDArray[np.int64]
+    place: str = "line"
 
     def integers(self, name: str) -> NDArray[np.int64]:
         """Return a column of whole numbers."""
@@ -83,7 +86,8 @@ class Table:
 
     def fail(self, row: int, name: str, problem: str) -> NoReturn:
         """Raise a RelmapError that names file, line and field of a 0-based row."""
-        raise RelmapError(f"{shown(self.path)}: line {self.lines[row]}, field {name}: {problem}")
+        where = f"{self.place} {self.lines[row]}, field {name}"
+        raise RelmapError(f"{shown(self.path)}: {where}: {problem}")
 
 
 def read_table(path: Path, columns: Sequence[Column]) -> Table:
@@ -108,6 +112,40 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
     values = np.concatenate(rows.values)
     by_name = {column.name: values[:, k].copy() for k, column in enumerate(rows.columns)}
     return Table(path, head.comments, by_name, np.concatenate(rows.lines))
+
+
+def checked_table(
+    path: Path,
+    columns: Sequence[Column],
+    values: NDArray[np.float64],
+    lines: NDArray[np.int64],
+    place: str = "line",
+) -> Table:
+    """Make a table of numbers that are no CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        Where they come from.
+    columns : sequence of Column
+    values : (n, len(columns)) float64
+    lines : (n,) int64
+        1-based place of each row in the file.
+    place : str
+        What to call it.
+
+    Raises
+    ------
+    RelmapError
+        Where a number is not as its column says.
+    """
+    by_name = {column.name: values[:, k].copy() for k, column in enumerate(columns)}
+    table = Table(path, (), by_name, lines, place)
+    for row, k in _first_outside(values, columns):
+        value = float(values[row, k])
+        problem = _problem(columns[k], value)
+        table.fail(row, columns[k].name, f"{value:.10g} {problem}, expected {columns[k].expected}")
+    return table
 
 
 def header_text(columns: Sequence[Column]) -> str:
@@ -180,13 +218,8 @@ class _Rows:
         self, values: NDArray[np.float64], batch: list[str], lines: NDArray[np.int64]
     ) -> None:
         for row, k in _first_outside(values, self.columns):
-            column, value = self.columns[k], float(values[row, k])
-            problem = "is out of range"
-            if not math.isfinite(value):
-                problem = "is not finite"
-            elif column.integer and value != round(value):
-                problem = "is not an integer"
-            self._fail(int(lines[row]), column, batch[row].split(",")[k], problem)
+            problem = _problem(self.columns[k], float(values[row, k]))
+            self._fail(int(lines[row]), self.columns[k], batch[row].split(",")[k], problem)
 
     def _fail(self, line: int, column: Column, cell: str, problem: str) -> NoReturn:
         raise RelmapError(
@@ -206,6 +239,15 @@ def _first_outside(values: NDArray[np.float64], columns: Sequence[Column]) -> li
         if not good.all():
             found.append((int(np.argmin(good)), k))
     return sorted(found)[:1]
+
+
+def _problem(column: Column, value: float) -> str:
+    """Say why a column does not allow a value."""
+    if not math.isfinite(value):
+        return "is not finite"
+    if column.integer and value != round(value):
+        return "is not an integer"
+    return "is out of range"
 
 
 def parse_number(cell: str) -> float:

@@ -24,8 +24,9 @@ from scipy.spatial import cKDTree
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.matfile import read_matrix
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import columns_of, only_table, quoted, shown, tables_with
+from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
 
 CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
 """Holds the time of every scan, those without a tree too."""
@@ -86,6 +87,11 @@ class VictoriaPark:
         return replace(log, ids=_match_ids(log, association))
 
 
+def is_reference(path: Path) -> bool:
+    """Tell whether a folder holds the association file, or a path is named as it is."""
+    return path.name == ASSOCIATION_FILE or os.path.isfile(path / ASSOCIATION_FILE)
+
+
 def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Read the trees' places from the association file: an EKF's, not a surveyed truth.
 
@@ -142,7 +148,7 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
     if not os.path.isfile(clock):
         every_scan = np.arange(log.first_iteration, log.end_iteration)
         return replace(log, stamps_s=np.interp(every_scan, scans, scan_stamps))
-    stamps_s = _read_matrix(clock, "TLsr").ravel()
+    stamps_s = read_matrix(clock, "TLsr").ravel()
     if not np.isfinite(stamps_s).all() or (np.diff(stamps_s) <= 0).any():
         raise RelmapError(f"{shown(clock)}: field TLsr: is not a growing time, expected seconds")
     late = scans >= len(stamps_s)
@@ -187,7 +193,7 @@ def _nearest(ascending: NDArray[np.float64], values: NDArray[np.float64]) -> NDA
 
 def _read_association(file: Path) -> NDArray[np.float64]:
     """Return t ms, range m, bearing rad, x m, y m, id, as (n, 6)."""
-    rows = _read_matrix(file, file.stem)
+    rows = read_matrix(file, file.stem)
     good = rows.shape[1] == 6 and bool(np.isfinite(rows).all())
     if not good or (np.abs(rows) > 1e12).any() or (rows[:, 5] != np.rint(rows[:, 5])).any():
         raise RelmapError(
@@ -195,20 +201,3 @@ def _read_association(file: Path) -> NDArray[np.float64]:
             "expected t_ms, range_m, bearing_rad, x_est_m, y_est_m, id"
         )
     return rows
-
-
-def _read_matrix(file: Path, name: str) -> NDArray[np.float64]:
-    """Return a matrix of real numbers from a MATLAB file."""
-    from scipy.io import loadmat
-
-    try:
-        content = loadmat(file, appendmat=False, variable_names=[name])
-        matrix = content[name]
-        if matrix.dtype.kind not in "fiu" or matrix.ndim != 2 or not matrix.size:
-            raise TypeError(f"not a matrix of numbers: {matrix.dtype} {matrix.shape}")
-        return np.asarray(matrix, dtype=np.float64)
-    except Exception as error:  # a damaged file makes loadmat raise almost anything
-        reason = quoted(f"{type(error).__name__}: {error}")
-        raise RelmapError(
-            f"{shown(file)}: cannot be read: {reason}, expected a MATLAB file with {name}"
-        ) from error

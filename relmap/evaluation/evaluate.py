@@ -98,7 +98,7 @@ class Overlay:
     Attributes
     ----------
     landmarks_map : (m, 3) float64, metres
-        All true landmarks.
+        All true landmarks whose places are known.
     path_map : (k, 3) float64, metres
         True positions of the robot; may be empty.
     errors_map : (p, 2, 3) float64, metres
@@ -157,8 +157,9 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> 
     if matched is None:
         return None
     R, t = matched.R, matched.t
+    placed = truth.landmarks_map[np.isfinite(truth.landmarks_map).all(axis=1)]
     pairs = np.stack([matched.position, (matched.truth - t) @ R], axis=1)
-    return Overlay((truth.landmarks_map - t) @ R, (truth.poses[:, :3, 3] - t) @ R, pairs)
+    return Overlay((placed - t) @ R, (truth.poses[:, :3, 3] - t) @ R, pairs)
 
 
 def identify(result: Result, log: ObservationLog | None) -> Identified | None:
@@ -221,7 +222,8 @@ def match_landmarks(
         return None
     labels, ids = _standing_for(result, identified, static=True)
     at = _find(truth.landmark_ids, ids)
-    there = (at >= 0) & (truth.status[at] == "static") if len(truth.status) else at >= 0
+    comparable = (truth.status == "static") & np.isfinite(truth.landmarks_map).all(axis=1)
+    there = (at >= 0) & comparable[at] if len(comparable) else at >= 0
     position = result.landmarks.position[_find(result.landmarks.landmark, labels[there])]
     true_position = truth.landmarks_map[at[there]]
     R, t = np.eye(3), np.zeros(3)

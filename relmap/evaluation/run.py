@@ -45,6 +45,14 @@ class Mapper(Protocol):
         """Map what is left."""
         ...
 
+    def refine(self) -> object:
+        """Lay all relative maps on one another at once."""
+        ...
+
+    def landmarks_of(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what landmarks, labelled by earlier updates, are called now."""
+        ...
+
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen."""
@@ -87,6 +95,7 @@ def run_mapper(
     association: Association,
     about: dict[str, Any] | None = None,
     progress: Progress | None = None,
+    refine: bool = False,
 ) -> Run:
     """Map a whole log.
 
@@ -101,6 +110,8 @@ def run_mapper(
         What else the summary should tell: configuration, input, ...
     progress : callable, optional
         Wraps the iterable of scans.
+    refine : bool
+        Whether to refine the map at the end.
 
     Returns
     -------
@@ -121,7 +132,11 @@ def run_mapper(
         labels.append(mapper.update(scan.points_robot, ids=ids))
         durations_s.append(perf_counter() - began)
     mapper.finish()
-    label = np.concatenate(labels) if labels else np.empty(0, np.int64)
+    began = perf_counter()
+    if refine:
+        mapper.refine()
+    refine_s = perf_counter() - began
+    label = mapper.landmarks_of(np.concatenate(labels) if labels else np.empty(0, np.int64))
     table, poses, groups = mapper.landmarks, mapper.trajectory, mapper.groups
     pieces = tuple(mapper.pieces)
     summary = {
@@ -132,7 +147,8 @@ def run_mapper(
         "versions": versions(),
         "counts": _counts(log, table, poses, len(groups)),
         "pieces": [_summary_of(piece, log.first_iteration) for piece in pieces],
-        "timing": timing(np.array(durations_s)),
+        "refined": refine,
+        "timing": timing(np.array(durations_s)) | {"refine_ms": 1e3 * refine_s},
     }
     result = Result(
         shifted(table, log.first_iteration),

@@ -16,8 +16,10 @@ from relmap.tables import Kind, csv_text, read_table
 
 LANDMARKS = "landmarks.csv"
 TRAJECTORY = "trajectory.tum"
-_MRPT = ("_ground_truth.txt", "_ground_truth_robot_path.txt")
-_EXPECTED = f"truth/{LANDMARKS} or {LANDMARKS} in it, or MRPT's ...{_MRPT[0]}"
+_EXPECTED = (
+    f"truth/{LANDMARKS} or {LANDMARKS} in it, MRPT's ..._ground_truth.txt, "
+    "or the folder of a known data set"
+)
 _COLUMNS: dict[str, Kind] = {
     "landmark": "int",
     "x": "float",
@@ -35,6 +37,7 @@ class Truth:
     ----------
     landmark_ids : (m,) int64
     landmarks_map : (m, 3) float64, map frame of the truth, metres
+        NaN where only the identity of a landmark is known, not its place.
     status : (m,) str
         "static" or "dynamic".
     stamps_s : (k,) float64
@@ -51,13 +54,20 @@ class Truth:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read the truth.
+    """Read the truth, or what comes nearest to it.
 
     Parameters
     ----------
     path : Path
-        A folder that holds ``truth/landmarks.csv`` or ``landmarks.csv`` (with ``trajectory.tum``
-        beside it where the path is known), or MRPT's ``..._ground_truth.txt`` or its folder.
+        One of
+
+        * a folder with ``truth/landmarks.csv`` or ``landmarks.csv``, and ``trajectory.tum`` beside
+          it where the path is known;
+        * MRPT's ``..._ground_truth.txt`` or its folder;
+        * the folder of I-SLSJF's simulation;
+        * the folder of Victoria Park, where nobody surveyed the trees: the published estimates of
+          another program are a reference to compare with, not a truth;
+        * the folder of DLR's circles, which knows who is who, but no place.
 
     Raises
     ------
@@ -65,7 +75,8 @@ def read_truth(path: Path) -> Truth:
         Where it is none of these or is damaged.
     """
     require_path(path)
-    truth = _read_folder(path) if path.is_dir() else _read_mrpt(path)
+    folder = _landmark_folder(path)
+    truth = _read_data_set(path) if folder is None else _read_folder(folder)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
     if (counts > 1).any():
         raise RelmapError(f"{shown(path)}: landmark {ids[counts > 1][0]} stands there twice")
@@ -86,10 +97,7 @@ def write_truth(folder: Path, truth: Truth) -> None:
     write_tum(folder / TRAJECTORY, truth.stamps_s, truth.poses)
 
 
-def _read_folder(path: Path) -> Truth:
-    folder = _landmark_folder(path)
-    if folder is None:
-        return _read_mrpt(path)
+def _read_folder(folder: Path) -> Truth:
     table = read_table(folder / LANDMARKS, _COLUMNS)
     for landmark, status in zip(table["landmark"], table["status"].tolist(), strict=True):
         if status not in ("static", "dynamic"):
@@ -105,24 +113,33 @@ def _read_folder(path: Path) -> Truth:
 
 
 def _landmark_folder(path: Path) -> Path | None:
-    """Return the folder that holds the landmarks; None where it holds MRPT's truth instead."""
+    """Return the folder that holds the landmarks; None where it may hold a data set's truth."""
     if (path / "truth" / LANDMARKS).is_file():
         return path / "truth"
     if (path / SUMMARY).exists():
         raise RelmapError(f"{shown(path)}: is a result folder without a truth, expected a truth")
-    if (path / LANDMARKS).is_file():
-        return path
-    if any(path.glob(f"*{_MRPT[0]}")):
-        return None
-    raise RelmapError(f"{shown(path)}: holds no truth, expected {_EXPECTED}")
+    return path if (path / LANDMARKS).is_file() else None
 
 
-def _read_mrpt(path: Path) -> Truth:
-    from relmap.datasets.mrpt_landmarks import read_ground_truth
+def _read_data_set(path: Path) -> Truth:
+    """Read what a data set tells about its landmarks."""
+    from relmap.datasets import dlr_circles, mrpt_landmarks, slsjf, victoria_park
 
-    if not (path.is_dir() or path.name.endswith(_MRPT)):
-        raise RelmapError(f"{shown(path)}: is no truth, expected a folder with {_EXPECTED}")
-    ids, position, poses = read_ground_truth(path)
-    status = np.full(len(ids), "static")
-    stamps_s = np.arange(len(poses), dtype=np.float64)
-    return Truth(ids, position, status, stamps_s, poses)
+    if mrpt_landmarks.is_ground_truth(path):
+        return _static(*mrpt_landmarks.read_ground_truth(path))
+    if slsjf.is_ground_truth(path):
+        return _static(*slsjf.read_ground_truth(path))
+    if victoria_park.is_reference(path):
+        return _static(*victoria_park.read_reference_map(path), np.empty((0, 4, 4)))
+    if dlr_circles.DlrCircles().recognises(path):
+        ids = dlr_circles.read_ids(path)
+        return _static(ids, np.full((len(ids), 3), np.nan), np.empty((0, 4, 4)))
+    what = "holds no truth" if path.is_dir() else "is no truth"
+    raise RelmapError(f"{shown(path)}: {what}, expected {_EXPECTED}")
+
+
+def _static(
+    ids: NDArray[np.int64], position: NDArray[np.float64], poses: NDArray[np.float64]
+) -> Truth:
+    """Return a truth without dynamic landmarks, stamped with the numbers of the iterations."""
+    return Truth(ids, position, np.full(len(ids), "static"), np.arange(float(len(poses))), poses)

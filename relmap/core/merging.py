@@ -1,0 +1,144 @@
+"""Merging landmarks that were lost and seen again (section III).
+
+A landmark that comes back into view becomes a new one and is placed by its own groups.  Then it is
+matched to what is mapped: by its position where the map is good enough there, and where the map
+has drifted by constellation, the relative distances among several landmarks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.globalmap import GlobalMap
+from relmap.core.growing import GrowingArray
+from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
+from relmap.core.spatialindex import SpatialIndex
+
+REACH = 0.35
+"""How far the map may have drifted, in spacings of its landmarks."""
+TOLERANCE = 3.0
+"""How far two positions of one landmark may differ, in standard deviations of an observation."""
+ENOUGH = 3
+"""Landmarks that a constellation needs."""
+CANDIDATES = 60
+"""Pairs that a constellation is looked for among."""
+
+
+class Merger:
+    """Finds which landmarks in view are old ones seen again.
+
+    Parameters
+    ----------
+    global_map : GlobalMap
+    mature : int
+        Observations after which a landmark's position is good enough to be compared.
+    """
+
+    def __init__(self, global_map: GlobalMap, mature: int) -> None:
+        self._map = global_map
+        self._mature = mature
+        self._index: SpatialIndex | None = None
+        self._first_seen: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._last_seen: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._asked: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self._old_near: dict[int, list[int]] = {}
+
+    def see(self, landmarks: NDArray[np.int64], iteration: int) -> None:
+        """Note which landmarks are seen."""
+        size = int(landmarks.max(initial=-1)) + 1
+        self._first_seen.resize(size, iteration)
+        self._last_seen.resize(size, iteration)
+        self._asked.resize(size, False)
+        self._last_seen.values[landmarks] = iteration
+
+    def leave(self, landmarks: NDArray[np.int64]) -> None:
+        """Note that landmarks have left the view: from now on they may be seen again."""
+        for landmark in landmarks.tolist():
+            self._old_near.pop(landmark, None)
+        mapped = landmarks[self._map.weights[landmarks] > 0]
+        if self._index is not None and len(mapped):
+            self._index.add(mapped, self._map.positions[mapped])
+
+    def find(self, landmarks: NDArray[np.int64], noise_m: float) -> NDArray[np.int64]:
+        """Return pairs (k, 2) of landmarks: one in view, and the old one that it is.
+
+        Parameters
+        ----------
+        landmarks : (n,) int64
+            Landmarks in view that a group has just placed.
+        noise_m : float
+            Standard deviation of an observed coordinate.
+        """
+        if self._index is None:
+            self._index = self._begun(landmarks)
+        weights = self._map.weights[landmarks]
+        for new in landmarks[(weights >= self._mature) & ~self._asked.values[landmarks]].tolist():
+            self._ask(new)
+        pairs = [(new, old) for new in landmarks.tolist() for old in self._old_near.get(new, ())]
+        if not pairs:
+            return np.empty((0, 2), dtype=np.int64)
+        return self._choose(np.array(pairs[:CANDIDATES]), TOLERANCE * noise_m)
+
+    def merge(self, new: int, old: int) -> int:
+        """Note that a landmark in view is an old one; return when the new one was seen first."""
+        self._old_near.pop(new, None)
+        self._last_seen.values[old] = self._last_seen.values[new]
+        self._asked.values[old] = True
+        for others in self._old_near.values():
+            if old in others:
+                others.remove(old)
+        return int(self._first_seen.values[new])
+
+    def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
+        positions = self._map.positions[landmarks]
+        if len(positions) < 2:
+            return None
+        apart = np.linalg.norm(positions[:, None] - positions, axis=2)
+        np.fill_diagonal(apart, np.inf)
+        spacing = float(np.median(apart.min(axis=1)))
+        return SpatialIndex(REACH * spacing, positions.shape[1]) if spacing > 0 else None
+
+    def _ask(self, new: int) -> None:
+        """Look once for old landmarks near a new one, of the same piece and never seen with it."""
+        self._asked.values[new] = True
+        if self._index is None:
+            return
+        position = self._map.positions[new]
+        near = [
+            old
+            for old in self._index.near(position)
+            if self._last_seen.values[old] < self._first_seen.values[new]
+            and self._map.pieces[old] == self._map.pieces[new]
+            and np.linalg.norm(self._map.positions[old] - position) <= self._index.cell_m
+        ]
+        if near:
+            self._old_near[new] = sorted(set(near))
+
+    def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
+        new, old = self._map.positions[pairs[:, 0]], self._map.positions[pairs[:, 1]]
+        one_each = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
+        first = [np.unique(column, return_index=True)[1] for column in one_each.T]
+        agreeing = agreeing_pairs(new[first[0]], old[first[1]], one_each, tolerance_m)
+        if len(agreeing) >= ENOUGH:
+            shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
+            if shift is not None and shift.n_agreeing >= ENOUGH:
+                there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
+                return np.asarray(pairs[agreeing[there <= tolerance_m]])
+        apart = np.linalg.norm(new - old, axis=1)
+        return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+
+
+def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.asarray(np.unique(values, return_inverse=True)[1])
+
+
+def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
+    chosen: list[tuple[int, int]] = []
+    taken: set[int] = set()
+    for new, old in pairs[np.argsort(distance, kind="stable")].tolist():
+        if new not in taken and old not in taken:
+            chosen.append((new, old))
+            taken.update((new, old))
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2)

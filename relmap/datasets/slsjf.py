@@ -1,0 +1,150 @@
+"""The simulation of 8240 steps that comes with I-SLSJF (S. Huang and Z. Wang, UTS Sydney).
+
+A planar robot sees range and bearing of point beacons. ``sensor_data.mat`` holds a row for each
+observation: step (from 1), beacon id, range in metres, bearing in radians (0 ahead, positive to
+the left), and three zeros. The exact truth stands beside it:
+
+* ``store_beaconsTrue.mat``: rows of id, x, y (metres).
+* ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column
+from relmap.datasets.base import MAX_ITERATION, ObservationLog
+from relmap.datasets.matfile import is_matlab, read_matrix
+from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
+from relmap.datasets.textfile import shown
+
+LOG_FILE = "sensor_data.mat"
+BEACONS_FILE = "store_beaconsTrue.mat"
+ROBOT_FILE = "store_robotTrue.mat"
+
+_MAX_ANGLE_RAD = 1e6
+_X, _Y = (Column(axis, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres") for axis in "xy")
+_OBSERVATION = (
+    Column("step", 1, MAX_ITERATION, integer=True),
+    id_column("id", required=True),
+    Column("range_m", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
+    Column("bearing_rad", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"),
+    *(Column(f"unused_{k}", -MAX_COORDINATE_M, MAX_COORDINATE_M) for k in (5, 6, 7)),
+)
+_BEACON = (Column("id", 0, MAX_EXACT_INTEGER, integer=True), _X, _Y)
+_POSE = (_X, _Y, Column("phi", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"))
+
+_LOG = logging.getLogger(__name__)
+
+
+class SlsjfSimulation:
+    """Reads ``sensor_data.mat``, or the folder that holds it."""
+
+    name = "slsjf-sim"
+    description = f"the simulation of I-SLSJF as a folder with {LOG_FILE}"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether it is a MATLAB file, or a folder with one named ``sensor_data.mat``."""
+        return is_matlab(_log_file(path))
+
+    def load(self, path: Path) -> ObservationLog:
+        """Read the log: planar; step 1 is iteration 0.
+
+        Some bearings are beyond a full turn, which sine and cosine do not mind.  A few ranges are
+        negative, which the simulated noise made of short ones and no sensor would give: those
+        observations are left out.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, row, field.
+        """
+        file = _log_file(path)
+        table = _table(file, read_matrix(file, "sensor_data"), _OBSERVATION, "row")
+        table = _with_positive_ranges(table)
+        table.columns["step"] -= 1
+        range_m, bearing_rad = table.columns["range_m"], table.columns["bearing_rad"]
+        points = range_m[:, None] * np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
+        log = assemble_log(table, "step", points, table.integers("id"))
+        return replace(log, rows=table.lines[log.rows] - 1)
+
+
+def _log_file(path: Path) -> Path:
+    return path / LOG_FILE if os.path.isdir(path) else path
+
+
+def _table(
+    file: Path, matrix: NDArray[np.float64], columns: tuple[Column, ...], place: str
+) -> Table:
+    """Check a matrix with a row for each observation, beacon or pose."""
+    if matrix.shape[1] != len(columns):
+        raise RelmapError(
+            f"{shown(file)}: {matrix.shape[1]} numbers per {place}, "
+            f"expected {len(columns)}: {', '.join(column.name for column in columns)}"
+        )
+    return checked_table(file, columns, matrix, np.arange(1, len(matrix) + 1), place)
+
+
+def _with_positive_ranges(table: Table) -> Table:
+    kept = table.columns["range_m"] >= 0
+    if not kept.any():
+        table.fail(0, "range_m", "this and every other range is negative, expected metres")
+    _LOG.info("%d of %d observations left out: negative range", np.sum(~kept), len(kept))
+    columns = {name: values[kept] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=table.lines[kept])
+
+
+def is_ground_truth(path: Path) -> bool:
+    """Tell whether a folder holds the true beacons, or a path is named as a truth file is."""
+    return path.name in (BEACONS_FILE, ROBOT_FILE) or os.path.isfile(path / BEACONS_FILE)
+
+
+def read_ground_truth(
+    path: Path | str,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Read the exact truth of the simulation.
+
+    Parameters
+    ----------
+    path : Path or str
+        The folder, or any file in it.
+
+    Returns
+    -------
+    landmark_ids : (m,) int64
+        Of every beacon, those never seen too.
+    positions : (m, 3) float64, map frame, metres
+        z = 0.
+    poses : (k, 4, 4) float64
+        T_map_robot of every iteration, and of the step after the last.
+
+    Raises
+    ------
+    RelmapError
+        Where a file is missing, or holds what the format does not allow.
+    """
+    path = Path(path)
+    folder = path if os.path.isdir(path) else path.parent
+    file = folder / BEACONS_FILE
+    beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns
+    file = folder / ROBOT_FILE
+    robot = _table(file, read_matrix(file, file.stem).T, _POSE, "column").columns
+    positions = np.column_stack([beacons["x"], beacons["y"], np.zeros(len(beacons["x"]))])
+    return beacons["id"].astype(np.int64), positions, _poses(**robot)
+
+
+def _poses(
+    x: NDArray[np.float64], y: NDArray[np.float64], phi: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    poses = np.tile(np.eye(4), (len(x), 1, 1))
+    poses[:, 0, 0], poses[:, 0, 1] = np.cos(phi), -np.sin(phi)
+    poses[:, 1, 0], poses[:, 1, 1] = np.sin(phi), np.cos(phi)
+    poses[:, 0, 3], poses[:, 1, 3] = x, y
+    return poses
