@@ -87,6 +87,23 @@ def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
         assert set(near.tolist()) <= set(index.near(position))
 
 
+def group_of(
+    members: NDArray[np.int64], relative_map: NDArray[np.float64], n: NDArray[np.int64]
+) -> MappedGroup:
+    d = relative_map.shape[1]
+    none = np.empty(0, dtype=np.int64)
+    return MappedGroup(
+        landmarks=members,
+        relative_map=relative_map,
+        n_observations=n,
+        member=np.ones(len(members), dtype=bool),
+        iterations=np.arange(10),
+        fitted=none,
+        R=np.empty((0, d, d)),
+        t=np.empty((0, d)),
+    )
+
+
 def overlapping_groups(
     d: int, seed: int, sigma: float
 ) -> tuple[NDArray[np.float64], list[MappedGroup]]:
@@ -101,7 +118,7 @@ def overlapping_groups(
         n = rng.integers(5, 15, 15)
         noise = sigma * rng.normal(size=(15, d)) / np.sqrt(n)[:, None]
         seen = truth[members] @ random_rotation(d, 3.0, rng).T + rng.normal(0, 9, d) + noise
-        groups.append(MappedGroup(members, seen, n, np.ones(15, dtype=bool), np.arange(10)))
+        groups.append(group_of(members, seen, n))
     return truth, groups
 
 
@@ -117,10 +134,7 @@ def test_refinement_is_exact_without_noise(seed: int, d: int) -> None:
 @pytest.mark.parametrize("d", [2, 3])
 def test_refinement_reaches_batch_least_squares(d: int) -> None:
     truth, groups = overlapping_groups(d, 7, sigma=0.1)
-    same_weight = [
-        MappedGroup(g.landmarks, g.relative_map, np.full(15, 3), g.member, g.iterations)
-        for g in groups
-    ]
+    same_weight = [group_of(g.landmarks, g.relative_map, np.full(15, 3)) for g in groups]
     observations = gathered(same_weight, np.ones(60, dtype=bool), np.arange(60))
     points, pose = observations.points, observations.group
     expected = batch_least_squares(Batch(points, pose, observations.landmark), truth)

@@ -6,6 +6,8 @@ The "Least Squared Fitting" of section III: Arun, Huang and Blostein, "Least-squ
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,7 +113,7 @@ def fit_rigid_each(
 
 def sums_each(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:
     """Sum values (k, ...) that belong to sets at (k,), 0 to n - 1; (n, ...)."""
-    columns = values.reshape(len(values), -1).T
+    columns = values.reshape(len(values), math.prod(values.shape[1:])).T
     sums = [np.bincount(at, weights=column, minlength=n).astype(np.float64) for column in columns]
     return np.stack(sums, axis=-1).reshape(n, *values.shape[1:])
 

@@ -19,7 +19,7 @@ from relmap.core.schedule import GroupingSchedule
 from relmap.core.store import ObservationStore
 
 LONGEST_INTERVAL = 256
-"""Iterations that a chart goes back at most, however long its landmark has found no group."""
+"""Iterations that are kept at most, however long a landmark has found no group."""
 
 FEW = 0.3
 """Share of a chart in the static bin below which the noise may have grown."""
@@ -57,6 +57,12 @@ class MapBuilder:
         """Make room for landmarks 0 to n - 1."""
         self.map.resize(n, self._store.dimension)
         self.dynamics.resize(n)
+
+    def forget(self) -> None:
+        """Drop the observations that no later group needs: the relative maps hold them."""
+        end = self._store.n_iterations
+        oldest = self._schedule.oldest_needed
+        self._store.forget(max(end if oldest is None else oldest, end - LONGEST_INTERVAL))
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""
@@ -121,14 +127,22 @@ class MapBuilder:
         n_unused = unused.sum(axis=1)
         self.map.average_in(piece, landmarks, placed, n_unused.astype(np.float64))
         self._schedule.grouped(landmarks, self._store.n_iterations)
-        member = np.isin(landmarks, members)
         self.groups.append(
-            MappedGroup(landmarks, relative.positions, n_unused, member, common_interval)
+            MappedGroup(
+                landmarks=landmarks,
+                relative_map=relative.positions,
+                n_observations=n_unused,
+                member=np.isin(landmarks, members),
+                iterations=common_interval,
+                fitted=relative.iterations[relative.fixed],
+                R=relative.R[relative.fixed],
+                t=relative.t[relative.fixed],
+            )
         )
 
     def _chart(self, seed: int) -> tuple[PointChart, NDArray[np.float64]]:
         end = self._store.n_iterations
-        begin = max(self._schedule.begin[seed], end - LONGEST_INTERVAL)
+        begin = max(self._schedule.begin[seed], self._store.first_iteration)
         chart = PointChart.around(seed, self._store, begin, end)
         return chart, self._store.gather(chart.landmarks, chart.iterations)
 

@@ -7,7 +7,7 @@ fitted, by least squares, to the relative map, and everything seen in it is aver
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,11 @@ class RelativeMap:
     used : (n, i) bool
         The observations behind it: landmarks by iterations.
     iterations : (i,) int64, ascending
+    R : (i, d, d) float64
+    t : (i, d) float64, metres
+        Where each iteration lies: robot frame to group frame.
+    fixed : (i,) bool
+        Whether an iteration is fixed by what was seen in it.
     """
 
     landmarks: NDArray[np.int64]
@@ -39,6 +44,9 @@ class RelativeMap:
     amplified: NDArray[np.float64]
     used: NDArray[np.bool_]
     iterations: NDArray[np.int64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+    fixed: NDArray[np.bool_]
 
     @property
     def n_used(self) -> NDArray[np.int64]:
@@ -47,13 +55,13 @@ class RelativeMap:
 
     def only(self, rows: NDArray[np.bool_]) -> RelativeMap:
         """Return the map of some of its landmarks."""
-        return RelativeMap(
-            self.landmarks[rows],
-            self.positions[rows],
-            self.variance[rows],
-            self.amplified[rows],
-            self.used[rows],
-            self.iterations,
+        return replace(
+            self,
+            landmarks=self.landmarks[rows],
+            positions=self.positions[rows],
+            variance=self.variance[rows],
+            amplified=self.amplified[rows],
+            used=self.used[rows],
         )
 
 
@@ -80,7 +88,9 @@ def complete(
         Of the landmarks seen in an iteration that the reference fixes.
     """
     seen = np.isfinite(block[:, :, 0])
-    placed, fixed = _placed(np.where(seen[:, :, None], block, 0.0), seen, reference)
+    here = np.where(seen[:, :, None], block, 0.0)
+    R, t, fixed = _placements(here, seen, reference)
+    placed = np.einsum("ide,nie->nid", R, here) + t
     used = seen & fixed
     there = used.any(axis=1)
     used, placed = used[there], placed[there]
@@ -91,7 +101,9 @@ def complete(
     freedoms = block.shape[2] * (n - 1)
     variance = np.divide(squares, freedoms, out=np.full(len(n), np.nan), where=freedoms > 0)
     amplified = _amplified(positions, reference, seen)
-    return RelativeMap(landmarks[there], positions, variance, amplified, used, iterations)
+    return RelativeMap(
+        landmarks[there], positions, variance, amplified, used, iterations, R, t, fixed
+    )
 
 
 def _amplified(
@@ -115,10 +127,10 @@ def _amplified(
     return np.asarray(1 + 1 / weight.sum() + turning)
 
 
-def _placed(
+def _placements(
     here: NDArray[np.float64], seen: NDArray[np.bool_], reference: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Fit each iteration to the reference; return all points there, and which ones it fixes."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Fit each iteration to the reference; return R (i, d, d), t (i, d), and which are fixed."""
     shared = seen & np.isfinite(reference[:, :1])
     there = np.where(np.isfinite(reference), reference, 0.0)
     weight = shared / np.maximum(shared.sum(axis=0), 1)
@@ -131,4 +143,4 @@ def _placed(
     scatter = np.einsum("nid,nie->ide", weighted, centred)
     fixed = scatter_fixes_rotation(scatter)
     R = rotation_of_moment(moment)
-    return np.einsum("ide,nie->nid", R, centred) + there_mean, fixed
+    return R, there_mean - np.einsum("ide,ie->id", R, here_mean), fixed

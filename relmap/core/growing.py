@@ -1,4 +1,4 @@
-"""Arrays that grow at the end in amortised constant time."""
+"""Arrays that grow at the end, and shrink at the front, in amortised constant time."""
 
 from __future__ import annotations
 
@@ -22,30 +22,37 @@ class GrowingArray(Generic[Scalar]):
 
     def __init__(self, dtype: DTypeLike, width: tuple[int, ...] = ()) -> None:
         self._rows: NDArray[Any] = np.empty((16, *width), dtype=dtype)
-        self._n = 0
+        self._begin = 0
+        self._end = 0
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return self._n
+        return self._end - self._begin
 
     @property
     def values(self) -> NDArray[Scalar]:
         """The rows (n, *width), a view that stays valid until the next `extend`."""
-        return self._rows[: self._n]
+        return self._rows[self._begin : self._end]
 
     def extend(self, rows: NDArray[Any]) -> None:
         """Append rows (k, *width)."""
-        needed = self._n + len(rows)
-        if needed > len(self._rows):
-            room = np.empty(
-                (max(needed, 2 * len(self._rows)), *self._rows.shape[1:]), self._rows.dtype
-            )
-            room[: self._n] = self._rows[: self._n]
-            self._rows = room
-        self._rows[self._n : needed] = rows
-        self._n = needed
+        end = self._end + len(rows)
+        if end > len(self._rows):
+            # Room is made at the front first: what was dropped there is no longer needed.
+            n = len(self)
+            enough = n + len(rows) <= len(self._rows) // 2
+            size = len(self._rows) if enough else max(n + len(rows), 2 * len(self._rows))
+            room = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
+            room[:n] = self.values
+            self._rows, self._begin, self._end, end = room, 0, n, n + len(rows)
+        self._rows[self._end : end] = rows
+        self._end = end
+
+    def drop(self, n: int) -> None:
+        """Forget the first `n` rows."""
+        self._begin += n
 
     def resize(self, n: int, fill: Any) -> None:
         """Grow to `n` rows, the new ones filled with `fill`."""
-        if n > self._n:
-            self.extend(np.full((n - self._n, *self._rows.shape[1:]), fill, self._rows.dtype))
+        if n > len(self):
+            self.extend(np.full((n - len(self), *self._rows.shape[1:]), fill, self._rows.dtype))

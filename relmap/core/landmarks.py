@@ -101,6 +101,11 @@ class MappedGroup:
         Whether a landmark was grown into the group: seen in all of its common interval.
     iterations : (i,) int64, ascending
         The common interval.
+    fitted : (k,) int64, ascending
+        All iterations of the chart that the relative map fixes.
+    R : (k, d, d) float64
+    t : (k, d) float64, metres
+        Where these lie: robot frame to group frame.
     """
 
     landmarks: NDArray[np.int64]
@@ -108,3 +113,6 @@ class MappedGroup:
     n_observations: NDArray[np.int64]
     member: NDArray[np.bool_]
     iterations: NDArray[np.int64]
+    fitted: NDArray[np.int64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]

@@ -16,7 +16,7 @@ from relmap.core.globalmap import UNMAPPED
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.merging import Merger
-from relmap.core.pose import poses_from_map
+from relmap.core.pose import trajectory
 from relmap.core.readout import landmark_table, map_pieces, positions_in_largest_piece
 from relmap.core.refinement import gathered, refine
 from relmap.core.registration import (
@@ -27,6 +27,7 @@ from relmap.core.registration import (
 )
 from relmap.core.scan import checked_ids, checked_points
 from relmap.core.schedule import GroupingSchedule
+from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
 
 
@@ -45,9 +46,12 @@ class RelativeMapper(ABC):
         self._registration: Registration | None = None
         self._store = ObservationStore()
         self._identity = Identity()
-        self._schedule = GroupingSchedule(self.config.group_after, self.config.max_missed)
+        self._sightings = Sightings()
+        self._schedule = GroupingSchedule(
+            self.config.group_after, self.config.max_missed, self._sightings
+        )
         self._builder = MapBuilder(self._store, self._schedule, self._relative_map)
-        self._merger = Merger(self._builder.map, self.config.group_after)
+        self._merger = Merger(self._builder.map, self._sightings, self.config.group_after)
 
     @abstractmethod
     def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -140,7 +144,6 @@ class RelativeMapper(ABC):
         iteration = self._store.n_iterations
         self._store.append(landmarks, points_robot)
         self._builder.resize(int(landmarks.max(initial=-1)) + 1)
-        self._merger.see(landmarks, iteration)
         return self._schedule.see(landmarks, iteration)
 
     def _group_due(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
@@ -152,6 +155,7 @@ class RelativeMapper(ABC):
             if self._builder.map.weights[seed] == 0:
                 self._builder.group(seed, self._min_shared())
         self._merger.leave(left)
+        self._builder.forget()
 
     def _group_or_found(self, seed: int) -> None:
         fixes = self._min_shared()
@@ -166,9 +170,14 @@ class RelativeMapper(ABC):
             return
         placed = self._builder.groups[-1].landmarks
         for new, old in self._merger.find(placed, self._builder.noise.sigma_m).tolist():
-            begin = self._merger.merge(new, old)
-            self._store.relabel(new, old, begin)
-            for state in (self._identity, self._schedule, self._builder):
+            self._store.relabel(new, old)
+            for state in (
+                self._identity,
+                self._sightings,
+                self._schedule,
+                self._builder,
+                self._merger,
+            ):
                 state.merge(new, old)
 
     @property
@@ -181,12 +190,12 @@ class RelativeMapper(ABC):
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen, mapped or not."""
-        return landmark_table(self._store, self._builder, self._labels, self._identity.own)
+        return landmark_table(self._sightings, self._builder, self._labels, self._identity.own)
 
     @property
     def pieces(self) -> list[Piece]:
         """The pieces of the map, the largest first; more than one where it fell apart."""
-        return map_pieces(self._store, self._builder.map, self._labels)
+        return map_pieces(self._sightings, self._builder.map, self._labels)
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -199,7 +208,8 @@ class RelativeMapper(ABC):
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         positions = positions_in_largest_piece(self._builder.map)
-        return poses_from_map(self._store, positions, 0, self._store.n_iterations)
+        of = self._identity.of(np.arange(len(positions)))
+        return trajectory(self._store, self._builder.groups, positions, of)
 
     @property
     def noise_m(self) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from relmap.core.globalmap import GlobalMap
 from relmap.core.growing import GrowingArray
 from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
+from relmap.core.sightings import Sightings
 from relmap.core.spatialindex import SpatialIndex
 
 REACH = 0.35
@@ -31,26 +32,18 @@ class Merger:
     Parameters
     ----------
     global_map : GlobalMap
+    sightings : Sightings
     mature : int
         Observations after which a landmark's position is good enough to be compared.
     """
 
-    def __init__(self, global_map: GlobalMap, mature: int) -> None:
+    def __init__(self, global_map: GlobalMap, sightings: Sightings, mature: int) -> None:
         self._map = global_map
+        self._sightings = sightings
         self._mature = mature
         self._index: SpatialIndex | None = None
-        self._first_seen: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._last_seen: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._asked: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._old_near: dict[int, list[int]] = {}
-
-    def see(self, landmarks: NDArray[np.int64], iteration: int) -> None:
-        """Note which landmarks are seen."""
-        size = int(landmarks.max(initial=-1)) + 1
-        self._first_seen.resize(size, iteration)
-        self._last_seen.resize(size, iteration)
-        self._asked.resize(size, False)
-        self._last_seen.values[landmarks] = iteration
 
     def leave(self, landmarks: NDArray[np.int64]) -> None:
         """Note that landmarks have left the view: from now on they may be seen again."""
@@ -72,6 +65,7 @@ class Merger:
         """
         if self._index is None:
             self._index = self._begun(landmarks)
+        self._asked.resize(len(self._map.weights), False)
         weights = self._map.weights[landmarks]
         for new in landmarks[(weights >= self._mature) & ~self._asked.values[landmarks]].tolist():
             self._ask(new)
@@ -80,15 +74,13 @@ class Merger:
             return np.empty((0, 2), dtype=np.int64)
         return self._choose(np.array(pairs[:CANDIDATES]), TOLERANCE * noise_m)
 
-    def merge(self, new: int, old: int) -> int:
-        """Note that a landmark in view is an old one; return when the new one was seen first."""
+    def merge(self, new: int, old: int) -> None:
+        """Note that a landmark in view is an old one."""
         self._old_near.pop(new, None)
-        self._last_seen.values[old] = self._last_seen.values[new]
         self._asked.values[old] = True
         for others in self._old_near.values():
             if old in others:
                 others.remove(old)
-        return int(self._first_seen.values[new])
 
     def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
         positions = self._map.positions[landmarks]
@@ -108,7 +100,7 @@ class Merger:
         near = [
             old
             for old in self._index.near(position)
-            if self._last_seen.values[old] < self._first_seen.values[new]
+            if self._sightings.last[old] < self._sightings.first[new]
             and self._map.pieces[old] == self._map.pieces[new]
             and np.linalg.norm(self._map.positions[old] - position) <= self._index.cell_m
         ]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from relmap.core.building import MapBuilder
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.landmarks import LandmarkTable, Piece, in_space
-from relmap.core.store import ObservationStore
+from relmap.core.sightings import Sightings
 
 
 def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
@@ -17,7 +17,7 @@ def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
 
 
 def landmark_table(
-    store: ObservationStore,
+    sightings: Sightings,
     builder: MapBuilder,
     labels: NDArray[np.int64],
     own: NDArray[np.bool_],
@@ -30,7 +30,6 @@ def landmark_table(
     order = order[own[order]]
     global_map, noise_m = builder.map, builder.noise.sigma_m
     rank = _ranks(global_map)
-    first, last = _intervals(store, len(labels))
     mapped = rank == 0
     status = np.where(mapped, "static", np.where(builder.dynamics.dynamic, "dynamic", "unmapped"))
     averaged = np.where(mapped, np.maximum(global_map.weights, 1), 1)
@@ -38,9 +37,9 @@ def landmark_table(
         landmark=labels[order],
         position=in_space(positions_in_largest_piece(global_map))[order],
         sd=np.where(mapped, noise_m / np.sqrt(averaged), np.nan)[order],
-        observations=np.bincount(store.landmarks, minlength=len(labels))[order],
-        first_iteration=first[order],
-        last_iteration=last[order],
+        observations=sightings.counts[order],
+        first_iteration=sightings.first[order],
+        last_iteration=sightings.last[order],
         level=mapped.astype(np.int64)[order],
         status=status[order],
         piece=rank[order],
@@ -48,17 +47,16 @@ def landmark_table(
 
 
 def map_pieces(
-    store: ObservationStore, global_map: GlobalMap, labels: NDArray[np.int64]
+    sightings: Sightings, global_map: GlobalMap, labels: NDArray[np.int64]
 ) -> list[Piece]:
     """Return the pieces of the map, the largest first."""
     rank = _ranks(global_map)
-    first, last = _intervals(store, len(labels))
     pieces = []
     for piece in range(int(rank.max(initial=UNMAPPED)) + 1):
         members = np.flatnonzero(rank == piece)
         members = members[np.argsort(labels[members])]
         positions = in_space(global_map.positions[members])
-        seen = int(first[members].min()), int(last[members].max())
+        seen = int(sightings.first[members].min()), int(sightings.last[members].max())
         pieces.append(Piece(labels[members], positions, *seen))
     return pieces
 
@@ -74,13 +72,3 @@ def _ranks(global_map: GlobalMap) -> NDArray[np.int64]:
     ranks = np.full(len(mapped), UNMAPPED)
     ranks[mapped] = rank_of[members]
     return ranks
-
-
-def _intervals(store: ObservationStore, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and the last iteration in which each landmark was seen; (n,) each."""
-    landmarks, iterations = store.seen(0, store.n_iterations)
-    last = np.full(n, -1)
-    last[landmarks] = iterations
-    first = np.full(n, -1)
-    first[landmarks[::-1]] = iterations[::-1]
-    return first, last

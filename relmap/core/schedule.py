@@ -6,9 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.growing import GrowingArray
-
-NEVER = -(2**62)
-"""Iteration in which a landmark not seen yet was last seen."""
+from relmap.core.sightings import Sightings
 
 
 class GroupingSchedule:
@@ -20,14 +18,16 @@ class GroupingSchedule:
         A landmark is due each time so many observations wait.
     max_missed : int
         A landmark unseen for more iterations than this has left the view.
+    sightings : Sightings
+        Kept up to date here.
     """
 
-    def __init__(self, group_after: int, max_missed: int) -> None:
+    def __init__(self, group_after: int, max_missed: int, sightings: Sightings) -> None:
         self._group_after = group_after
         self._max_missed = max_missed
         self._begin: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._waiting: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._last_seen: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._sightings = sightings
         self._in_view = np.empty(0, dtype=np.int64)
 
     @property
@@ -45,18 +45,23 @@ class GroupingSchedule:
         """Landmarks in view, those missed for a moment included."""
         return self._in_view
 
+    @property
+    def oldest_needed(self) -> int | None:
+        """First iteration that a landmark in view has waiting; None where nothing is in view."""
+        return int(self.begin[self._in_view].min()) if len(self._in_view) else None
+
     def see(self, landmarks: NDArray[np.int64], iteration: int) -> NDArray[np.int64]:
         """Note who is seen in this iteration; return who has left the view with it."""
         size = int(landmarks.max(initial=-1)) + 1
         self._begin.resize(size, 0)
         self._waiting.resize(size, 0)
-        self._last_seen.resize(size, NEVER)
-        last_seen = self._last_seen.values
+        self._sightings.resize(size, iteration)
+        last_seen = self._sightings.last
         arrived = landmarks[iteration - last_seen[landmarks] > self._max_missed + 1]
         self._begin.values[arrived] = iteration
         self._waiting.values[arrived] = 0
         self._waiting.values[landmarks] += 1
-        last_seen[landmarks] = iteration
+        self._sightings.see(landmarks, iteration)
         stays = iteration - last_seen[self._in_view] <= self._max_missed
         left = self._in_view[~stays]
         self._in_view = np.concatenate([self._in_view[stays], arrived])
@@ -77,8 +82,7 @@ class GroupingSchedule:
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""
-        for column in (self._begin.values, self._waiting.values, self._last_seen.values):
-            column[old] = column[new]
+        self.begin[old], self.waiting[old] = self.begin[new], self.waiting[new]
         self._in_view[self._in_view == new] = old
 
     def grouped(self, landmarks: NDArray[np.int64], end: int) -> None:

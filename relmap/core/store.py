@@ -23,6 +23,7 @@ class ObservationStore:
         self._offsets: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._slots: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._first_iteration = 0
 
     @property
     def dimension(self) -> int:
@@ -31,23 +32,23 @@ class ObservationStore:
 
     @property
     def n_iterations(self) -> int:
-        """Number of iterations stored, empty ones included."""
-        return len(self._offsets) - 1
+        """Number of iterations seen, empty and forgotten ones included."""
+        return self._first_iteration + len(self._offsets) - 1
+
+    @property
+    def first_iteration(self) -> int:
+        """The first iteration that is not forgotten."""
+        return self._first_iteration
 
     @property
     def points_robot(self) -> NDArray[np.float64]:
-        """All observations (n, d), robot frame, metres, in order of iteration."""
+        """Observations kept (n, d), robot frame, metres, in order of iteration."""
         return self._points.values
 
     @property
     def landmarks(self) -> NDArray[np.int64]:
         """Landmark of each observation (n,)."""
         return self._landmarks.values
-
-    @property
-    def offsets(self) -> NDArray[np.int64]:
-        """Iteration i holds the observations ``offsets[i]:offsets[i + 1]``; (n_iterations + 1,)."""
-        return self._offsets.values
 
     def append(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
         """Store one iteration's observations: landmarks (n,), points (n, d)."""
@@ -56,20 +57,39 @@ class ObservationStore:
         if len(landmarks):
             self._points.extend(points_robot)
         self._landmarks.extend(landmarks)
-        self._offsets.extend(np.array([len(self._landmarks)]))
+        self._offsets.extend(self._offsets.values[-1:] + len(landmarks))
         if len(landmarks):
             self._slots.resize(int(landmarks.max()) + 1, -1)
 
-    def relabel(self, old: int, new: int, begin: int) -> None:
-        """Give the observations of a landmark, which begin in iteration `begin`, to another."""
-        rows = self.landmarks[self.offsets[begin] :]
-        rows[rows == old] = new
+    def forget(self, before: int) -> None:
+        """Drop the iterations before one that no later step needs."""
+        n = before - self._first_iteration
+        if n > 0:
+            rows = int(self._offsets.values[n] - self._offsets.values[0])
+            self._points.drop(rows)
+            self._landmarks.drop(rows)
+            self._offsets.drop(n)
+            self._first_iteration = before
+
+    def relabel(self, old: int, new: int) -> None:
+        """Give the observations kept of a landmark to another."""
+        self.landmarks[self.landmarks == old] = new
 
     def seen(self, begin: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return landmark and iteration of every observation in iterations `begin` to `end`."""
-        offsets = self.offsets[begin : end + 1]
-        iterations = np.repeat(np.arange(begin, end), np.diff(offsets))
-        return self.landmarks[offsets[0] : offsets[-1]], iterations
+        rows, sizes = self._rows(begin, end)
+        return self.landmarks[rows], np.repeat(np.arange(begin, end), sizes)
+
+    def points(self, begin: int, end: int) -> NDArray[np.float64]:
+        """Return every observation (k, d) in iterations `begin` to `end`, ordered as in `seen`."""
+        return self.points_robot[self._rows(begin, end)[0]]
+
+    def _rows(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of some iterations, and how many each has."""
+        first = begin - self._first_iteration
+        offsets = self._offsets.values[first : end - self._first_iteration + 1]
+        base = self._offsets.values[0]
+        return slice(int(offsets[0] - base), int(offsets[-1] - base)), np.diff(offsets)
 
     def gather(
         self, members: NDArray[np.int64], iterations: NDArray[np.int64]
@@ -90,15 +110,14 @@ class ObservationStore:
         block = np.full((len(members), len(iterations), self.dimension), np.nan)
         if block.size == 0:
             return block
-        begin = iterations[0]
-        landmarks, seen_at = self.seen(begin, iterations[-1] + 1)
-        column_of = np.full(iterations[-1] + 1 - begin, -1)
+        begin, end = int(iterations[0]), int(iterations[-1]) + 1
+        landmarks, seen_at = self.seen(begin, end)
+        column_of = np.full(end - begin, -1)
         column_of[iterations - begin] = np.arange(len(iterations))
         slots = self._slots.values
         slots[members] = np.arange(len(members))
         row, column = slots[landmarks], column_of[seen_at - begin]
         slots[members] = -1
         wanted = (row >= 0) & (column >= 0)
-        first = self.offsets[begin]
-        block[row[wanted], column[wanted]] = self.points_robot[first : first + len(row)][wanted]
+        block[row[wanted], column[wanted]] = self.points(begin, end)[wanted]
         return block
