@@ -112,7 +112,7 @@ def test_figure_of_two_stretches(tmp_path: Path) -> None:
         part = log.between(begin, end)
         panels.append(compare_with_reference(mapped(part), part))
     assert panels[0].title.splitlines()[0] == "scans 0 to 24"
-    assert panels[1].title.endswith("over 7 trees; 7 of the 7 seen 10 times are mapped")
+    assert panels[1].title.endswith("over 7 trees\n7 of the 7 trees seen 10 times are mapped")
     assert panels[0].often.all()
     assert [len(panel.trees_map) for panel in panels] == [8, 8]
     figure = plot_panels(panels)

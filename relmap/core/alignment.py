@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-
-DEGENERATE = 1e-6
-"""Points whose spread across their line is below this share of that along it fix no rotation."""
+from relmap.core.kernels import DEGENERATE
 
 
 def fit_rigid(

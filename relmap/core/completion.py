@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import rotation_of_moment, scatter_fixes_rotation
+from relmap.core.kernels import place_iterations
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,18 +88,12 @@ def complete(
         Of the landmarks seen in an iteration that the reference fixes.
     """
     seen = np.isfinite(block[:, :, 0])
-    here = np.where(seen[:, :, None], block, 0.0)
-    R, t, fixed = _placements(here, seen, reference)
-    placed = np.einsum("ide,nie->nid", R, here) + t
+    R, t, fixed, positions, squares = place_iterations(block, reference)
     used = seen & fixed
     there = used.any(axis=1)
-    used, placed = used[there], placed[there]
-    n = used.sum(axis=1)
-    positions = np.einsum("nid,ni->nd", placed, used) / n[:, None]
-    deviation = (placed - positions[:, None]) * used[:, :, None]
-    squares = np.einsum("nid,nid->n", deviation, deviation)
-    freedoms = block.shape[2] * (n - 1)
-    variance = np.divide(squares, freedoms, out=np.full(len(n), np.nan), where=freedoms > 0)
+    used, positions, squares = used[there], positions[there], squares[there]
+    freedoms = block.shape[2] * (used.sum(axis=1) - 1)
+    variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
     amplified = _amplified(positions, reference, seen)
     return RelativeMap(
         landmarks[there], positions, variance, amplified, used, iterations, R, t, fixed
@@ -125,22 +119,3 @@ def _amplified(
         along = np.einsum("nd,de,ne->n", reach, spread, reach)
         turning = (np.trace(spread) * square - along) / d
     return np.asarray(1 + 1 / weight.sum() + turning)
-
-
-def _placements(
-    here: NDArray[np.float64], seen: NDArray[np.bool_], reference: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Fit each iteration to the reference; return R (i, d, d), t (i, d), and which are fixed."""
-    shared = seen & np.isfinite(reference[:, :1])
-    there = np.where(np.isfinite(reference), reference, 0.0)
-    weight = shared / np.maximum(shared.sum(axis=0), 1)
-    here_mean = np.einsum("ni,nid->id", weight, here)
-    there_mean = weight.T @ there
-    centred = here - here_mean
-    weighted = centred * weight[:, :, None]
-    moment = np.einsum("nid,ne->ide", weighted, there)
-    moment -= weighted.sum(axis=0)[:, :, None] * there_mean[:, None]
-    scatter = np.einsum("nid,nie->ide", weighted, centred)
-    fixed = scatter_fixes_rotation(scatter)
-    R = rotation_of_moment(moment)
-    return R, there_mean - np.einsum("ide,ie->id", R, here_mean), fixed

@@ -113,18 +113,20 @@ class Binning:
         self._n_comparisons = 0
 
     def sort(self, priority: NDArray[np.float64]) -> Bins:
-        """Sort all landmarks into bins, or as many as n log2 n comparisons allow.
+        """Sort landmarks into bins, or as many as n log2 n comparisons allow.
+
+        Those seen too seldom to be compared are in none.
 
         Parameters
         ----------
         priority : (n,) float64
             Bins are begun with the landmarks of the highest priority.
         """
-        n = len(self._block)
+        rest = self._seen.sum(axis=1) >= FEWEST
+        n = int(rest.sum())
         allowed = n * np.log2(max(n, 2))
-        queue = [(-p, row) for row, p in enumerate(priority.tolist())]
+        queue = [(-priority[row], row) for row in np.flatnonzero(rest).tolist()]
         heapq.heapify(queue)
-        rest = np.ones(n, dtype=bool)
         bins: list[NDArray[np.int64]] = []
         while queue and self._n_comparisons < allowed:
             _, pivot = heapq.heappop(queue)

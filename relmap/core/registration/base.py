@@ -65,17 +65,3 @@ def nearest(
     """
     distance, index = tree.query(points, k=_RANKS[rank])
     return np.asarray(distance), np.asarray(index)
-
-
-def nearest_claim(
-    wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int
-) -> NDArray[np.bool_]:
-    """Of rows that want the same one of `n` targets, tell the nearest; the first of equals.
-
-    Rows at infinite distance want nothing.
-    """
-    order = np.argsort(distance, kind="stable")[::-1]
-    winner = np.full(n + 1, -1)
-    winner[wanted[order]] = order
-    won = winner[wanted] == np.arange(len(wanted))
-    return np.asarray(won & np.isfinite(distance))

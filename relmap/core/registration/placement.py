@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid
-from relmap.core.registration.base import middle
+from relmap.core.kernels import trimmed_fit_rows
 
 TRIMMING_ROUNDS = 8
 
@@ -57,19 +56,8 @@ def trimmed_fit(
     Placement or None
         None where fewer than d matches are left.
     """
-    kept = np.ones(len(source), dtype=bool)
-    for _ in range(TRIMMING_ROUNDS):
-        if kept.sum() < source.shape[1]:
-            return None
-        R, t = fit_rigid(source[kept], target[kept])
-        difference = source @ R.T + t - target
-        error = np.sqrt(np.einsum("nd,nd->n", difference, difference))
-        limit = max(tolerance_m, 1.5 * middle(error[kept]))
-        near = error <= limit
-        if limit == tolerance_m and (near == kept).all():
-            break
-        kept = near
-    return Placement(R, t, int(np.sum(error <= tolerance_m)))
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, TRIMMING_ROUNDS)
+    return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 
 
 def agreeing_pairs(

@@ -43,7 +43,7 @@ class LiveTracks:
     def begun(cls, landmarks: NDArray[np.int64], points: NDArray[np.float64]) -> LiveTracks:
         """Return tracks seen for the first time."""
         zeros = np.zeros(len(landmarks), dtype=np.int64)
-        return cls(landmarks, points, points, zeros, zeros + 1, zeros)
+        return cls(landmarks, points, points.copy(), zeros, zeros + 1, zeros.copy())
 
     def __len__(self) -> int:
         """Return the number of tracks."""
