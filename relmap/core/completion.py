@@ -24,7 +24,8 @@ class RelativeMap:
     landmarks : (n,) int64
     positions : (n, d) float64, group frame, metres
     variance : (n,) float64, square metres
-        Of a coordinate, over the iterations averaged; NaN where there is only one.
+        Of a coordinate, over the iterations averaged but the one farthest off; NaN where fewer
+        than three are averaged.
     amplified : (n,) float64
         What that variance is, in units of the noise's, for a landmark at rest: 1 and what the fit
         of an iteration to the reference adds, the more the farther the landmark is from it.
@@ -92,7 +93,7 @@ def complete(
     used = seen & fixed
     there = used.any(axis=1)
     used, positions, squares = used[there], positions[there], squares[there]
-    freedoms = block.shape[2] * (used.sum(axis=1) - 1)
+    freedoms = block.shape[2] * (used.sum(axis=1) - 2)
     variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
     amplified = _amplified(positions, reference, seen)
     return RelativeMap(

@@ -21,6 +21,8 @@ LIMIT = 4.0
 """Variance that still counts as noise, in units of what the noise alone would give."""
 FEWEST = 4
 """Common observations without which nothing is said."""
+STRIKES = 2
+"""Groups in a row that must see a landmark move: real observations have outliers."""
 STILL = 60
 """Iterations at rest after which a landmark that moved is static again."""
 EXACT = 1e-9
@@ -55,6 +57,7 @@ class DynamicStatus:
 
     def __init__(self) -> None:
         self._dynamic: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self._strikes: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._last_moved: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     @property
@@ -65,27 +68,31 @@ class DynamicStatus:
     def resize(self, n: int) -> None:
         """Make room for landmarks 0 to n - 1."""
         self._dynamic.resize(n, False)
+        self._strikes.resize(n, 0)
         self._last_moved.resize(n, 0)
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark be as dynamic as the new one that turned out to be it."""
         self.dynamic[old] = self.dynamic[new]
+        self._strikes.values[old] = self._strikes.values[new]
         self._last_moved.values[old] = self._last_moved.values[new]
 
     def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
         """Take note of who moves in a relative map; return who was seen often enough, and rests.
 
-        A landmark whose place deviates more than the noise explains is dynamic; one that has been
-        at rest for long is static again.
+        A landmark whose place deviates more than the noise explains, in group after group, is
+        dynamic; one that has been at rest for long is static again.
         """
         landmarks, end = relative.landmarks, int(relative.iterations[-1])
         tested = relative.n_used >= FEWEST
         moves = tested & ~rests(relative, noise_m)
-        self.dynamic[landmarks[moves]] = True
+        self._strikes.values[landmarks[tested & ~moves]] = 0
+        self._strikes.values[landmarks[moves]] += 1
+        self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
         self._last_moved.values[landmarks[moves]] = end
         settled = tested & ~moves & (end - self._last_moved.values[landmarks] > STILL)
         self.dynamic[landmarks[settled]] = False
-        return np.asarray(tested & ~self.dynamic[landmarks])
+        return np.asarray(tested & ~moves & ~self.dynamic[landmarks])
 
 
 def rests(relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:

@@ -119,7 +119,10 @@ def nearest_claim(
 
 @compiled
 def _mean_places(placed: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the mean (n, d) of places (n, i, d) and their squared deviations (n,), without NaN."""
+    """Return the mean (n, d) of places (n, i, d) and their squared deviations (n,), without NaN.
+
+    The largest deviation is left out: one bad observation is not a motion.
+    """
     n, m, d = placed.shape
     mean, squares = np.full((n, d), np.nan), np.full(n, np.nan)
     for k in range(n):
@@ -130,11 +133,13 @@ def _mean_places(placed: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
                 total += placed[k, i]
         if count:
             mean[k] = total / count
-            squares[k] = 0.0
+            squares[k], largest = 0.0, 0.0
             for i in range(m):
                 if not np.isnan(placed[k, i, 0]):
-                    for a in range(d):
-                        squares[k] += (placed[k, i, a] - mean[k, a]) ** 2
+                    square = np.sum((placed[k, i] - mean[k]) ** 2)
+                    squares[k] += square
+                    largest = max(largest, square)
+            squares[k] -= largest
     return mean, squares
 
 
@@ -151,7 +156,8 @@ def place_iterations(
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
     Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then the mean place (n, d)
-    and the sum of squared deviations from it (n,) of each landmark, NaN where it was never placed.
+    and the sum of squared deviations from it (n,), but for the largest, of each landmark; NaN
+    where it was never placed.
     """
     n, m, d = block.shape
     R, t = np.zeros((m, d, d)), np.zeros((m, d))

@@ -31,6 +31,10 @@ SEARCH = 30
 """Tracks that the wider search looks at, those seen longest."""
 NEIGHBOURS = 8
 """Candidates of each of them."""
+FAMILIAR = 5
+"""Sightings of a landmark that two of them, alone in a planar scan, must have to fix it."""
+NEARBY = 0.2
+"""How far these two may have moved, in spacings."""
 REACH = 1.6
 """How far the wider search goes, in spacings."""
 CONTINUITY = 0.15
@@ -123,24 +127,36 @@ class Constellation:
         """Find the placement of the tracks' frame in the scan's on which most matches agree."""
         latest = np.flatnonzero(tracks.missed == tracks.missed.min())
         possible = min(len(latest), scan.n)
-        if possible < ENOUGH:
+        if possible < 2:
             return None
         sample = latest[:: -(-len(latest) // SAMPLE)]
         distances, targets = nearest(scan, tracks.expected[sample], 2)
-        self._spacing_m += SLOWNESS * (middle(distances[:, 1]) - self._spacing_m)
+        spacing_m = middle(distances[:, 1])
+        if np.isfinite(self._spacing_m):
+            spacing_m = self._spacing_m + SLOWNESS * (spacing_m - self._spacing_m)
+        self._spacing_m = spacing_m
         distance, target = distances[:, 0], targets[:, 0]
         distance[distance > self._spacing_m] = np.inf
         claimed = nearest_claim(target, distance, scan.n)
-        points = np.asarray(scan.data)
-        placement = trimmed_fit(
-            tracks.expected[sample[claimed]], points[target[claimed]], self._tolerance_m
-        )
+        rows, points = sample[claimed], np.asarray(scan.data)
+        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._tolerance_m)
         enough = ENOUGH + int(tracks.missed.min())
-        if placement is not None and placement.n_agreeing >= max(enough, SHARE * claimed.sum()):
-            return placement
-        placement = self._search(tracks, scan)
-        needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
-        return placement if placement is not None and placement.n_agreeing >= needed else None
+        if near is not None and (
+            near.n_agreeing >= max(enough, SHARE * len(rows))
+            or (near.n_agreeing == len(rows) == scan.m == 2)
+            and self._is_familiar_pair(tracks, rows, distance[claimed])
+        ):
+            return near
+        far = self._search(tracks, scan)
+        enough = max(enough, min(PLENTY, SCARCE_SHARE * possible))
+        return far if far is not None and far.n_agreeing >= enough else None
+
+    def _is_familiar_pair(
+        self, tracks: LiveTracks, rows: NDArray[np.int64], distance: NDArray[np.float64]
+    ) -> bool:
+        """Tell whether two matches in the plane will do: well known, just seen, hardly moved."""
+        known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
+        return bool(known and distance.max() <= NEARBY * self._spacing_m)
 
     def _placement_of_unknown_noise(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
         """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
