@@ -141,15 +141,15 @@ class Constellation:
         rows, points = sample[claimed], np.asarray(scan.data)
         near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._tolerance_m)
         enough = ENOUGH + int(tracks.missed.min())
-        if near is not None and (
-            near.n_agreeing >= max(enough, SHARE * len(rows))
-            or (near.n_agreeing == len(rows) == scan.m == 2)
-            and self._is_familiar_pair(tracks, rows, distance[claimed])
-        ):
-            return near
+        if near is not None:
+            if near.n_agreeing >= max(enough, SHARE * len(rows)):
+                return near
+            alone = near.n_agreeing == len(rows) == scan.m == 2
+            if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
+                return near
         far = self._search(tracks, scan)
-        enough = max(enough, min(PLENTY, SCARCE_SHARE * possible))
-        return far if far is not None and far.n_agreeing >= enough else None
+        needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
+        return far if far is not None and far.n_agreeing >= needed else None
 
     def _is_familiar_pair(
         self, tracks: LiveTracks, rows: NDArray[np.int64], distance: NDArray[np.float64]
