@@ -21,6 +21,8 @@ from relmap.core.store import ObservationStore
 LONGEST_INTERVAL = 256
 """Iterations that are kept at most, however long a landmark has found no group."""
 
+AMPLE = 1.25
+"""A relative map is fitted to again where it came to hold so many times its members."""
 FEW = 0.3
 """Share of a chart in the static bin below which the noise may have grown."""
 
@@ -55,6 +57,8 @@ class MapBuilder:
 
     def resize(self, n: int) -> None:
         """Make room for landmarks 0 to n - 1."""
+        if n <= len(self.map.weights):
+            return
         self.map.resize(n, self._store.dimension)
         self.dynamics.resize(n)
 
@@ -194,7 +198,7 @@ class MapBuilder:
         relative = complete(chart.landmarks, chart.iterations, block, reference)
         steady = (relative.n_used >= FEWEST) & rests(relative, self.noise.sigma_m)
         steady &= ~self.dynamics.dynamic[relative.landmarks]
-        if steady.sum() > len(group.rows):
+        if steady.sum() > AMPLE * len(group.rows):
             rows = np.flatnonzero(np.isin(chart.landmarks, relative.landmarks))[steady]
             reference = np.full_like(reference, np.nan)
             reference[rows] = relative.positions[steady]

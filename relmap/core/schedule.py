@@ -53,9 +53,10 @@ class GroupingSchedule:
     def see(self, landmarks: NDArray[np.int64], iteration: int) -> NDArray[np.int64]:
         """Note who is seen in this iteration; return who has left the view with it."""
         size = int(landmarks.max(initial=-1)) + 1
-        self._begin.resize(size, 0)
-        self._waiting.resize(size, 0)
-        self._sightings.resize(size, iteration)
+        if size > len(self._begin):
+            self._begin.resize(size, 0)
+            self._waiting.resize(size, 0)
+            self._sightings.resize(size, iteration)
         last_seen = self._sightings.last
         arrived = landmarks[iteration - last_seen[landmarks] > self._max_missed + 1]
         self._begin.values[arrived] = iteration
