@@ -83,7 +83,7 @@ class MapBuilder:
             How few mapped landmarks fix a group.
         """
         chart, block = self._chart(seed)
-        for piece in self.map.pieces_of(chart.landmarks):
+        for piece in self.map.pieces_of(chart.landmarks, fixes):
             weights = self.map.weights_in(piece, chart.landmarks)
             averaged = self._average(chart, block, weights, fixes + 1, fixes)
             if averaged is None:
@@ -217,6 +217,9 @@ class MapBuilder:
         if bins is None or len(bins.static) < FEW * len(block):
             guess_m = guess_noise(block)
             if bins is None or guess_m > noise_m:
-                bins = Binning(block, guess_m).sort(weights)
+                guessed = Binning(block, guess_m).sort(weights)
+                if bins is None or len(guessed.static) > len(bins.static):
+                    self.noise.restart()
+                    bins = guessed
         static = bins.static
         return static[~self.dynamics.dynamic[chart.landmarks[static]]]

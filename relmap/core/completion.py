@@ -89,34 +89,12 @@ def complete(
         Of the landmarks seen in an iteration that the reference fixes.
     """
     seen = np.isfinite(block[:, :, 0])
-    R, t, fixed, positions, squares = place_iterations(block, reference)
+    R, t, fixed, positions, squares, amplified = place_iterations(block, reference)
     used = seen & fixed
     there = used.any(axis=1)
     used, positions, squares = used[there], positions[there], squares[there]
     freedoms = block.shape[2] * (used.sum(axis=1) - 2)
     variance = np.divide(squares, freedoms, out=np.full(len(used), np.nan), where=freedoms > 0)
-    amplified = _amplified(positions, reference, seen)
     return RelativeMap(
-        landmarks[there], positions, variance, amplified, used, iterations, R, t, fixed
+        landmarks[there], positions, variance, amplified[there], used, iterations, R, t, fixed
     )
-
-
-def _amplified(
-    positions: NDArray[np.float64], reference: NDArray[np.float64], seen: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Return 1 and the variance that a least-squares fit to the reference adds (Arun 1987)."""
-    members = np.isfinite(reference[:, 0])
-    points, weight = reference[members], seen[members].mean(axis=1)
-    centre = weight @ points / weight.sum()
-    apart = points - centre
-    scatter = (apart * weight[:, None]).T @ apart
-    reach = positions - centre
-    square = np.einsum("nd,nd->n", reach, reach)
-    d = positions.shape[1]
-    if d == 2:
-        turning = square / np.trace(scatter) / d
-    else:
-        spread = np.linalg.inv(np.trace(scatter) * np.eye(d) - scatter)
-        along = np.einsum("nd,de,ne->n", reach, spread, reach)
-        turning = (np.trace(spread) * square - along) / d
-    return np.asarray(1 + 1 / weight.sum() + turning)

@@ -24,7 +24,7 @@ FEWEST = 4
 STRIKES = 2
 """Groups in a row that must see a landmark move: real observations have outliers."""
 STILL = 60
-"""Iterations at rest after which a landmark that moved is static again."""
+"""Iterations at rest, and in view, after which a landmark that moved is static again."""
 EXACT = 1e-9
 """Deviation, in units of the landmarks' distances, that is taken for rounding."""
 SAMPLE = 12
@@ -58,7 +58,8 @@ class DynamicStatus:
     def __init__(self) -> None:
         self._dynamic: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._strikes: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._last_moved: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._moved_until: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._tested_until: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     @property
     def dynamic(self) -> NDArray[np.bool_]:
@@ -69,13 +70,15 @@ class DynamicStatus:
         """Make room for landmarks 0 to n - 1."""
         self._dynamic.resize(n, False)
         self._strikes.resize(n, 0)
-        self._last_moved.resize(n, 0)
+        self._moved_until.resize(n, 0)
+        self._tested_until.resize(n, 0)
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark be as dynamic as the new one that turned out to be it."""
         self.dynamic[old] = self.dynamic[new]
         self._strikes.values[old] = self._strikes.values[new]
-        self._last_moved.values[old] = self._last_moved.values[new]
+        self._moved_until.values[old] = self._moved_until.values[new]
+        self._tested_until.values[old] = self._tested_until.values[new]
 
     def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
         """Take note of who moves in a relative map; return who was seen often enough, and rests.
@@ -83,14 +86,18 @@ class DynamicStatus:
         A landmark whose place deviates more than the noise explains, in group after group, is
         dynamic; one that has been at rest for long is static again.
         """
-        landmarks, end = relative.landmarks, int(relative.iterations[-1])
+        landmarks = relative.landmarks
         tested = relative.n_used >= FEWEST
         moves = tested & ~rests(relative, noise_m)
         self._strikes.values[landmarks[tested & ~moves]] = 0
         self._strikes.values[landmarks[moves]] += 1
         self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
-        self._last_moved.values[landmarks[moves]] = end
-        settled = tested & ~moves & (end - self._last_moved.values[landmarks] > STILL)
+        begin, end = int(relative.iterations[0]), int(relative.iterations[-1])
+        out_of_sight = np.maximum(begin - self._tested_until.values[landmarks], 0)
+        self._tested_until.values[landmarks] = end
+        self._moved_until.values[landmarks] += out_of_sight
+        self._moved_until.values[landmarks[moves]] = end
+        settled = tested & ~moves & (end - self._moved_until.values[landmarks] > STILL)
         self.dynamic[landmarks[settled]] = False
         return np.asarray(tested & ~moves & ~self.dynamic[landmarks])
 
@@ -162,7 +169,9 @@ class Binning:
         place = np.nanmean(self._block[near], axis=1) if len(near) > 2 else None
         first = 0 if place is None else int(np.argmax(_spread(place, place.mean(axis=0))))
         second = 1 if place is None else int(np.argmax(_spread(place, place[first])))
-        votes = 1 + self._agree(near[first], near) + self._agree(near[second], near)
+        by_first, by_second = self._agree(near[first], near), self._agree(near[second], near)
+        by_first[first] = by_second[second] = False  # nobody votes for itself
+        votes = 1 + by_first + by_second
         return np.concatenate([alone, near[votes >= 2]])
 
     def _agree(self, row: int, others: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -48,11 +48,10 @@ class GlobalMap:
         self._weights.resize(n, 0.0)
         self._pieces.resize(n, UNMAPPED)
 
-    def pieces_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the pieces that the landmarks belong to, that of the most first."""
+    def pieces_of(self, landmarks: NDArray[np.int64], at_least: int = 1) -> NDArray[np.int64]:
+        """Return the pieces that so many of the landmarks belong to, the oldest first."""
         pieces, counts = np.unique(self.pieces[landmarks], return_counts=True)
-        mapped = pieces != UNMAPPED
-        return np.asarray(pieces[mapped][np.argsort(-counts[mapped], kind="stable")])
+        return np.asarray(pieces[(pieces != UNMAPPED) & (counts >= at_least)])
 
     def weights_in(self, piece: int, landmarks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the weights (g,) of landmarks, 0 for those outside the piece."""

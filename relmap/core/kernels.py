@@ -26,10 +26,10 @@ def compiled(function: Function) -> Function:
 @compiled
 def fit_rows(
     source: NDArray[np.float64], target: NDArray[np.float64], rows: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool]:
-    """Fit some rows of matched points (n, d) rigidly; return R, t, and whether they fix R.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool, NDArray[np.float64]]:
+    """Fit some rows of matched points (n, d) rigidly, as `fit_rigid` does with equal weights.
 
-    As `relmap.core.alignment.fit_rigid` does, with equal weights.
+    Returns R, t, whether the rows fix R, and the scatter (d, d) of their source points.
     """
     n, d = source.shape
     source_mean, target_mean, count = np.zeros(d), np.zeros(d), 0
@@ -58,7 +58,7 @@ def fit_rows(
         for a in range(d):
             Vt[d - 1, a] = -Vt[d - 1, a]
         R = np.dot(U, Vt).T
-    return R, target_mean - np.dot(R, source_mean), fixed
+    return R, target_mean - np.dot(R, source_mean), fixed, scatter
 
 
 @compiled
@@ -78,7 +78,7 @@ def trimmed_fit_rows(
     for _ in range(rounds):
         if kept.sum() < d:
             return R, t, -1
-        R, t, _ = fit_rows(source, target, kept)
+        R, t, _, _ = fit_rows(source, target, kept)
         for i in range(n):
             square = 0.0
             for a in range(d):
@@ -126,21 +126,56 @@ def _mean_places(placed: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDAr
     n, m, d = placed.shape
     mean, squares = np.full((n, d), np.nan), np.full(n, np.nan)
     for k in range(n):
-        total, count = np.zeros(d), 0
+        count = 0
+        mean[k] = 0.0
         for i in range(m):
             if not np.isnan(placed[k, i, 0]):
                 count += 1
-                total += placed[k, i]
+                for a in range(d):
+                    mean[k, a] += placed[k, i, a]
+        mean[k] /= count if count else np.nan
         if count:
-            mean[k] = total / count
             squares[k], largest = 0.0, 0.0
             for i in range(m):
                 if not np.isnan(placed[k, i, 0]):
-                    square = np.sum((placed[k, i] - mean[k]) ** 2)
+                    square = 0.0
+                    for a in range(d):
+                        square += (placed[k, i, a] - mean[k, a]) ** 2
                     squares[k] += square
                     largest = max(largest, square)
             squares[k] -= largest
     return mean, squares
+
+
+@compiled
+def _amplification(
+    points: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    scatter: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the variance (n,) of points placed by a fit to some rows, in units of the noise's."""
+    n, d = points.shape
+    centre, count = np.zeros(d), rows.sum()
+    for i in range(n):
+        if rows[i]:
+            for a in range(d):
+                centre[a] += points[i, a] / count
+    trace = np.trace(scatter)
+    spread = np.eye(d) / trace  # in the plane, a turn moves a point at its distance, any way round
+    share = 1 / d
+    if d == 3:
+        spread = np.linalg.inv(trace * np.eye(3) - scatter)
+    amplified = np.zeros(n)
+    for i in range(n):
+        square, along = 0.0, 0.0
+        for a in range(d):
+            reach = points[i, a] - centre[a]
+            square += reach * reach
+            for b in range(d):
+                along += reach * spread[a, b] * (points[i, b] - centre[b])
+        turning = along if d == 2 else np.trace(spread) * square - along
+        amplified[i] = 1 + 1 / count + share * turning
+    return amplified
 
 
 @compiled
@@ -152,26 +187,33 @@ def place_iterations(
     NDArray[np.bool_],
     NDArray[np.float64],
     NDArray[np.float64],
+    NDArray[np.float64],
 ]:
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
-    Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then the mean place (n, d)
-    and the sum of squared deviations from it (n,), but for the largest, of each landmark; NaN
-    where it was never placed.
+    Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then for each landmark (n,),
+    NaN where it was never placed, the mean place (n, d), the sum of squared deviations from it but
+    for the largest, and what its variance is in units of the noise's.
     """
     n, m, d = block.shape
     R, t = np.zeros((m, d, d)), np.zeros((m, d))
     fixed = np.zeros(m, dtype=np.bool_)
     placed = np.full((n, m, d), np.nan)
+    amplified, counts = np.zeros(n), np.zeros(n)
     for i in range(m):
         here = np.ascontiguousarray(block[:, i, :])
-        rows = ~(np.isnan(here[:, 0]) | np.isnan(reference[:, 0]))
-        R[i], t[i], fixed[i] = fit_rows(here, reference, rows)
+        seen = ~np.isnan(here[:, 0])
+        rows = seen & ~np.isnan(reference[:, 0])
+        R[i], t[i], fixed[i], scatter = fit_rows(here, reference, rows)
         if fixed[i]:
+            amplification = _amplification(here, rows, scatter)
             for k in range(n):
-                for a in range(d):
-                    placed[k, i, a] = t[i, a]
-                    for b in range(d):
-                        placed[k, i, a] += R[i, a, b] * here[k, b]
+                if seen[k]:
+                    for a in range(d):
+                        placed[k, i, a] = t[i, a]
+                        for b in range(d):
+                            placed[k, i, a] += R[i, a, b] * here[k, b]
+                    amplified[k] += amplification[k]
+                    counts[k] += 1
     mean, squares = _mean_places(placed)
-    return R, t, fixed, mean, squares
+    return R, t, fixed, mean, squares, np.where(counts > 0, amplified / counts, np.nan)

@@ -27,6 +27,10 @@ class NoiseEstimate:
         self._squares = 0.0
         self._freedoms = 0.0
 
+    def restart(self) -> None:
+        """Forget what was learnt: the noise has changed."""
+        self._squares = self._freedoms = 0.0
+
     def add(self, block: NDArray[np.float64]) -> None:
         """Take in a group's observations (g, i, d), robot frame, metres."""
         g, n = block.shape[:2]

@@ -47,6 +47,8 @@ SIGMAS = 4.5
 """Tolerance when it is known, in standard deviations."""
 EXACT = 1e-3
 """Least tolerance, in spacings, where there is no noise at all."""
+FAINT = 0.01
+"""Least noise, in spacings, that is tried when it may have been taken for too small."""
 SLOWNESS = 0.1
 """Share of the latest iteration in the estimates of spacing and noise."""
 CHI2_MEDIAN = {2: 1.386, 3: 2.366}
@@ -122,6 +124,8 @@ class Constellation:
             self._stray = begun
         if self._tracks.missed.min() > self._max_missed:
             self._tracks, self._stray = self._stray, None
+            if self._noise_m is not None and len(begun) >= ENOUGH:  # was it learnt too small?
+                self._noise_m = max(self._noise_m, FAINT * self._spacing_m)
 
     def _placement(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
         """Find the placement of the tracks' frame in the scan's on which most matches agree."""
@@ -148,6 +152,8 @@ class Constellation:
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
                 return near
         far = self._search(tracks, scan)
+        if scan.m == 3:  # any three points in space can be turned onto their mirror image
+            enough += 1
         needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
         return far if far is not None and far.n_agreeing >= needed else None
 
@@ -164,7 +170,7 @@ class Constellation:
         possible = min(np.sum(tracks.missed == tracks.missed.min()), scan.n)
         if learnt is not None and possible >= PLENTY:
             placement = self._placement(tracks, scan)
-            if placement is not None and placement.n_agreeing >= SHARE * possible:
+            if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
                 return placement
         self._noise_m = learnt
         return None
