@@ -19,13 +19,17 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation.baselines import FrameToMap
-from relmap.simulation import simulate_figure_eight
+from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.evaluation.metrics import majority_ids, purity
+from relmap.simulation import FigureEight, simulate_figure_eight
+
+SEEDS = range(10)
 
 
-def rmse(result: LandmarkMap, ids: np.ndarray, truth: np.ndarray) -> float:
-    """Return the landmark RMSE, metres, after rigid alignment."""
+def rmse(result: LandmarkMap, true_ids: np.ndarray, ids: np.ndarray, truth: np.ndarray) -> float:
+    """Return the landmark RMSE, metres, after rigid alignment; true_ids are the map's, (m,)."""
     row_of = {label: row for row, label in enumerate(ids.tolist())}
-    there = truth[[row_of[label] for label in result.landmark_ids.tolist()]]
+    there = truth[[row_of[label] for label in true_ids.tolist()]]
     R, t = fit_rigid(result.positions, there)
     return float(np.sqrt(np.mean(np.sum((result.positions @ R.T + t - there) ** 2, axis=1))))
 
@@ -42,48 +46,88 @@ def run(mapper: PointMapper | FrameToMap, log: ObservationLog) -> np.ndarray:
     return 1e3 * np.array(times)
 
 
-def coverage(result: LandmarkMap, log: ObservationLog) -> float:
+def coverage(mapped_ids: np.ndarray, log: ObservationLog) -> float:
     """Return the share of the landmarks seen ten times that are mapped."""
     ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
-    return float(np.isin(ids[counts >= 10], result.landmark_ids).mean())
+    return float(np.isin(ids[counts >= 10], mapped_ids).mean())
+
+
+def known(log: ObservationLog, ids: np.ndarray, truth: np.ndarray) -> tuple[list[float], float]:
+    """Return the RMSE chained, refined and of frame-to-map, and the share mapped."""
+    mapper, baseline = PointMapper(), FrameToMap()
+    run(mapper, log)
+    run(baseline, log)
+    result = mapper.map
+    chained = rmse(result, result.landmark_ids, ids, truth)
+    mapper.refine()
+    refined = rmse(mapper.map, result.landmark_ids, ids, truth)
+    theirs = rmse(baseline.map, baseline.map.landmark_ids, ids, truth)
+    return [chained, refined, theirs], coverage(result.landmark_ids, log)
+
+
+def batch(world: FigureEight) -> float:
+    """Return the RMSE of batch least squares over all observations, with the true ids."""
+    log = world.log
+    observations = Batch(log.points_robot, log.iteration, log.ids)
+    positions = batch_least_squares(observations, world.landmarks_map)
+    result = LandmarkMap(world.landmark_ids, positions)
+    return rmse(result, world.landmark_ids, world.landmark_ids, world.landmarks_map)
 
 
 def figure_eight() -> None:
-    """Print the landmark RMSE over ten seeds beside that of frame-to-map averaging."""
-    print("figure eight, sigma 0.05, known association, seeds 0-9: landmark RMSE [m]")
+    """Print the landmark RMSE over the seeds with known association."""
+    print("figure eight, sigma 0.05, known association, median landmark RMSE of 10 seeds [m]")
+    print("  density   chained   refined   frame-to-map   batch   least share mapped")
     for density in (25, 100):
-        errors, shares = [], []
-        for seed in range(10):
+        errors, shares, limits = [], [], []
+        for seed in SEEDS:
             world = simulate_figure_eight(density=density, seed=seed)
-            mapper, baseline = PointMapper(), FrameToMap()
-            run(mapper, world.log)
-            run(baseline, world.log)
-            truth = (world.landmark_ids, world.landmarks_map)
-            errors.append([rmse(mapper.map, *truth), rmse(baseline.map, *truth)])
-            shares.append(coverage(mapper.map, world.log))
-        ours, theirs = np.median(errors, axis=0)
-        low, high = np.min(errors, axis=0)[0], np.max(errors, axis=0)[0]
+            found, share = known(world.log, world.landmark_ids, world.landmarks_map)
+            errors.append(found)
+            shares.append(share)
+            limits.append(batch(world))
+        chained, refined, theirs = np.median(errors, axis=0)
         print(
-            f"  density {density}: relmap median {ours:.4f} ({low:.4f} to {high:.4f}), "
-            f"frame-to-map median {theirs:.4f}, coverage at least {min(shares):.3f}"
+            f"  {density:7} {chained:9.4f} {refined:9.4f} {theirs:14.4f} {np.median(limits):7.4f}"
+            f" {min(shares):20.3f}",
+            flush=True,
+        )
+
+
+def figure_eight_without_ids() -> None:
+    """Print what becomes of the eight when landmarks must be recognised."""
+    print("figure eight, sigma 0.05, no ids, refined, seeds 0-4")
+    print("  density   loops   median RMSE [m]   worst landmarks per true one   worst purity")
+    for density, iterations in ((25, 900), (25, 1800), (100, 900), (100, 1800)):
+        errors, per_true, purities = [], [], []
+        for seed in range(5):
+            world = simulate_figure_eight(density=density, iterations=iterations, seed=seed)
+            mapper = PointMapper()
+            labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]
+            mapper.finish()
+            mapper.refine()
+            landmarks = mapper.landmarks_of(np.concatenate(labels))
+            stands_for = dict(zip(*majority_ids(landmarks, world.log.ids)[:2], strict=True))
+            true = np.array([stands_for[label] for label in mapper.map.landmark_ids])
+            errors.append(rmse(mapper.map, true, world.landmark_ids, world.landmarks_map))
+            per_true.append(len(true) / len(np.unique(true)))
+            purities.append(purity(landmarks, world.log.ids))
+        print(
+            f"  {density:7} {iterations // 900:7} {np.median(errors):17.4f} {max(per_true):30.3f}"
+            f" {min(purities):14.5f}",
+            flush=True,
         )
 
 
 def mrpt(data: Path) -> None:
     """Print the landmark RMSE on MRPT's logs."""
     print("MRPT landmark logs, known association, no odometry: landmark RMSE [m]")
+    print("  chained   refined   frame-to-map   share mapped   log")
     for name in ("kf-slam_demo", "kf-slam_6D_demo", "kf-slam_6D_demo_noncentered"):
         path = data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
-        log = open_log(path)
         ids, positions, _ = read_ground_truth(path)
-        mapper, baseline = PointMapper(), FrameToMap()
-        run(mapper, log)
-        run(baseline, log)
-        print(
-            f"  {name}: relmap {rmse(mapper.map, ids, positions):.4f}, "
-            f"frame-to-map {rmse(baseline.map, ids, positions):.4f}, "
-            f"coverage {coverage(mapper.map, log):.3f}"
-        )
+        (chained, refined, theirs), share = known(open_log(path), ids, positions)
+        print(f"  {chained:7.4f} {refined:9.4f} {theirs:14.4f} {share:14.3f}   {name}")
 
 
 def constant_time() -> None:
@@ -93,7 +137,7 @@ def constant_time() -> None:
     times = run(PointMapper(), log)
     warm, last = np.median(times[20:120]), np.median(times[-100:])
     print("figure eight, density 100, 3000 iterations, known association, beyond 20 of warm-up")
-    print(f"  last 100 / first 100 iterations, median time: {last / warm:.2f}")
+    print(f"  last 100 / first 100 iterations, median time: {last / warm:.2f}", flush=True)
 
 
 if __name__ == "__main__":
@@ -101,3 +145,4 @@ if __name__ == "__main__":
     constant_time()
     if len(sys.argv) > 1:
         mrpt(Path(sys.argv[1]))
+    figure_eight_without_ids()

@@ -21,7 +21,7 @@ REACH = 0.35
 TOLERANCE = 3.0
 """How far two positions of one landmark may differ, in standard deviations of an observation."""
 ENOUGH = 3
-"""Landmarks that a constellation needs."""
+"""Landmarks that a constellation needs; one more in space, where three fit their mirror image."""
 CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
 
@@ -109,16 +109,18 @@ class Merger:
 
     def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
         new, old = self._map.positions[pairs[:, 0]], self._map.positions[pairs[:, 1]]
-        one_each = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
-        first = [np.unique(column, return_index=True)[1] for column in one_each.T]
-        agreeing = agreeing_pairs(new[first[0]], old[first[1]], one_each, tolerance_m)
-        if len(agreeing) >= ENOUGH:
-            shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
-            if shift is not None and shift.n_agreeing >= ENOUGH:
-                there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
-                return np.asarray(pairs[agreeing[there <= tolerance_m]])
         apart = np.linalg.norm(new - old, axis=1)
-        return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+        if (apart <= tolerance_m).any():
+            return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+        rows = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
+        first_new, first_old = (np.unique(column, return_index=True)[1] for column in rows.T)
+        agreeing = agreeing_pairs(new[first_new], old[first_old], rows, tolerance_m)
+        enough = ENOUGH + (new.shape[1] == 3)
+        shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
+        if shift is None or shift.n_agreeing < enough:
+            return np.empty((0, 2), dtype=np.int64)
+        there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
+        return np.asarray(pairs[agreeing[there <= tolerance_m]])
 
 
 def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
