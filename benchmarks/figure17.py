@@ -27,7 +27,7 @@ if __name__ == "__main__":
     panels = []
     for interval in INTERVALS:
         part = log.between(*interval)
-        result = run_mapper(PointMapper(), part, "nearest").result
+        result = run_mapper(PointMapper(), part, "nearest", refine=True).result
         panels.append(compare_with_reference(result, part))
         print(panels[-1].title.replace("\n", ", "))
     write_panels_png(Path(arguments.file), panels)

@@ -118,7 +118,7 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
     found = []
     for registration in REGISTRATIONS:
         mapper = CountingMapper(MapperConfig(registration=registration))
-        result = run_mapper(mapper, log, "nearest").result
+        result = run_mapper(mapper, log, "nearest", refine=True).result
         found.append(Outcome(result, identify(result, log), mapper.unmatched))
     return found
 

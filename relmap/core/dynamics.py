@@ -93,7 +93,7 @@ class DynamicStatus:
         self._strikes.values[landmarks[moves]] += 1
         self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
         begin, end = int(relative.iterations[0]), int(relative.iterations[-1])
-        out_of_sight = np.maximum(begin - self._tested_until.values[landmarks], 0)
+        out_of_sight = np.maximum(begin - 1 - self._tested_until.values[landmarks], 0)
         self._tested_until.values[landmarks] = end
         self._moved_until.values[landmarks] += out_of_sight
         self._moved_until.values[landmarks[moves]] = end

@@ -20,7 +20,7 @@ class NoiseEstimate:
 
     The distance of a member from the centre of its group is the same in every iteration, however
     the robot moves; how much it varies is the noise, seen along one direction.  The median over
-    the members keeps those out that move after all.
+    the members keeps single outliers out; groups of movers must be kept out before.
     """
 
     def __init__(self) -> None:

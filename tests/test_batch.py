@@ -1,0 +1,225 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from relmap import RelmapError
+from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.evaluation.baselines.frame_to_map import FrameToMap
+from tests.worlds import aligned_rmse, random_rotation, walk
+
+seeds = st.integers(0, 2**32 - 1)
+dimensions = st.sampled_from([2, 3])
+both_dimensions = pytest.mark.parametrize("d", [2, 3])
+Points = NDArray[np.float64]
+
+
+def observations(
+    d: int, seed: int, sigma: float, poses: int = 5, n: int = 9
+) -> tuple[Batch, Points, list[tuple[Points, Points]]]:
+    """See most of n landmarks from a few poses; return that, the landmarks and the true poses."""
+    rng = np.random.default_rng(seed)
+    world = rng.uniform(-5, 5, (n, d))
+    true, points, pose, landmark = [], [], [], []
+    for k in range(poses):
+        R = random_rotation(d, 1.0, rng)
+        t: Points = rng.uniform(-3, 3, d)
+        seen = np.sort(rng.permutation(n)[: n - 2]) if k else np.arange(n)
+        points.append((world[seen] - t) @ R + sigma * rng.standard_normal((len(seen), d)))
+        pose += [k] * len(seen)
+        landmark += seen.tolist()
+        true.append((R, t))
+    return Batch(np.concatenate(points), np.array(pose), np.array(landmark)), world, true
+
+
+def rotation(turn: Points) -> Points:
+    vector = turn if len(turn) == 3 else np.array([0.0, 0.0, turn[0]])
+    d = 3 if len(turn) == 3 else 2
+    return np.asarray(Rotation.from_rotvec(vector).as_matrix()[:d, :d])
+
+
+def dense_solution(
+    batch: Batch, world: Points, poses: list[tuple[Points, Points]]
+) -> tuple[Points, float]:
+    """Solve for all landmarks and poses densely by scipy, from the truth; return map and cost."""
+    (m, d), k = world.shape, len(poses)
+    r = 1 if d == 2 else 3
+
+    def residuals(x: Points) -> Points:
+        landmarks, motions = x[: m * d].reshape(m, d), x[m * d :].reshape(k, r + d)
+        placed = [
+            rotation(motions[p, :r]) @ poses[p][0] @ point + motions[p, r:] + poses[p][1]
+            for p, point in zip(batch.pose, batch.points_robot, strict=True)
+        ]
+        return np.asarray((np.array(placed) - landmarks[batch.landmark]).ravel())
+
+    start = np.concatenate([world.ravel(), np.zeros(k * (r + d))])
+    fit = least_squares(residuals, start, xtol=1e-12, ftol=1e-14, gtol=1e-12)
+    return fit.x[: m * d].reshape(m, d), float(fit.cost)
+
+
+def cost(batch: Batch, landmarks: Points) -> float:
+    """Return half the sum of squares that is left of a map, each pose fitted by scipy."""
+    total = 0.0
+    for pose in range(int(batch.pose.max()) + 1):
+        rows = batch.pose == pose
+        here, there = batch.points_robot[rows], landmarks[batch.landmark[rows]]
+        here, there = here - here.mean(axis=0), there - there.mean(axis=0)
+        if here.shape[1] == 2:
+            here, there = (np.column_stack([p, np.zeros(len(p))]) for p in (here, there))
+        total += 0.5 * float(Rotation.align_vectors(there, here)[1]) ** 2
+    return total
+
+
+@both_dimensions
+@pytest.mark.parametrize("seed", range(3))
+def test_batch_is_the_dense_least_squares_solution(d: int, seed: int) -> None:
+    batch, world, poses = observations(d, seed, 0.05)
+    expected, least = dense_solution(batch, world, poses)
+    rng = np.random.default_rng(seed)
+    found = batch_least_squares(batch, world + 0.05 * rng.standard_normal(world.shape))
+    assert aligned_rmse(found, expected) < 1e-5
+    assert cost(batch, found) == pytest.approx(least, rel=1e-6)
+
+
+@settings(max_examples=20)
+@given(seeds, dimensions)
+def test_batch_is_exact_without_noise(seed: int, d: int) -> None:
+    batch, world, _ = observations(d, seed, 0.0)
+    start = world + 0.05 * np.random.default_rng(seed).standard_normal(world.shape)
+    found = batch_least_squares(batch, start)
+    assert aligned_rmse(found, world) < 1e-8
+
+
+@settings(max_examples=20)
+@given(seeds, dimensions)
+def test_batch_keeps_the_frame_of_its_start(seed: int, d: int) -> None:
+    batch, world, _ = observations(d, seed, 0.0)
+    rng = np.random.default_rng(seed)
+    start = world @ random_rotation(d, 3.0, rng).T + rng.uniform(-9, 9, d)
+    np.testing.assert_allclose(batch_least_squares(batch, start), start, atol=1e-7)
+
+
+@both_dimensions
+def test_batch_settles_where_no_small_change_is_better(d: int) -> None:
+    batch, world, _ = observations(d, 7, 0.1)
+    found, rng = batch_least_squares(batch, world), np.random.default_rng(0)
+    least = cost(batch, found)
+    for _ in range(20):
+        assert cost(batch, found + 1e-3 * rng.standard_normal(found.shape)) > least
+
+
+def test_batch_error_is_the_cramer_rao_bound() -> None:
+    """Where all poses see all landmarks, the mean of them is the answer: sigma / sqrt(poses)."""
+    poses, n, d, sigma = 40, 30, 2, 0.02
+    errors = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        world = rng.uniform(-5, 5, (n, d))
+        points = [
+            (world - rng.uniform(-3, 3, d)) @ random_rotation(d, 3.0, rng)
+            + sigma * rng.standard_normal((n, d))
+            for _ in range(poses)
+        ]
+        batch = Batch(
+            np.concatenate(points), np.repeat(np.arange(poses), n), np.tile(np.arange(n), poses)
+        )
+        errors.append(aligned_rmse(batch_least_squares(batch, world), world))
+    # Alignment takes three of the 2 n degrees of freedom away.
+    bound = sigma / np.sqrt(poses) * np.sqrt(d * (1 - 3 / (d * n)))
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(bound, rel=0.1)
+
+
+def test_batch_names_a_pose_that_is_not_fixed() -> None:
+    batch, world, _ = observations(3, 0, 0.0)
+    few = (batch.pose != 2) | (np.cumsum(batch.pose == 2) <= 2)
+    with pytest.raises(RelmapError, match="pose 2 is not fixed"):
+        batch_least_squares(
+            Batch(batch.points_robot[few], batch.pose[few], batch.landmark[few]), world
+        )
+    absent = batch.pose != 2
+    with pytest.raises(RelmapError, match="pose 2 is not fixed"):
+        batch_least_squares(
+            Batch(batch.points_robot[absent], batch.pose[absent], batch.landmark[absent]), world
+        )
+
+
+def test_batch_says_where_it_does_not_settle() -> None:
+    batch, world, _ = observations(2, 0, 0.1)
+    with pytest.raises(RelmapError, match="did not settle in 1 iterations"):
+        batch_least_squares(batch, world, iterations=1)
+
+
+# Frame to map.
+
+
+def naive_frame_to_map(scans: list[tuple[NDArray[np.int64], Points]], d: int) -> dict[int, Points]:
+    """Average each scan, fitted by scipy, into lists of all that was placed so far."""
+    placed: dict[int, list[Points]] = {}
+    for ids, points in scans:
+        spatial = np.zeros((len(points), 3))
+        spatial[:, :d] = points
+        known = [row for row, i in enumerate(ids) if int(i) in placed]
+        if placed:
+            if len(known) < d:
+                continue
+            there = np.array([np.mean(placed[int(ids[row])], axis=0) for row in known])
+            a, b = spatial[known].mean(axis=0), there.mean(axis=0)
+            if d == 3:
+                R = Rotation.align_vectors(there - b, spatial[known] - a)[0]
+            else:
+                cross = np.cross(spatial[known] - a, there - b)[:, 2].sum()
+                angle = np.arctan2(cross, np.sum((spatial[known] - a) * (there - b)))
+                R = Rotation.from_euler("Z", angle)
+            spatial = R.apply(spatial - a) + b
+        for i, point in zip(ids, spatial, strict=True):
+            if i >= 0:
+                placed.setdefault(int(i), []).append(point)
+    return {i: np.mean(all_of_it, axis=0) for i, all_of_it in sorted(placed.items())}
+
+
+@settings(max_examples=10)
+@given(seeds, dimensions)
+def test_frame_to_map_is_the_naive_average(seed: int, d: int) -> None:
+    scans = walk(d, seed, sigma=0.05, iterations=40).scans
+    scans = [(np.where(ids % 7 == 3, -1, ids), points) for ids, points in scans]
+    baseline = FrameToMap()
+    for ids, points in scans:
+        baseline.update(points, ids)
+    expected = naive_frame_to_map(scans, d)
+    assert baseline.map.landmark_ids.tolist() == list(expected)
+    np.testing.assert_allclose(baseline.map.positions, list(expected.values()), atol=1e-6)
+
+
+@settings(max_examples=10)
+@given(seeds, dimensions)
+def test_frame_to_map_is_exact_without_noise(seed: int, d: int) -> None:
+    world = walk(d, seed, iterations=60)
+    baseline = FrameToMap()
+    for ids, points in world.scans:
+        baseline.update(points, ids)
+    found = baseline.map
+    assert (np.diff(found.landmark_ids) > 0).all()
+    np.testing.assert_allclose(
+        found.positions[:, :d], world.landmarks[found.landmark_ids], atol=1e-8
+    )
+    assert (found.positions[:, d:] == 0).all()
+
+
+def test_frame_to_map_leaves_out_what_it_cannot_place() -> None:
+    baseline = FrameToMap()
+    baseline.update(np.empty((0, 2)), np.empty(0, dtype=np.int64))
+    assert len(baseline.map.landmark_ids) == 0
+    baseline.update(np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([5, 3]))
+    baseline.update(np.array([[1.0, 1.0], [9.0, 9.0]]), np.array([5, 8]))  # one known: not fixed
+    assert baseline.map.landmark_ids.tolist() == [3, 5]
+    baseline.update(np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 2.0]]), np.array([5, 3, 8]))
+    assert baseline.map.landmark_ids.tolist() == [3, 5, 8]
+    np.testing.assert_allclose(
+        baseline.map.positions, [[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 1.0, 0.0]], atol=1e-12
+    )

@@ -1,0 +1,240 @@
+"""The pictures of the paper's figures 9 to 15, from tiny data; and the program that draws them."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from relmap.core.errors import RelmapError
+from relmap.core.store import ObservationStore
+from relmap.plots import curves
+from relmap.plots.chart import (
+    ChartPicture,
+    chart_picture,
+    paper_stops,
+    plot_group,
+    plot_sorted,
+    plot_unsorted,
+)
+from relmap.plots.eight import EightPicture, plot_eight
+from relmap.plots.paper import write_png
+
+# Who is seen in iterations 0 to 7.  Landmark 2, the seed, is seen in 1 to 6.
+SEEN = {
+    0: [0, 1, 2, 3],
+    1: [1, 2, 3, 4, 5],
+    2: [1, 2, 3, 4, 5, 6],
+    3: [2, 3, 4, 5, 6],
+    4: [2, 3, 4, 5, 6, 7],
+    5: [0, 7],
+    6: [1, 2, 3, 4, 5, 6, 7],
+}
+
+
+def tiny_store() -> ObservationStore:
+    store = ObservationStore()
+    for iteration in range(8):
+        seen = np.array([landmark for landmark, when in SEEN.items() if iteration in when])
+        store.append(seen, np.zeros((len(seen), 3)))
+    return store
+
+
+def tiny_chart() -> ChartPicture:
+    return chart_picture(tiny_store(), 2, 0, 8)
+
+
+def tiny_comparisons() -> curves.Comparisons:
+    n, dynamic = np.array([20, 50, 100]), np.array([0.1, 0.4, 0.7])
+    bound = curves.n_log_n(n)
+    counts = np.stack([0.3 * bound, 0.9 * bound, 1.1 * bound])[:, :, None].repeat(5, axis=2)
+    return curves.Comparisons(n, dynamic, counts.astype(np.int64), counts % 2 < 1)
+
+
+def tiny_loop() -> curves.LoopTiming:
+    visible = np.full(80, 100)
+    time_ms = np.where(np.arange(80) % 10 == 0, 5.0, 1.0)
+    return curves.LoopTiming(time_ms, visible, np.arange(1, 81) * 10, np.arange(1, 81) * 9)
+
+
+def tiny_densities(power: float = 1.0) -> curves.DensityTiming:
+    n = np.array([10.0, 40.0, 160.0, 640.0])
+    time_ms = 0.2 + 1e-4 * curves.n_log_n(n) ** power
+    return curves.DensityTiming(n, time_ms, 2 * time_ms)
+
+
+def tiny_eight() -> EightPicture:
+    rng = np.random.default_rng(0)
+    landmarks, path = rng.uniform(-50, 50, (12, 3)), np.linspace([-50, 0, 0], [50, 0, 20], 9)
+    return EightPicture(landmarks + 0.1, path + 0.1, landmarks, path, 0.1)
+
+
+DRAWN: dict[str, Callable[[], Figure]] = {
+    "9": lambda: plot_unsorted(tiny_chart()),
+    "10": lambda: plot_sorted(tiny_chart()),
+    "11": lambda: plot_group(tiny_chart()),
+    "12": lambda: curves.plot_comparisons(tiny_comparisons()),
+    "13": lambda: plot_eight(tiny_eight()),
+    "14": lambda: curves.plot_loop_timing(tiny_loop()),
+    "15": lambda: curves.plot_density_timing(tiny_densities()),
+}
+
+
+def texts(figure: Figure) -> str:
+    titles = [axes.get_title() for axes in figure.axes]
+    return "\n".join([figure.get_suptitle(), *titles])
+
+
+def legends(figure: Figure) -> set[str]:
+    found = [axes.get_legend() for axes in figure.axes]
+    return {
+        text.get_text()
+        for legend in [*figure.legends, *found]
+        if legend is not None
+        for text in legend.get_texts()
+    }
+
+
+@pytest.mark.parametrize("number", DRAWN)
+def test_every_figure_says_which_it_is_and_names_its_axes(number: str) -> None:
+    figure = DRAWN[number]()
+    assert f"Figure {number}:" in texts(figure)
+    assert legends(figure)
+    last: Axes = figure.axes[-1]
+    assert last.get_xlabel()
+
+
+@pytest.mark.parametrize("number", DRAWN)
+def test_same_data_same_bytes_whatever_the_style(tmp_path: Path, number: str) -> None:
+    write_png(tmp_path / "a.png", DRAWN[number])
+    with mpl.rc_context({"axes.facecolor": "black", "savefig.dpi": 50}):
+        write_png(tmp_path / "b.png", DRAWN[number])
+    content = (tmp_path / "a.png").read_bytes()
+    assert content == (tmp_path / "b.png").read_bytes()
+    with Image.open(io.BytesIO(content)) as image:
+        assert set(image.info) <= {"dpi"}
+        assert 300 < min(image.size) <= max(image.size) < 3000
+
+
+# The point chart.
+
+
+def test_chart_holds_who_is_seen_with_the_seed_in_the_whole_window() -> None:
+    chart = tiny_chart()
+    assert chart.landmarks.tolist() == [0, 1, 2, 3, 4, 6]  # 5 is never seen together with 2
+    for landmark, row in zip(chart.landmarks.tolist(), chart.visible, strict=True):
+        assert np.flatnonzero(row).tolist() == SEEN[landmark]
+    assert np.flatnonzero(chart.seed_interval).tolist() == SEEN[2]
+
+
+def test_chart_is_sorted_by_common_interval_and_grouped_by_area() -> None:
+    chart = tiny_chart()
+    assert chart.landmarks[chart.order].tolist() == [2, 6, 1, 3, 4, 0]
+    assert chart.common_interval.tolist() == [6, 6, 5, 5, 5, 3]
+    assert chart.area.tolist() == [6, 12, 15, 16, 20, 12]
+    assert chart.members == 5
+    assert np.flatnonzero(chart.group_interval).tolist() == [2, 3, 4, 5]
+
+
+def test_chart_may_begin_anywhere() -> None:
+    chart = chart_picture(tiny_store(), 2, 1, 7)
+    assert chart.visible.shape == (6, 6)
+    assert chart.seed_interval.all()
+
+
+def test_no_group_is_an_error_that_says_so() -> None:
+    with pytest.raises(RelmapError, match="landmark 5 makes no group in iterations 0 to 7"):
+        chart_picture(tiny_store(), 5, 0, 8)
+
+
+@pytest.mark.parametrize(
+    ("area", "members"),
+    [
+        ([9, 12, 15, 16, 20, 12], 5),
+        ([9, 12, 15, 16, 16, 30], 4),
+        ([9, 5, 4, 5, 6, 7], 6),
+        ([9, 5, 4, 5], 4),
+    ],
+)
+def test_the_papers_rule_stops_at_the_first_that_adds_nothing(
+    area: list[int], members: int
+) -> None:
+    assert paper_stops(np.array(area)) == members
+
+
+def test_group_picture_shows_where_the_papers_rule_differs() -> None:
+    assert "the paper's rule stops" not in legends(plot_group(tiny_chart()))
+    dips = ChartPicture(0, 0, np.arange(6), np.eye(6, 9, dtype=bool), np.arange(6), 6)
+    assert "the paper's rule stops" in legends(plot_group(dips))
+
+
+# What the curves say.
+
+
+def test_comparisons_say_how_far_they_stay_within_n_log_n() -> None:
+    data = tiny_comparisons()
+    assert data.within_n_log_n == 2
+    assert "up to 40 % dynamic; beyond" in texts(curves.plot_comparisons(data))
+    every = curves.Comparisons(data.n, data.dynamic, data.comparisons * 0, data.right)
+    assert "up to 70 % dynamic" in texts(curves.plot_comparisons(every))
+    none = curves.Comparisons(data.n, data.dynamic, data.comparisons * 9, data.right)
+    assert "more than n log₂ n for every share" in texts(curves.plot_comparisons(none))
+
+
+def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
+    data = tiny_loop()
+    assert data.said.startswith("flat: ")
+    assert "median time x 1.00 (per visible landmark x 1.00)" in data.said
+    slower = data.time_ms * np.linspace(1, 2, 80)
+    grows = curves.LoopTiming(slower, data.visible, data.landmarks, data.true_landmarks)
+    assert grows.said.startswith("not flat: ")
+
+
+def test_growth_beyond_n_log_n_is_called_so() -> None:
+    assert tiny_densities().said.startswith("within n log n: from 160 to 640 visible")
+    assert tiny_densities(power=2).said.startswith("more than n log n")
+
+
+def test_fit_finds_what_is_there() -> None:
+    data = tiny_densities()
+    assert curves.fit_n_log_n(data.visible, data.median_ms) == pytest.approx((0.2, 1e-4))
+
+
+def test_running_median_follows_and_ignores_spikes() -> None:
+    smooth = curves.running(tiny_loop().time_ms, np.median)
+    assert smooth.tolist() == [1.0] * 80
+
+
+# The program.
+
+
+def test_the_program_draws_the_chart(
+    repo_root: Path, child_env: dict[str, str], tmp_path: Path
+) -> None:
+    program = repo_root / "benchmarks" / "figures.py"
+    done = subprocess.run(
+        [sys.executable, str(program), "9", "11", "-o", "out", "--quick"],
+        env=child_env,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["figure09.csv", "figure09.png", "figure11.csv", "figure11.png"]
+    table = (tmp_path / "out" / "figure11.csv").read_text(encoding="utf-8").splitlines()
+    assert table[0] == "row,landmark,common_interval,area,member"
+    area = [int(line.split(",")[3]) for line in table[1:]]
+    members = sum(line.endswith(",1") for line in table[1:])
+    assert np.argmax(area[3:]) + 4 == members
