@@ -13,16 +13,19 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation.baselines import FrameToMap
+from relmap.evaluation.baselines.known import least_squares_map
+from relmap.evaluation.metrics import majority_ids
+from relmap.evaluation.metrics import purity as purity_of
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse
 
 SEEDS = range(10)
 
 
-def map_log(log: ObservationLog, *, known: bool = True) -> PointMapper:
+def map_log(log: ObservationLog) -> PointMapper:
     mapper = PointMapper()
     for scan in log.scans():
-        mapper.update(scan.points_robot, scan.ids if known else None)
+        mapper.update(scan.points_robot, scan.ids)
     mapper.finish()
     return mapper
 
@@ -79,14 +82,107 @@ def test_mrpt_logs_are_mapped_to_a_centimetre(shared_data: Path, name: str) -> N
     assert rmse(mapper.map, ids, positions) <= 0.012
 
 
-@pytest.mark.parametrize(("begin", "end"), [(1181, 1642), (4220, 4634)])
-def test_victoria_park_runs_and_tells_what_it_could_not_map(
-    shared_data: Path, begin: int, end: int
-) -> None:
-    log = open_log(shared_data / "victoria-park").between(begin, end)
-    mapper = map_log(log, known=False)
+@pytest.mark.parametrize(("density", "least"), [(25, 0.9995), (200, 0.9995), (1000, 0.999)])
+def test_tracks_are_pure_without_ids(density: float, least: float) -> None:
+    log = simulate_figure_eight(density=density, seed=0).log
+    mapper, landmarks = map_without_ids(log)
+    assert log.ids is not None
+    assert purity(landmarks, log.ids) >= least
+    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
+    mapped = [stands_for[label] for label in mapper.map.landmark_ids]
+    ids, counts = np.unique(log.ids, return_counts=True)
+    assert np.isin(ids[counts >= 10], mapped).mean() >= 0.97
+
+
+def test_static_tracks_are_pure_among_moving_landmarks() -> None:
+    world = simulate_figure_eight(dynamic=0.4, seed=0)
+    log = world.log
+    assert log.ids is not None
+    _, landmarks = map_without_ids(log)
+    static = world.status[log.ids] == "static"
+    assert purity(landmarks[static], log.ids[static]) >= 0.995
+
+
+@pytest.mark.parametrize("dynamic", [0.4, 0.65])
+def test_moving_landmarks_are_told_from_static_ones(dynamic: float) -> None:
+    world = simulate_figure_eight(density=100, dynamic=dynamic, seed=0)
+    mapper = map_log(world.log)
     table = mapper.landmarks
+    often = table.observations >= 30
+    found = table.status[often] == "dynamic"
+    true = world.status[table.landmark[often]] == "dynamic"
+    assert (found & true).sum() >= 0.97 * found.sum()
+    assert (found & true).sum() >= 0.97 * true.sum()
+
+
+@pytest.mark.parametrize("name", ["kf-slam_6D_demo", "kf-slam_6D_demo_noncentered"])
+def test_mrpt_logs_are_tracked_without_ids(shared_data: Path, name: str) -> None:
+    path = shared_data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
+    log = open_log(path)
+    mapper, landmarks = map_without_ids(log)
+    assert log.ids is not None
+    assert purity(landmarks, log.ids) >= 0.999
+    ids, positions, _ = read_ground_truth(path)
+    assert often_seen_rmse(mapper, landmarks, log, ids, positions) <= 0.03
+
+
+@pytest.mark.parametrize(("begin", "end"), [(1181, 1642), (4220, 4634)])
+def test_victoria_park_is_mapped_without_ids(shared_data: Path, begin: int, end: int) -> None:
+    log = open_log(shared_data / "victoria-park").between(begin, end)
+    mapper, landmarks = map_without_ids(log)
+    assert log.ids is not None
+    assert purity(landmarks, log.ids) >= 0.999
+    reference = least_squares_map(log)
+    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
+    mapped = np.array([stands_for.get(label, -1) for label in mapper.map.landmark_ids])
+    ids, counts = np.unique(log.ids[log.ids >= 0], return_counts=True)
+    assert np.isin(ids[counts >= 10], mapped).mean() >= 0.95
+    known = np.isin(mapped, reference.landmark_ids)
+    row_of = {label: row for row, label in enumerate(reference.landmark_ids.tolist())}
+    there = reference.positions[[row_of[label] for label in mapped[known].tolist()]]
+    assert aligned_rmse(mapper.map.positions[known][:, :2], there[:, :2]) <= 0.40
+
+
+def test_the_whole_of_victoria_park_falls_into_pieces_that_are_reported(shared_data: Path) -> None:
+    log = open_log(shared_data / "victoria-park")
+    mapper, landmarks = map_without_ids(log)
+    assert log.ids is not None
+    assert purity(landmarks, log.ids) >= 0.999
+    table, pieces = mapper.landmarks, mapper.pieces
     assert table.observations.sum() == len(log.points_robot)
-    assert set(table.status) <= {"static", "dynamic", "unmapped"}
-    assert np.isfinite(mapper.map.positions).all()
-    assert len(mapper.trajectory) == end - begin
+    assert len(pieces) > 1
+    for number, piece in enumerate(pieces):
+        np.testing.assert_array_equal(table.landmark[table.piece == number], piece.landmark_ids)
+    assert np.isfinite(np.concatenate([piece.positions for piece in pieces])).all()
+    assert (np.diff([len(piece.landmark_ids) for piece in pieces]) <= 0).all()
+
+
+def purity(landmarks: NDArray[np.int64], ids: NDArray[np.int64]) -> float:
+    found = purity_of(landmarks, ids)
+    assert found is not None
+    return found
+
+
+def map_without_ids(log: ObservationLog) -> tuple[PointMapper, NDArray[np.int64]]:
+    """Map and refine without ids; return the mapper and the landmark of every observation."""
+    mapper = PointMapper()
+    labels = [mapper.update(scan.points_robot) for scan in log.scans()]
+    mapper.finish()
+    mapper.refine()
+    return mapper, mapper.landmarks_of(np.concatenate(labels))
+
+
+def often_seen_rmse(
+    mapper: PointMapper,
+    landmarks: NDArray[np.int64],
+    log: ObservationLog,
+    ids: NDArray[np.int64],
+    truth: NDArray[np.float64],
+) -> float:
+    """Return the RMSE of the mapped tracks seen ten times, against those they stand for."""
+    assert log.ids is not None
+    table = mapper.landmarks
+    often = (table.level > 0) & (table.observations >= 10)
+    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
+    true = np.array([stands_for[label] for label in table.landmark[often]])
+    return rmse(LandmarkMap(true, table.position[often]), ids, truth)

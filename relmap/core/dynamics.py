@@ -165,14 +165,15 @@ class Binning:
         near = rest[self._agree(pivot, rest)]
         if len(near) < 2:
             return np.concatenate([alone, near])
-        # Two more members, far from each other, catch what circles round the pivot.
-        place = np.nanmean(self._block[near], axis=1) if len(near) > 2 else None
-        first = 0 if place is None else int(np.argmax(_spread(place, place.mean(axis=0))))
-        second = 1 if place is None else int(np.argmax(_spread(place, place[first])))
-        by_first, by_second = self._agree(near[first], near), self._agree(near[second], near)
-        by_first[first] = by_second[second] = False  # nobody votes for itself
-        votes = 1 + by_first + by_second
-        return np.concatenate([alone, near[votes >= 2]])
+        # Three more members, from the outermost to the innermost, catch what circles round the
+        # pivot; nobody votes for himself.
+        place = np.nanmean(self._block[near], axis=1)
+        outward = np.argsort(_spread(place, place.mean(axis=0)), kind="stable")
+        voters = np.unique(outward[[0, len(near) // 2, -1]])
+        votes = np.sum([self._agree(near[voter], near) for voter in voters], axis=0)
+        self._n_comparisons -= len(voters)  # those of voters with themselves
+        others = len(voters) - np.isin(np.arange(len(near)), voters)
+        return np.concatenate([alone, near[2 * (votes - len(voters) + others) >= others]])
 
     def _agree(self, row: int, others: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell with which others (k,) the landmark keeps its distance, but for the noise."""

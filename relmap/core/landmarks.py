@@ -69,7 +69,7 @@ class LandmarkTable:
     level : (n,) int64
         Grouping level of the position; 0 where the landmark is not mapped.
     status : (n,) str
-        "static" or "unmapped".
+        "static", "dynamic" or "unmapped".
     piece : (n,) int64
         Place of the landmark's piece in the order of their sizes: 0 for the map itself, above 0
         for pieces that nothing ties to it (those landmarks count as not mapped here), -1 for none.

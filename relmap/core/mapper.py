@@ -84,6 +84,9 @@ class RelativeMapper(ABC):
         """
         points_robot = checked_points(points, self._store.dimension)
         known = None if ids is None else checked_ids(ids, len(points_robot))
+        if self._registration is None and not len(points_robot):
+            self._observe(np.empty(0, dtype=np.int64), points_robot)
+            return np.empty(0, dtype=np.int64)
         registration = self._registration_for(known)
         landmarks = registration.match(points_robot, known)
         seen = landmarks >= 0
@@ -92,7 +95,7 @@ class RelativeMapper(ABC):
         left = self._observe(present, points_robot[seen])
         self._group_due(present, left)
         labels = landmarks.copy()
-        labels[seen] = registration.labels[self._identity.of(landmarks[seen])]
+        labels[seen] = registration.labels_of(self._identity.of(landmarks[seen]))
         return labels
 
     def landmarks_of(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -123,6 +126,7 @@ class RelativeMapper(ABC):
             observations = gathered(builder.groups, mapped, of)
             refined = refine(observations, builder.map.positions)
             builder.map.positions[mapped] = refined[mapped]
+        self._merger.look_again()
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
@@ -220,4 +224,4 @@ class RelativeMapper(ABC):
     def _labels(self) -> NDArray[np.int64]:
         if self._registration is None:
             return np.empty(0, dtype=np.int64)
-        return self._registration.labels
+        return self._registration.labels_of(np.arange(len(self._sightings.counts)))

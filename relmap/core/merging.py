@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.core.globalmap import GlobalMap
 from relmap.core.growing import GrowingArray
+from relmap.core.registration.base import middle, nearest
 from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
 from relmap.core.sightings import Sightings
 from relmap.core.spatialindex import SpatialIndex
@@ -20,6 +22,8 @@ REACH = 0.35
 """How far the map may have drifted, in spacings of its landmarks."""
 TOLERANCE = 3.0
 """How far two positions of one landmark may differ, in standard deviations of an observation."""
+EXACT = 1e-3
+"""Least tolerance, as a share of that reach, where there is no noise at all."""
 ENOUGH = 3
 """Landmarks that a constellation needs; one more in space, where three fit their mirror image."""
 CANDIDATES = 60
@@ -53,6 +57,13 @@ class Merger:
         if self._index is not None and len(mapped):
             self._index.add(mapped, self._map.positions[mapped])
 
+    def look_again(self) -> None:
+        """Enter all landmarks where they are now, after the map has moved."""
+        if self._index is not None:
+            landmarks = self._index.landmarks
+            landmarks = landmarks[self._map.weights[landmarks] > 0]
+            self._index.add(landmarks, self._map.positions[landmarks])
+
     def find(self, landmarks: NDArray[np.int64], noise_m: float) -> NDArray[np.int64]:
         """Return pairs (k, 2) of landmarks: one in view, and the old one that it is.
 
@@ -70,9 +81,10 @@ class Merger:
         for new in landmarks[(weights >= self._mature) & ~self._asked.values[landmarks]].tolist():
             self._ask(new)
         pairs = [(new, old) for new in landmarks.tolist() for old in self._old_near.get(new, ())]
-        if not pairs:
+        if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
-        return self._choose(np.array(pairs[:CANDIDATES]), TOLERANCE * noise_m)
+        tolerance_m = max(TOLERANCE * noise_m, EXACT * self._index.cell_m)
+        return self._choose(np.array(pairs[:CANDIDATES]), tolerance_m)
 
     def merge(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
@@ -86,9 +98,7 @@ class Merger:
         positions = self._map.positions[landmarks]
         if len(positions) < 2:
             return None
-        apart = np.linalg.norm(positions[:, None] - positions, axis=2)
-        np.fill_diagonal(apart, np.inf)
-        spacing = float(np.median(apart.min(axis=1)))
+        spacing = middle(nearest(cKDTree(positions), positions, 2)[0][:, 1])
         return SpatialIndex(REACH * spacing, positions.shape[1]) if spacing > 0 else None
 
     def _ask(self, new: int) -> None:

@@ -18,9 +18,8 @@ _RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 17)}
 class Registration(Protocol):
     """How observations find their landmarks, which are numbered in the order of first sight."""
 
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """What each landmark is called outside; (n_landmarks,)."""
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what landmarks (n,) are called outside."""
         ...
 
     def match(
@@ -35,11 +34,6 @@ class Numbering:
 
     def __init__(self) -> None:
         self.n_landmarks = 0
-
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """Landmarks go by their number; (n_landmarks,)."""
-        return np.arange(self.n_landmarks)
 
     def number_new(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Give every `UNIDENTIFIED` entry (n,) a number of its own, in place; return which."""

@@ -72,10 +72,9 @@ class Constellation:
         self._spacing_m = np.inf
         self._noise_m: float | None = None
 
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """Landmarks go by their number; (n_landmarks,)."""
-        return self._numbering.labels
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return landmarks (n,) as they are: they go by their number."""
+        return landmarks
 
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None

@@ -16,10 +16,9 @@ class KnownAssociation:
         self._landmark_of: dict[int, int] = {}
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
 
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """Id of each landmark; (n_landmarks,)."""
-        return self._labels.values
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the ids of landmarks (n,)."""
+        return self._labels.values[landmarks]
 
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None

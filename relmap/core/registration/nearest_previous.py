@@ -27,10 +27,9 @@ class NearestPrevious:
         self._previous: NDArray[np.float64] = np.empty((0, 0))
         self._landmarks = np.empty(0, dtype=np.int64)
 
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """Landmarks go by their number; (n_landmarks,)."""
-        return self._numbering.labels
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return landmarks (n,) as they are: they go by their number."""
+        return landmarks
 
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None

@@ -60,6 +60,7 @@ class FrameToMap:
     @property
     def map(self) -> LandmarkMap:
         """The landmarks mapped so far, in ascending order of their ids."""
-        labels, mapped = self._registration.labels, self._counts.values > 0
+        labels = self._registration.labels_of(np.arange(len(self._counts)))
+        mapped = self._counts.values > 0
         order = np.argsort(labels)[mapped[np.argsort(labels)]]
         return LandmarkMap(labels[order], in_space(self._means.values[order]))
