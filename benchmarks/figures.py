@@ -31,7 +31,7 @@ from relmap.files import atomic_write
 from relmap.plots import chart as charts
 from relmap.plots import curves
 from relmap.plots.eight import EightPicture, plot_eight
-from relmap.plots.paper import write_png
+from relmap.plots.sheet import write_png
 from relmap.simulation import simulate_figure_eight
 from relmap.tables import csv_text
 

@@ -1,4 +1,4 @@
-"""What every test shares: hypothesis profiles, the real data, an environment for subprocesses."""
+"""What tests share: hypothesis profiles, real data, an environment, places to put files in."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import relmap
+from relmap.cli import main
+from tests.commands import GOOD, Check, snapshot
 
 os.environ["MPLBACKEND"] = "Agg"
 
@@ -56,3 +58,43 @@ def child_env() -> dict[str, str]:
     """Return an environment in which a subprocess imports the relmap that is under test here."""
     kept = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
     return kept | {"PYTHONPATH": str(Path(relmap.__file__).resolve().parents[1])}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder that all examples of a property use, one after the other."""
+    return tmp_path_factory.mktemp("datasets")
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a log, a truth and a result; the working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text(GOOD)
+    (tmp_path / "truth").mkdir()
+    (tmp_path / "truth" / "landmarks.csv").write_text(
+        "landmark,x,y,z,status\n0,1,0,0,static\n1,0,2,0,static\n2,0,0,3,static\n"
+    )
+    assert main(["map", "log.csv", "-o", "out"]) == 0
+    assert main(["evaluate", "out", "--truth", "truth"]) == 0
+    return tmp_path
+
+
+@pytest.fixture
+def refused(place: Path, capsys: pytest.CaptureFixture[str]) -> Check:
+    """Run a command that must be refused and leave everything as it was; return its one line."""
+
+    def check(*arguments: str) -> str:
+        before = snapshot(place)
+        capsys.readouterr()
+        assert main(arguments) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("relmap: error: ")
+        assert printed.err.endswith("\n")
+        assert len(printed.err.splitlines()) == 1
+        assert printed.err.isascii() or printed.err.strip().isprintable()
+        assert snapshot(place) == before
+        return printed.err
+
+    return check

@@ -7,68 +7,12 @@ import gzip
 import os
 import resource
 import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-import relmap
 from relmap.cli import main
-
-GOOD = "iteration,x,y,z\n" + "".join(
-    f"{k},{x - 0.1 * k!r},{y!r},{z!r}\n"
-    for k in range(12)
-    for x, y, z in [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0), (4.0, 4.0, 4.0)]
-)
-
-Check = Callable[..., str]
-
-
-def shown(value: object) -> str:
-    """Return a parameter's name for the list of tests: raw bytes have none."""
-    return value if isinstance(value, str) else type(value).__name__
-
-
-def snapshot(folder: Path) -> dict[str, bytes | None]:
-    return {
-        path.relative_to(folder).as_posix(): path.read_bytes() if path.is_file() else None
-        for path in sorted(folder.rglob("*"))
-    }
-
-
-@pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a log, a truth and a result; the working directory."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "log.csv").write_text(GOOD)
-    (tmp_path / "truth").mkdir()
-    (tmp_path / "truth" / "landmarks.csv").write_text(
-        "landmark,x,y,z,status\n0,1,0,0,static\n1,0,2,0,static\n2,0,0,3,static\n"
-    )
-    assert main(["map", "log.csv", "-o", "out"]) == 0
-    assert main(["evaluate", "out", "--truth", "truth"]) == 0
-    return tmp_path
-
-
-@pytest.fixture
-def refused(place: Path, capsys: pytest.CaptureFixture[str]) -> Check:
-    """Run a command that must be refused and leave everything as it was; return its one line."""
-
-    def check(*arguments: str) -> str:
-        before = snapshot(place)
-        capsys.readouterr()
-        assert main(arguments) == 2
-        printed = capsys.readouterr()
-        assert printed.out == ""
-        assert printed.err.startswith("relmap: error: ")
-        assert printed.err.endswith("\n")
-        assert len(printed.err.splitlines()) == 1
-        assert printed.err.isascii() or printed.err.strip().isprintable()
-        assert snapshot(place) == before
-        return printed.err
-
-    return check
+from tests.commands import GOOD, RELMAP, Check, shown, snapshot
 
 
 @pytest.mark.parametrize(
@@ -225,89 +169,17 @@ def test_a_bug_shows_its_traceback(place: Path, monkeypatch: pytest.MonkeyPatch)
     assert snapshot(place) == before
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("summary.json", b"", "not JSON"),
-        ("summary.json", b"[]", "not a JSON object"),
-        ("summary.json", b"{}", "scans"),
-        ("landmarks.csv", b"", "is empty"),
-        ("landmarks.csv", b"landmark,x\n", "no column y"),
-        (
-            "tracks.csv.gz",
-            gzip.compress(b"iteration,row,landmark\n0,0,x\n", mtime=0),
-            "line 2, field landmark",
-        ),
-        (
-            "tracks.csv.gz",
-            gzip.compress(b"iteration,row,landmark\n0,9999,1\n", mtime=0),
-            "not the one",
-        ),
-        ("tracks.csv.gz", gzip.compress(b"iteration,row,landmark\n", mtime=0)[:-6], "gzip"),
-        ("trajectory.tum", b"1 2 3\n", "3 fields"),
-        ("trajectory.tum", b"\x00\x01", "NUL"),
-        ("landmarks.csv", None, "does not exist"),
-        ("tracks.csv.gz", None, "does not exist"),
-        ("trajectory.tum", None, "does not exist"),
-    ],
-    ids=shown,
-)
-def test_damaged_result(
-    place: Path, refused: Check, name: str, content: bytes | None, message: str
-) -> None:
-    if content is None:
-        (place / "out" / name).unlink()
-    else:
-        (place / "out" / name).write_bytes(content)
-    assert message in refused("evaluate", "out", "--truth", "truth", "--log", "log.csv")
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "is empty"),
-        ("landmark,x,y,z\n0,1,0,0\n", "no column status"),
-        ("landmark,x,y,z,status\n0,1,0,,static\n", "line 2, field z"),
-        ("landmark,x,y,z,status\n0,1,0,nan,static\n", "line 2, field z"),
-        ("landmark,x,y,z,status\none,1,0,0,static\n", "line 2, field landmark"),
-        ("landmark,x,y,z,status\n0,1,0,0,lost\n", "landmark 0 is 'lost'"),
-        ("landmark,x,y,z,status\n0,1,0,0,static\n0,1,0,0,static\n", "stands there twice"),
-        ("landmark,x,y,z,status\n0,1,0,0\n", "line 2: 4 fields"),
-    ],
-)
-def test_bad_truth(place: Path, refused: Check, text: str, message: str) -> None:
-    (place / "truth" / "landmarks.csv").write_text(text)
-    assert message in refused("evaluate", "out", "--truth", "truth")
-
-
-def test_no_truth(place: Path, refused: Check) -> None:
-    (place / "empty").mkdir()
-    (place / "bad_ground_truth.txt").write_text("1 2 3\n")
-    (place / "truth" / "trajectory.tum").write_text("1 2 3\n")
-    assert "does not exist" in refused("evaluate", "out", "--truth", "none")
-    assert "holds no truth" in refused("evaluate", "out", "--truth", "empty")
-    assert "is no truth" in refused("evaluate", "out", "--truth", "log.csv")
-    assert "result folder" in refused("evaluate", "out", "--truth", "out")
-    assert "bad_ground_truth" in refused("evaluate", "out", "--truth", "bad_ground_truth.txt")
-    assert "trajectory.tum: line 1" in refused("evaluate", "out", "--truth", "truth")
-
-
-def test_another_log_is_refused(place: Path, refused: Check) -> None:
-    (place / "short.csv").write_text("".join(GOOD.splitlines(keepends=True)[:20]))
-    line = refused("evaluate", "out", "--truth", "truth", "--log", "short.csv")
-    assert "not the one that was mapped" in line
-
-
-def run(arguments: list[str], folder: Path, most_bytes: int | None = None) -> tuple[int, str]:
+def run(
+    arguments: list[str], folder: Path, env: dict[str, str], most_bytes: int | None = None
+) -> tuple[int, str]:
     """Run the command line in a process of its own, perhaps with a limit to its files' sizes."""
 
     def limit() -> None:
         if most_bytes is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, most_bytes))
 
-    env = os.environ | {"PYTHONPATH": str(Path(relmap.__file__).resolve().parents[1])}
     done = subprocess.run(
-        [sys.executable, "-m", "relmap.cli", *arguments],
+        [*RELMAP, *arguments],
         cwd=folder,
         env=env | {"PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
@@ -328,9 +200,11 @@ def run(arguments: list[str], folder: Path, most_bytes: int | None = None) -> tu
         (["map", "log.csv", "-o", "out"], 3000),
     ],
 )
-def test_from_a_shell(place: Path, arguments: list[str], most_bytes: int | None) -> None:
+def test_from_a_shell(
+    place: Path, child_env: dict[str, str], arguments: list[str], most_bytes: int | None
+) -> None:
     before = snapshot(place)
-    code, errors = run(arguments, place, most_bytes)
+    code, errors = run(arguments, place, child_env, most_bytes)
     assert code == 2
     assert errors.startswith("relmap: error: ")
     assert errors.count("\n") == 1

@@ -14,31 +14,7 @@ from hypothesis import strategies as st
 
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log, table, textfile
-
-PLAIN = "iteration,x,y,z,id\n0,1.5,-2,0.25,7\n0,3,4,5,8\n2,1,2,3,7\n"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder that all examples of a property use, one after the other."""
-    return tmp_path_factory.mktemp("datasets")
-
-
-def put(folder: Path, content: str | bytes, name: str = "observations.csv") -> Path:
-    """Write a file and return its path."""
-    path = folder / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
-
-
-def failure(path: Path, format: str | None = None) -> str:
-    """Return the one line with which reading fails."""
-    with pytest.raises(RelmapError) as caught:
-        open_log(path, format)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.isprintable()
-    return message
+from tests.logs import PLAIN, failure, put
 
 
 def test_reads_points_ids_and_empty_iterations(tmp_path: Path) -> None:

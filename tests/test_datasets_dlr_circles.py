@@ -13,6 +13,7 @@ import pytest
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log
 from relmap.datasets.dlr_circles import DlrCircles, read_ids
+from tests.logs import failure, put
 
 HEAD = "# A header of comments.\n#  LANDMARK <pX> <pY> ...\n \n"
 STEP = "STEP image.0000 0.001 -0.15 0.01 1e-5 0 1e-5 2e-5 0 2e-4\r\n"
@@ -27,23 +28,6 @@ CIRCLES = (
     + "\r\nLANDMARK_C 1 -2.5 0.93 0.0017 0.0001 0.0037 6\r\n"
     + STEP
 )
-
-
-def put(folder: Path, content: str | bytes, name: str = "map.circles") -> Path:
-    """Write a file and return its path."""
-    path = folder / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
-
-
-def failure(path: Path) -> str:
-    """Return the one line with which reading fails."""
-    with pytest.raises(RelmapError) as caught:
-        open_log(path, "dlr-circles")
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.isprintable()
-    return message
 
 
 def test_steps_are_iterations_and_axes_are_ours(tmp_path: Path) -> None:
@@ -65,9 +49,10 @@ def test_folder(tmp_path: Path) -> None:
     assert len(open_log(tmp_path).rows) == 5
     assert read_ids(tmp_path).tolist() == read_ids(path).tolist() == [6]
     put(tmp_path, CIRCLES, "again.circles")
-    assert "expected one *.circles in the folder: again.circles, map.c" in failure(tmp_path)
+    message = failure(tmp_path, "dlr-circles")
+    assert "expected one *.circles in the folder: again.circles, map.c" in message
     (tmp_path / "empty").mkdir()
-    assert "in the folder: none" in failure(tmp_path / "empty")
+    assert "in the folder: none" in failure(tmp_path / "empty", "dlr-circles")
 
 
 @pytest.mark.parametrize(
@@ -88,10 +73,10 @@ def test_folder(tmp_path: Path) -> None:
 )
 def test_bad_content(tmp_path: Path, old: str, new: str, problem: str) -> None:
     content = CIRCLES.replace(old, new).encode("utf-8", "surrogateescape")
-    path = put(tmp_path, content)
+    path = put(tmp_path, content, "map.circles")
     with pytest.raises(RelmapError, match=problem):
         open_log(path, "dlr-circles")
-    assert "map.circles" in failure(path)
+    assert "map.circles" in failure(path, "dlr-circles")
 
 
 def test_mutated_bytes_give_a_log_or_one_error(tmp_path: Path) -> None:
@@ -102,7 +87,7 @@ def test_mutated_bytes_give_a_log_or_one_error(tmp_path: Path) -> None:
             damaged = bytearray(packed[: rng.integers(len(packed) // 2, len(packed) + 1)])
             for place in rng.integers(0, len(damaged), rng.integers(1, 6)):
                 damaged[place] = rng.choice([rng.integers(256), *b"0 -.#\nSe9"])
-            path = put(tmp_path, bytes(damaged))
+            path = put(tmp_path, bytes(damaged), "map.circles")
             for format in (None, "dlr-circles"):
                 with suppress(RelmapError):
                     assert np.isfinite(open_log(path, format).points_robot).all()

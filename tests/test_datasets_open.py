@@ -9,42 +9,15 @@ import numpy as np
 import pytest
 
 from relmap.core.errors import RelmapError
-from relmap.datasets import DATASETS, FORMATS, ObservationLog, open_log
+from relmap.datasets import DATASETS, FORMATS, open_log
 from relmap.datasets.mrpt_landmarks import is_ground_truth, read_ground_truth
+from tests.logs import TREES, failure, ids_of, put
 
 POINTS = "iteration,x,y\n0,1,2\n"
 SENSOR = "# sensor on robot: t = 0 0 0 ; R (row major) = 1 0 0 0 1 0 0 0 1\n"
 SIGMA = "# sigma: range 0.01 m, yaw 0.001745 rad, pitch {} rad; max range 6 m\n"
 HEADER = "step,id,range_m,yaw_rad,pitch_rad\n"
 MRPT = SENSOR + SIGMA.format(0.001745) + HEADER + "0,3,2,0,0\n0,-1,2,1.5,0.1\n2,3,1,0,0\n"
-TREES = (
-    "scan,t_ms,range_m,bearing_rad,diameter_m\n"
-    "1,300,10,1.5707963267948966,0.3\n1,300,5,0,0.2\n3,700,5,3.141592653589793,0.2\n"
-)
-
-
-def put(folder: Path, content: str | bytes, name: str) -> Path:
-    """Write a file and return its path."""
-    path = folder / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
-
-
-def failure(path: Path | str, format: str | None = None) -> str:
-    """Return the one line with which reading fails."""
-    with pytest.raises(RelmapError) as caught:
-        open_log(path, format)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.isprintable()
-    return message
-
-
-def ids_of(log: ObservationLog) -> list[int]:
-    """Return the ids of a log that has them."""
-    assert log.ids is not None
-    ids: list[int] = log.ids.tolist()
-    return ids
 
 
 def test_formats_are_named() -> None:

@@ -12,38 +12,9 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from relmap.core.errors import RelmapError
-from relmap.datasets import ObservationLog, open_log
+from relmap.datasets import open_log
 from relmap.datasets.victoria_park import ASSOCIATION_FILE, CLOCK_FILE, read_reference_map
-
-TREES = (
-    "scan,t_ms,range_m,bearing_rad,diameter_m\n"
-    "1,300,10,1.5707963267948966,0.3\n1,300,5,0,0.2\n3,700,5,3.141592653589793,0.2\n"
-)
-
-
-def put(folder: Path, content: str | bytes, name: str) -> Path:
-    """Write a file and return its path."""
-    path = folder / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
-
-
-def failure(path: Path | str, format: str | None = None) -> str:
-    """Return the one line with which reading fails."""
-    with pytest.raises(RelmapError) as caught:
-        open_log(path, format)
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    assert message.isprintable()
-    return message
-
-
-def ids_of(log: ObservationLog) -> list[int]:
-    """Return the ids of a log that has them."""
-    assert log.ids is not None
-    ids: list[int] = log.ids.tolist()
-    return ids
-
+from tests.logs import TREES, failure, ids_of, put
 
 ASSOCIATED = np.array(
     [

@@ -14,21 +14,7 @@ from hypothesis.extra import numpy as npst
 
 from relmap.core.errors import RelmapError
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
-
-PLAIN = "iteration,x,y,z,id\n0,1.5,-2,0.25,7\n0,3,4,5,8\n2,1,2,3,7\n"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder that all examples of a property use, one after the other."""
-    return tmp_path_factory.mktemp("datasets")
-
-
-def put(folder: Path, content: str | bytes, name: str = "observations.csv") -> Path:
-    """Write a file and return its path."""
-    path = folder / name
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
+from tests.logs import PLAIN, put
 
 
 @st.composite

@@ -2,72 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap import MapperConfig, PointMapper, RelmapError
-from relmap.core.landmarks import LandmarkTable
-from relmap.datasets.base import ObservationLog, Scan
+from relmap import RelmapError
+from relmap.datasets.base import ObservationLog
 from relmap.evaluation.evaluate import evaluate, overlay
-from relmap.evaluation.run import run_mapper, stamps_of, timing
-from relmap.evaluation.truth import Truth, read_truth, write_truth
-from relmap.results import Result, Tracks, read_result, write_result
-from relmap.simulation import simulate_figure_eight
-
-N, K = 5, 12
-TRUE_MAP = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [4, 4, 4]])
-
-
-def make_truth() -> Truth:
-    poses = np.tile(np.eye(4), (K, 1, 1))
-    poses[:, 0, 3] = np.arange(K)
-    return Truth(np.arange(N), TRUE_MAP, np.full(N, "static"), np.linspace(0.0, K - 1, K), poses)
-
-
-def make_log() -> ObservationLog:
-    """Every landmark in every iteration."""
-    return ObservationLog(
-        points_robot=np.zeros((N * K, 3)),
-        iteration=np.repeat(np.arange(K), N),
-        rows=np.arange(N * K),
-        first_iteration=0,
-        end_iteration=K,
-        ids=np.tile(np.arange(N), K),
-    )
-
-
-def make_result(label_of_id: dict[int, int] | None = None) -> Result:
-    """Return a perfect result in a map frame of its own; labels are the ids plus ten."""
-    log, truth = make_log(), make_truth()
-    assert log.ids is not None
-    turn = Rotation.from_rotvec([0.3, 0.2, 0.1]).as_matrix()
-    T_map_true = np.eye(4)
-    T_map_true[:3, :3], T_map_true[:3, 3] = turn, [1, 2, 3]
-    table = LandmarkTable(
-        landmark=np.arange(N) + 10,
-        position=TRUE_MAP @ turn.T + [1, 2, 3],
-        sd=np.full(N, 0.1),
-        observations=np.full(N, K),
-        first_iteration=np.zeros(N, np.int64),
-        last_iteration=np.full(N, K - 1),
-        level=np.ones(N, np.int64),
-        status=np.full(N, "static"),
-        piece=np.zeros(N, np.int64),
-    )
-    tracks = Tracks(log.iteration, log.rows, log.ids + 10)
-    summary = {"scans": [0, K], "association": "nearest", "dimensions": 3}
-    return Result(table, tracks, truth.stamps_s, T_map_true @ truth.poses, summary)
-
-
-def with_table(result: Result, **columns: NDArray[Any]) -> Result:
-    return replace(result, landmarks=replace(result.landmarks, **columns))
+from relmap.results import Tracks
+from tests.judged import TRUE_MAP, K, N, make_log, make_result, make_truth, with_table
 
 
 def test_perfect_result_in_another_frame() -> None:
@@ -248,109 +193,3 @@ def test_overlay_lies_on_the_map() -> None:
     np.testing.assert_allclose(truth.landmarks_map, result.landmarks.position, atol=1e-12)
     np.testing.assert_allclose(truth.path_map, result.poses[:, :3, 3], atol=1e-12)
     np.testing.assert_allclose(truth.errors_map[:, 0], truth.errors_map[:, 1], atol=1e-12)
-
-
-def test_truth_comes_back_bit_by_bit(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    truth = replace(make_truth(), landmarks_map=rng.normal(size=(N, 3)))
-    (tmp_path / "truth").mkdir()
-    write_truth(tmp_path / "truth", truth)
-    for path in (tmp_path, tmp_path / "truth"):
-        again = read_truth(path)
-        np.testing.assert_array_equal(again.landmarks_map, truth.landmarks_map)
-        np.testing.assert_array_equal(again.landmark_ids, truth.landmark_ids)
-        np.testing.assert_array_equal(again.poses, truth.poses)
-
-
-def test_mrpt_truth(shared_data: Path) -> None:
-    folder = shared_data / "mrpt-kf-slam"
-    truth = read_truth(folder / "kf-slam_demo_ground_truth.txt")
-    assert len(truth.landmark_ids) == 70
-    assert truth.stamps_s.tolist() == list(range(250))
-    assert set(truth.status) == {"static"}
-
-
-def test_result_comes_back_bit_by_bit(tmp_path: Path) -> None:
-    result = make_result()
-    position = result.landmarks.position.copy()
-    position[1] = np.nan
-    result = with_table(result, position=position)
-    write_result(tmp_path, result)
-    again = read_result(tmp_path)
-    for name in ("landmark", "position", "sd", "observations", "level", "status"):
-        np.testing.assert_array_equal(
-            getattr(again.landmarks, name), getattr(result.landmarks, name)
-        )
-    np.testing.assert_array_equal(again.tracks.landmark, result.tracks.landmark)
-    np.testing.assert_array_equal(again.poses[:, :, 3], result.poses[:, :, 3])
-    assert again.summary == result.summary
-
-
-def test_run_tells_what_happened() -> None:
-    log = simulate_figure_eight(density=10, iterations=40).log
-    seen: list[int] = []
-
-    def watch(scans: Iterable[Scan]) -> Iterator[Scan]:
-        for scan in scans:
-            seen.append(scan.iteration)
-            yield scan
-
-    run = run_mapper(
-        PointMapper(MapperConfig(group_after=4)),
-        log.between(10, 40),
-        "known",
-        {"input": "x"},
-        watch,
-    )
-    summary, table = run.result.summary, run.result.landmarks
-    assert seen == list(range(10, 40))
-    assert summary["scans"] == [10, 40]
-    assert summary["input"] == "x"
-    assert (
-        summary["counts"]["observations"] == table.observations.sum() == (log.iteration >= 10).sum()
-    )
-    assert summary["counts"]["landmarks"] == len(table.landmark)
-    assert table.first_iteration.min() == 10
-    assert table.last_iteration.max() == 39
-    assert run.result.stamps_s.tolist() == list(range(10, 40))
-    assert len(run.groups) == summary["counts"]["groups"] > 0
-    assert all(np.isin(group, table.landmark).all() for group in run.groups)
-
-
-def test_nearest_keeps_the_ids_from_the_mapper() -> None:
-    log = simulate_figure_eight(density=10, iterations=30).log
-    with_ids = run_mapper(PointMapper(), log, "nearest").result
-    without = run_mapper(PointMapper(), replace(log, ids=None), "nearest").result
-    np.testing.assert_array_equal(with_ids.tracks.landmark, without.tracks.landmark)
-    np.testing.assert_array_equal(with_ids.landmarks.position, without.landmarks.position)
-
-
-def test_unidentified_observations_have_no_track() -> None:
-    log = simulate_figure_eight(density=10, iterations=30).log
-    assert log.ids is not None
-    ids = log.ids.copy()
-    ids[::7] = -1
-    tracks = run_mapper(PointMapper(), replace(log, ids=ids), "known").result.tracks
-    np.testing.assert_array_equal(tracks.row, np.flatnonzero(ids >= 0))
-    np.testing.assert_array_equal(tracks.landmark, ids[ids >= 0])
-
-
-def test_known_needs_ids() -> None:
-    log = replace(simulate_figure_eight(density=10, iterations=5).log, ids=None)
-    with pytest.raises(RelmapError, match="ids"):
-        run_mapper(PointMapper(), log, "known")
-
-
-def test_stamps_are_those_of_the_clock_where_there_is_one() -> None:
-    log = make_log()
-    assert stamps_of(log.between(3, 5)).tolist() == [3.0, 4.0]
-    clocked = replace(log, stamps_s=np.arange(K) / 4)
-    assert stamps_of(clocked.between(3, 5)).tolist() == [0.75, 1.0]
-
-
-def test_timing_in_milliseconds() -> None:
-    durations_s = np.concatenate([np.full(100, 1e-3), np.full(300, 2e-3), np.full(100, 3e-3)])
-    assert timing(durations_s) == pytest.approx(
-        {"median_ms": 2, "p95_ms": 3, "first_100_median_ms": 1, "last_100_median_ms": 3}
-    )
-    assert set(timing(np.empty(0)).values()) == {None}

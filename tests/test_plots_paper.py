@@ -27,7 +27,7 @@ from relmap.plots.chart import (
     plot_unsorted,
 )
 from relmap.plots.eight import EightPicture, plot_eight
-from relmap.plots.paper import write_png
+from relmap.plots.sheet import write_png
 
 # Who is seen in iterations 0 to 7.  Landmark 2, the seed, is seen in 1 to 6.
 SEEN = {

@@ -65,3 +65,8 @@ def aligned_rmse(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> 
     """Return the root mean squared distance after rigid alignment."""
     R, t = fit_rigid(positions, truth)
     return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
+
+
+def spacing(points: NDArray[np.float64]) -> float:
+    """Return the median distance of points (n, d) to their nearest neighbours."""
+    return float(np.median(np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1]))

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.core.kernels import DEGENERATE
+
+DEGENERATE = 1e-6
+"""Points whose spread across their line is below this share of that along it fix no rotation."""
 
 
 def fit_rigid(

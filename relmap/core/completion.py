@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.kernels import place_iterations
-
 
 @dataclass(frozen=True, eq=False)
 class RelativeMap:
@@ -88,6 +86,8 @@ def complete(
     RelativeMap
         Of the landmarks seen in an iteration that the reference fixes.
     """
+    from relmap.core.kernels import place_iterations
+
     seen = np.isfinite(block[:, :, 0])
     R, t, fixed, positions, squares, amplified = place_iterations(block, reference)
     used = seen & fixed

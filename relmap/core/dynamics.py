@@ -127,9 +127,9 @@ class Binning:
         self._n_comparisons = 0
 
     def sort(self, priority: NDArray[np.float64]) -> Bins:
-        """Sort landmarks into bins, or as many as n log2 n comparisons allow.
+        """Sort landmarks into bins; after n log2 n comparisons none is begun any more.
 
-        Those seen too seldom to be compared are in none.
+        Landmarks seen too seldom to be compared are in none.
 
         Parameters
         ----------

@@ -1,6 +1,7 @@
 """The hot loops, compiled: what numpy can only do in many passes.
 
-Compiled code is cached on disk, so that only the first run on a machine waits for it.
+Compiled code is cached on disk, so that only the first run on a machine waits for it.  Loading the
+compiler takes a moment too, so this module is imported where it is used.
 """
 
 from __future__ import annotations
@@ -12,15 +13,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-DEGENERATE = 1e-6
-"""Points whose spread across their line is below this share of that along it fix no rotation."""
+from relmap.core.alignment import DEGENERATE
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function on its first call, and cache the code."""
-    return cast("Function", numba.njit(cache=True)(function))
+    """Compile a function on its first call, and cache the code where there is a place for it."""
+    try:
+        return cast("Function", numba.njit(cache=True)(function))
+    except RuntimeError:  # neither beside the package nor in the user's cache folder
+        return cast("Function", numba.njit(function))
 
 
 @compiled
@@ -97,13 +100,8 @@ def trimmed_fit_rows(
 
 
 @compiled
-def nearest_claim(
-    wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int
-) -> NDArray[np.bool_]:
-    """Of rows that want the same one of `n` targets, tell the nearest; the first of equals.
-
-    Rows at infinite distance want nothing.
-    """
+def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> NDArray[np.bool_]:
+    """Of rows that want the same target, tell the nearest; see `nearest_claim`."""
     winner = np.full(n + 1, -1)
     for row in range(len(wanted)):
         if np.isfinite(distance[row]):

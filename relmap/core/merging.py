@@ -84,7 +84,7 @@ class Merger:
         if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
         tolerance_m = max(TOLERANCE * noise_m, EXACT * self._index.cell_m)
-        return self._choose(np.array(pairs[:CANDIDATES]), tolerance_m)
+        return self._choose(np.array(pairs), tolerance_m)
 
     def merge(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
@@ -122,6 +122,7 @@ class Merger:
         apart = np.linalg.norm(new - old, axis=1)
         if (apart <= tolerance_m).any():
             return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+        pairs, new, old = pairs[:CANDIDATES], new[:CANDIDATES], old[:CANDIDATES]
         rows = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
         first_new, first_old = (np.unique(column, return_index=True)[1] for column in rows.T)
         agreeing = agreeing_pairs(new[first_new], old[first_old], rows, tolerance_m)

@@ -125,39 +125,59 @@ def run_mapper(
     if association == "known" and log.ids is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
     scans: Iterable[Scan] = log.scans()
-    labels, durations_s = [], []
-    for scan in progress(scans) if progress else scans:
-        ids = scan.ids if association == "known" else None
-        began = perf_counter()
-        labels.append(mapper.update(scan.points_robot, ids=ids))
-        durations_s.append(perf_counter() - began)
+    labels, durations_s = _mapped(mapper, progress(scans) if progress else scans, association)
     mapper.finish()
-    began = perf_counter()
-    if refine:
-        mapper.refine()
-    refine_s = perf_counter() - began
-    label = mapper.landmarks_of(np.concatenate(labels) if labels else np.empty(0, np.int64))
+    refine_s = _refined(mapper, refine)
+    label = mapper.landmarks_of(labels)
     table, poses, groups = mapper.landmarks, mapper.trajectory, mapper.groups
     pieces = tuple(mapper.pieces)
     summary = {
         **(about or {}),
         "association": association,
+        **_summary(log, table, poses, len(groups), pieces),
+        "refined": refine,
+        "timing": timing(durations_s) | {"refine_ms": 1e3 * refine_s},
+    }
+    table, tracks = shifted(table, log.first_iteration), _tracks(log, label)
+    result = Result(table, tracks, *_trajectory(log, poses), summary, pieces)
+    return Run(result, tuple(group.landmarks for group in groups))
+
+
+def _mapped(
+    mapper: Mapper, scans: Iterable[Scan], association: Association
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the label of each observation, (n,), and the time of each update, seconds, (k,)."""
+    labels, durations_s = [], []
+    for scan in scans:
+        ids = scan.ids if association == "known" else None
+        began = perf_counter()
+        labels.append(mapper.update(scan.points_robot, ids=ids))
+        durations_s.append(perf_counter() - began)
+    return np.concatenate(labels) if labels else np.empty(0, np.int64), np.array(durations_s)
+
+
+def _refined(mapper: Mapper, refine: bool) -> float:
+    """Refine the map where that is asked for; return how long it took, seconds."""
+    began = perf_counter()
+    if refine:
+        mapper.refine()
+    return perf_counter() - began
+
+
+def _summary(
+    log: ObservationLog,
+    table: LandmarkTable,
+    poses: NDArray[np.float64],
+    n_groups: int,
+    pieces: Sequence[Piece],
+) -> dict[str, Any]:
+    return {
         "dimensions": log.points_robot.shape[1],
         "scans": [log.first_iteration, log.end_iteration],
         "versions": versions(),
-        "counts": _counts(log, table, poses, len(groups)),
+        "counts": _counts(log, table, poses, n_groups),
         "pieces": [_summary_of(piece, log.first_iteration) for piece in pieces],
-        "refined": refine,
-        "timing": timing(np.array(durations_s)) | {"refine_ms": 1e3 * refine_s},
     }
-    result = Result(
-        shifted(table, log.first_iteration),
-        _tracks(log, label),
-        *_trajectory(log, poses),
-        summary,
-        pieces,
-    )
-    return Run(result, tuple(group.landmarks for group in groups))
 
 
 def _summary_of(piece: Piece, first_iteration: int) -> dict[str, int]:

@@ -1,13 +1,8 @@
-"""What the pictures of the paper's figures share: a blank figure, colours, and the file."""
+"""What the pictures of the paper's figures share: a blank figure and colours."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from io import BytesIO
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-from relmap.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,31 +14,6 @@ RED = "#c0392b"
 SAND = "#f6cf94"
 GREY = "#8a8a8a"
 PALE = "#e4e4e4"
-
-
-def write_png(path: Path, draw: Callable[[], Figure]) -> None:
-    """Draw a figure into a PNG file, in matplotlib's own style whatever the user's.
-
-    The same drawing gives the same bytes.
-
-    Parameters
-    ----------
-    path : Path
-    draw : callable
-        Returns the figure.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    import matplotlib as mpl
-
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        picture = BytesIO()
-        draw().savefig(picture, metadata={"Software": None})
-    atomic_write(path, picture.getvalue())
 
 
 def blank(width_in: float, height_in: float) -> Figure:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.files import atomic_write
-from relmap.plots.sheet import Sheet
+from relmap.plots.sheet import Sheet, write_png
 from relmap.results import Result
 
 if TYPE_CHECKING:
@@ -42,13 +40,7 @@ def write_map_png(
     RelmapError
         Where the file cannot be written.
     """
-    import matplotlib as mpl
-
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        picture = BytesIO()
-        plot_run(result, groups, truth, title).savefig(picture, metadata={"Software": None})
-    atomic_write(path, picture.getvalue())
+    write_png(path, lambda: plot_run(result, groups, truth, title))
 
 
 def plot_run(

@@ -1,14 +1,20 @@
-"""The paper that run pictures are drawn on: equal axes from above and from the side, in scale."""
+"""What pictures are drawn on: equal axes from above and from the side, in scale; the PNG file."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.files import atomic_write
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 WIDTH_IN = 7.5
 HEIGHT_IN = 8.0
@@ -94,6 +100,31 @@ class Sheet:
             for handle in legend.legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])
+
+
+def write_png(path: Path, draw: Callable[[], Figure]) -> None:
+    """Draw a figure into a PNG file, in matplotlib's own style whatever the user's.
+
+    The same drawing gives the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+    draw : callable
+        Returns the figure.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        picture = BytesIO()
+        draw().savefig(picture, metadata={"Software": None})
+    atomic_write(path, picture.getvalue())
 
 
 def _limits(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

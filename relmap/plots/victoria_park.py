@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,7 @@ from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import evaluate, overlay
 from relmap.evaluation.metrics import seen_often
 from relmap.evaluation.truth import Truth
-from relmap.files import atomic_write
+from relmap.plots.sheet import write_png
 from relmap.results import Result
 
 if TYPE_CHECKING:
@@ -102,13 +101,7 @@ def write_panels_png(path: Path, panels: Sequence[Panel]) -> None:
     RelmapError
         Where the file cannot be written.
     """
-    import matplotlib as mpl
-
-    with mpl.rc_context():
-        mpl.rcdefaults()
-        picture = BytesIO()
-        plot_panels(panels).savefig(picture, metadata={"Software": None})
-    atomic_write(path, picture.getvalue())
+    write_png(path, lambda: plot_panels(panels))
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:

@@ -59,3 +59,15 @@ def nearest(
     """
     distance, index = tree.query(points, k=_RANKS[rank])
     return np.asarray(distance), np.asarray(index)
+
+
+def nearest_claim(
+    wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int
+) -> NDArray[np.bool_]:
+    """Of rows that want the same one of `n` targets, tell the nearest; the first of equals.
+
+    Rows at infinite distance want nothing.
+    """
+    from relmap.core.kernels import claims
+
+    return claims(wanted, distance, n)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.kernels import nearest_claim
-from relmap.core.registration.base import UNIDENTIFIED, Numbering, middle, nearest
+from relmap.core.registration.base import UNIDENTIFIED, Numbering, middle, nearest, nearest_claim
 from relmap.core.registration.placement import Placement, agreeing_pairs, trimmed_fit
 from relmap.core.registration.tracks import LiveTracks
 

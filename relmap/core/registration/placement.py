@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.kernels import trimmed_fit_rows
-
 TRIMMING_ROUNDS = 8
 
 
@@ -56,6 +54,8 @@ def trimmed_fit(
     Placement or None
         None where fewer than d matches are left.
     """
+    from relmap.core.kernels import trimmed_fit_rows
+
     R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, TRIMMING_ROUNDS)
     return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 

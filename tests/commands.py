@@ -1,0 +1,57 @@
+"""The command line and what it writes, for tests."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+RESULT_FILES = [
+    "landmarks.csv",
+    "map.ply",
+    "map.png",
+    "pieces.csv",
+    "summary.json",
+    "tracks.csv.gz",
+    "trajectory.tum",
+]
+RELMAP = [sys.executable, "-m", "relmap.cli"]
+GOOD = "iteration,x,y,z\n" + "".join(
+    f"{k},{x - 0.1 * k!r},{y!r},{z!r}\n"
+    for k in range(12)
+    for x, y, z in [(1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0), (4.0, 4.0, 4.0)]
+)
+
+Check = Callable[..., str]
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def load(path: Path) -> dict[str, Any]:
+    content = json.loads(path.read_text())
+    assert isinstance(content, dict)
+    return content
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    packed = path.suffix == ".gz"
+    with gzip.open(path, "rt") if packed else path.open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def shown(value: object) -> str:
+    """Return a parameter's name for the list of tests: raw bytes have none."""
+    return value if isinstance(value, str) else type(value).__name__
+
+
+def snapshot(folder: Path) -> dict[str, bytes | None]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() if path.is_file() else None
+        for path in sorted(folder.rglob("*"))
+    }

@@ -1,0 +1,83 @@
+"""Evaluating a damaged result, or against what is no truth: refused in one line."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import pytest
+
+from tests.commands import GOOD, Check, shown
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("summary.json", b"", "not JSON"),
+        ("summary.json", b"[]", "not a JSON object"),
+        ("summary.json", b"{}", "scans"),
+        ("landmarks.csv", b"", "is empty"),
+        ("landmarks.csv", b"landmark,x\n", "no column y"),
+        (
+            "tracks.csv.gz",
+            gzip.compress(b"iteration,row,landmark\n0,0,x\n", mtime=0),
+            "line 2, field landmark",
+        ),
+        (
+            "tracks.csv.gz",
+            gzip.compress(b"iteration,row,landmark\n0,9999,1\n", mtime=0),
+            "not the one",
+        ),
+        ("tracks.csv.gz", gzip.compress(b"iteration,row,landmark\n", mtime=0)[:-6], "gzip"),
+        ("trajectory.tum", b"1 2 3\n", "3 fields"),
+        ("trajectory.tum", b"\x00\x01", "NUL"),
+        ("landmarks.csv", None, "does not exist"),
+        ("tracks.csv.gz", None, "does not exist"),
+        ("trajectory.tum", None, "does not exist"),
+    ],
+    ids=shown,
+)
+def test_damaged_result(
+    place: Path, refused: Check, name: str, content: bytes | None, message: str
+) -> None:
+    if content is None:
+        (place / "out" / name).unlink()
+    else:
+        (place / "out" / name).write_bytes(content)
+    assert message in refused("evaluate", "out", "--truth", "truth", "--log", "log.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("landmark,x,y,z\n0,1,0,0\n", "no column status"),
+        ("landmark,x,y,z,status\n0,1,0,,static\n", "line 2, field z"),
+        ("landmark,x,y,z,status\n0,1,0,nan,static\n", "line 2, field z"),
+        ("landmark,x,y,z,status\none,1,0,0,static\n", "line 2, field landmark"),
+        ("landmark,x,y,z,status\n0,1,0,0,lost\n", "landmark 0 is 'lost'"),
+        ("landmark,x,y,z,status\n0,1,0,0,static\n0,1,0,0,static\n", "stands there twice"),
+        ("landmark,x,y,z,status\n0,1,0,0\n", "line 2: 4 fields"),
+    ],
+)
+def test_bad_truth(place: Path, refused: Check, text: str, message: str) -> None:
+    (place / "truth" / "landmarks.csv").write_text(text)
+    assert message in refused("evaluate", "out", "--truth", "truth")
+
+
+def test_no_truth(place: Path, refused: Check) -> None:
+    (place / "empty").mkdir()
+    (place / "bad_ground_truth.txt").write_text("1 2 3\n")
+    (place / "truth" / "trajectory.tum").write_text("1 2 3\n")
+    assert "does not exist" in refused("evaluate", "out", "--truth", "none")
+    assert "holds no truth" in refused("evaluate", "out", "--truth", "empty")
+    assert "is no truth" in refused("evaluate", "out", "--truth", "log.csv")
+    assert "result folder" in refused("evaluate", "out", "--truth", "out")
+    assert "bad_ground_truth" in refused("evaluate", "out", "--truth", "bad_ground_truth.txt")
+    assert "trajectory.tum: line 1" in refused("evaluate", "out", "--truth", "truth")
+
+
+def test_another_log_is_refused(place: Path, refused: Check) -> None:
+    (place / "short.csv").write_text("".join(GOOD.splitlines(keepends=True)[:20]))
+    line = refused("evaluate", "out", "--truth", "truth", "--log", "short.csv")
+    assert "not the one that was mapped" in line

@@ -1,0 +1,144 @@
+"""The command line from a shell: the demo, help, progress, and how it ends."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import relmap
+from relmap.cli import main
+from relmap.datasets import FORMATS
+from tests.commands import RELMAP, RESULT_FILES, load, names
+
+
+def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child_env: dict[str, str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = subprocess.run(
+        [*RELMAP, "demo"], capture_output=True, text=True, timeout=120, check=False, env=child_env
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines()[-1] == "wrote map.png and the files behind it to relmap-demo"
+    folder = tmp_path / "relmap-demo"
+    result_files = sorted([*RESULT_FILES, "evaluation.json"])
+    assert names(folder) == sorted([*result_files, "nearest", "observations.csv", "truth"])
+    assert names(folder / "nearest") == result_files
+    assert load(folder / "evaluation.json")["landmark_rmse_m"] < 0.1
+
+
+def run(
+    arguments: list[str], folder: Path, env: dict[str, str]
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*RELMAP, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env=env,
+        cwd=folder,
+    )
+
+
+def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]) -> None:
+    assert run(["--version"], tmp_path, child_env).stdout == f"relmap {relmap.__version__}\n"
+    bare, asked = run([], tmp_path, child_env), run(["--help"], tmp_path, child_env)
+    assert bare.returncode == asked.returncode == 0
+    assert bare.stdout == asked.stdout
+
+
+@pytest.mark.parametrize(
+    "verb", [[], ["simulate"], ["simulate", "figure-eight"], ["map"], ["evaluate"], ["demo"]]
+)
+def test_help_shows_an_example(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*verb, "--help"]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert f"Usage: {' '.join(['relmap', *verb])}" in printed.out
+    if verb != ["simulate"]:
+        assert "\n    relmap " in printed.out
+
+
+def test_help_of_map_names_every_format(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map", "--help"]) == 0
+    text = capsys.readouterr().out
+    assert [name for name in FORMATS if name not in text] == []
+
+
+def test_nobody_reads_the_output(tmp_path: Path, child_env: dict[str, str]) -> None:
+    child = subprocess.Popen(
+        [*RELMAP, "--help"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=child_env,
+        cwd=tmp_path,
+    )
+    assert child.stdout is not None
+    assert child.stderr is not None
+    child.stdout.close()
+    assert child.stderr.read() == b""
+    child.wait(timeout=60)
+    child.stderr.close()
+    assert child.returncode in (0, 1)
+
+
+def test_progress_on_a_terminal_leaves_no_trace_behind(
+    tmp_path: Path, child_env: dict[str, str]
+) -> None:
+    code = (
+        "import relmap.cli.console as c, time\n"
+        "c.PATIENCE_S = 0.0\n"
+        "list(c.tracked(range(3), 3, 'mapping'))\n"
+    )
+    ours, theirs = pty.openpty()
+    subprocess.run(
+        [sys.executable, "-c", code],
+        stderr=theirs,
+        timeout=60,
+        check=True,
+        env=child_env | {"TERM": "xterm"},
+        cwd=tmp_path,
+    )
+    os.close(theirs)
+    shown = os.read(ours, 100_000).decode()
+    os.close(ours)
+    assert "mapping" in shown
+    assert shown.endswith("\x1b[2K")
+
+
+def test_tracked_yields_everything_in_order() -> None:
+    from relmap.cli.console import tracked
+
+    assert list(tracked(range(5), 5, "mapping")) == list(range(5))
+
+
+def test_ctrl_c_ends_cleanly(tmp_path: Path, child_env: dict[str, str]) -> None:
+    log = tmp_path / "observations.csv"
+    rng = np.random.default_rng(0)
+    rows = (
+        f"{k},{x!r},{y!r}" for k in range(20_000) for x, y in rng.uniform(0, 9, (5, 2)).tolist()
+    )
+    log.write_text("iteration,x,y\n" + "\n".join(rows) + "\n")
+    out = tmp_path / "out"
+    child = subprocess.Popen(
+        [*RELMAP, "map", str(log), "-o", str(out)],
+        stderr=subprocess.PIPE,
+        env=child_env,
+        cwd=tmp_path,
+    )
+    deadline = time.monotonic() + 60
+    while not (out.is_dir() and names(out)):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    child.send_signal(signal.SIGINT)
+    _, errors = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert errors == b"relmap: interrupted\n"
+    assert names(tmp_path) == ["observations.csv"]

@@ -1,0 +1,85 @@
+"""A run of a mapper over a log, and what its summary tells."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from relmap import MapperConfig, PointMapper, RelmapError
+from relmap.datasets.base import Scan
+from relmap.evaluation.run import run_mapper, stamps_of, timing
+from relmap.simulation import simulate_figure_eight
+from tests.judged import K, make_log
+
+
+def test_run_tells_what_happened() -> None:
+    log = simulate_figure_eight(density=10, iterations=40).log
+    seen: list[int] = []
+
+    def watch(scans: Iterable[Scan]) -> Iterator[Scan]:
+        for scan in scans:
+            seen.append(scan.iteration)
+            yield scan
+
+    run = run_mapper(
+        PointMapper(MapperConfig(group_after=4)),
+        log.between(10, 40),
+        "known",
+        {"input": "x"},
+        watch,
+    )
+    summary, table = run.result.summary, run.result.landmarks
+    assert seen == list(range(10, 40))
+    assert summary["scans"] == [10, 40]
+    assert summary["input"] == "x"
+    assert (
+        summary["counts"]["observations"] == table.observations.sum() == (log.iteration >= 10).sum()
+    )
+    assert summary["counts"]["landmarks"] == len(table.landmark)
+    assert table.first_iteration.min() == 10
+    assert table.last_iteration.max() == 39
+    assert run.result.stamps_s.tolist() == list(range(10, 40))
+    assert len(run.groups) == summary["counts"]["groups"] > 0
+    assert all(np.isin(group, table.landmark).all() for group in run.groups)
+
+
+def test_nearest_keeps_the_ids_from_the_mapper() -> None:
+    log = simulate_figure_eight(density=10, iterations=30).log
+    with_ids = run_mapper(PointMapper(), log, "nearest").result
+    without = run_mapper(PointMapper(), replace(log, ids=None), "nearest").result
+    np.testing.assert_array_equal(with_ids.tracks.landmark, without.tracks.landmark)
+    np.testing.assert_array_equal(with_ids.landmarks.position, without.landmarks.position)
+
+
+def test_unidentified_observations_have_no_track() -> None:
+    log = simulate_figure_eight(density=10, iterations=30).log
+    assert log.ids is not None
+    ids = log.ids.copy()
+    ids[::7] = -1
+    tracks = run_mapper(PointMapper(), replace(log, ids=ids), "known").result.tracks
+    np.testing.assert_array_equal(tracks.row, np.flatnonzero(ids >= 0))
+    np.testing.assert_array_equal(tracks.landmark, ids[ids >= 0])
+
+
+def test_known_needs_ids() -> None:
+    log = replace(simulate_figure_eight(density=10, iterations=5).log, ids=None)
+    with pytest.raises(RelmapError, match="ids"):
+        run_mapper(PointMapper(), log, "known")
+
+
+def test_stamps_are_those_of_the_clock_where_there_is_one() -> None:
+    log = make_log()
+    assert stamps_of(log.between(3, 5)).tolist() == [3.0, 4.0]
+    clocked = replace(log, stamps_s=np.arange(K) / 4)
+    assert stamps_of(clocked.between(3, 5)).tolist() == [0.75, 1.0]
+
+
+def test_timing_in_milliseconds() -> None:
+    durations_s = np.concatenate([np.full(100, 1e-3), np.full(300, 2e-3), np.full(100, 3e-3)])
+    assert timing(durations_s) == pytest.approx(
+        {"median_ms": 2, "p95_ms": 3, "first_100_median_ms": 1, "last_100_median_ms": 3}
+    )
+    assert set(timing(np.empty(0)).values()) == {None}
