@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from threading import Timer
 from time import monotonic
 from typing import Annotated, TypeVar
 
@@ -57,6 +59,24 @@ def _with_bar(source: Iterator[T], done: int, total: int, what: str) -> Iterator
         for item in source:
             yield item
             progress.advance(task)
+
+
+@contextmanager
+def busy(what: str) -> Iterator[None]:
+    """Tell on stderr what is being done, where that is a terminal and it takes long."""
+    from rich.console import Console
+
+    status = Console(stderr=True).status(what)
+    timer = Timer(PATIENCE_S, status.start)
+    if status.console.is_terminal:
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if timer.ident is not None:
+            timer.join()
+        status.stop()
 
 
 def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

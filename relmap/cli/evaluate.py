@@ -70,9 +70,10 @@ def evaluate_command(
     ] = None,
 ) -> None:
     """Evaluate a result; the arguments are explained in the help text."""
-    from relmap.cli.console import print_table
+    from relmap.cli.console import busy, print_table
 
-    evaluation = evaluate_folder(folder, truth, log)
+    with busy("evaluating"):
+        evaluation = evaluate_folder(folder, truth, log)
     rows = [(name, figure(getattr(evaluation, key))) for key, name in FIGURES.items()]
     print_table(f"{folder} against {truth}", ("figure", "value"), rows)
     if evaluation.purity is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,7 +15,7 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
-    from relmap.datasets.base import ObservationLog
+    from relmap.datasets.base import ObservationLog, Scan
     from relmap.evaluation.run import Run
 
 Association = Literal["nearest", "known"]
@@ -123,7 +125,7 @@ def map_input(
         Where an argument or the log cannot be used, or the folder cannot be written; an earlier
         result in it is then as it was.
     """
-    from relmap.cli.console import tracked
+    from relmap.cli.console import busy, tracked
     from relmap.datasets import open_log
     from relmap.evaluation.run import run_mapper
     from relmap.files import staged_folder
@@ -135,18 +137,24 @@ def map_input(
     settings = read_config(config)
     if registration is not None:
         settings = replace(settings, registration=registration)
-    log = open_log(source, log_format)
+    with busy("reading"):
+        log = open_log(source, log_format)
     if interval is not None:
         log = log.between(*interval)
     check_association(log, association, source)
-    with staged_folder(out, stale=[EVALUATION]) as staging:
+    with staged_folder(out, stale=[EVALUATION]) as staging, ExitStack() as afterwards:
+
+        def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
+            yield from tracked(scans, len(log), "mapping")
+            afterwards.enter_context(busy("refining and writing"))
+
         about = _about(source, log_format or recognised_format(source), settings)
         run = run_mapper(
             PointMapper(settings),
             log,
             association,
             about,
-            lambda scans: tracked(scans, len(log), "mapping"),
+            shown,
             refine=refine,
         )
         write_result(staging, run.result)

@@ -69,13 +69,14 @@ def write_figure_eight(
     RelmapError
         Where an argument is out of range or the folder cannot be written.
     """
+    from relmap.cli.console import busy
     from relmap.datasets.observation_csv import write_observation_csv
     from relmap.evaluation.run import stamps_of
     from relmap.evaluation.truth import Truth, write_truth
     from relmap.files import staged_folder
     from relmap.simulation import simulate_figure_eight
 
-    with staged_folder(out) as staging:
+    with staged_folder(out) as staging, busy("simulating"):
         world = simulate_figure_eight(density, iterations, noise, sigma, dynamic, seed)
         write_observation_csv(staging / "observations.csv", world.log)
         (staging / "truth").mkdir()

@@ -75,7 +75,8 @@ class RelativeMapper(ABC):
         Returns
         -------
         (n,) int64
-            Label of the landmark of each observation; -1 where it was not identified.
+            Label of the landmark of each observation; -1 where it was not identified.  A landmark
+            that is recognised later changes its label: see `landmarks_of`.
 
         Raises
         ------

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+from rich.console import Console
+
+from relmap.cli import console
+from relmap.cli.console import busy, tracked
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[[], str]:
+    """Let progress believe in a terminal and lose patience soon; return what reads stderr."""
+    monkeypatch.setattr(console, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(Console, "is_terminal", property(lambda _: True))
+    return lambda: capsys.readouterr().err
+
+
+def test_long_work_says_what_it_does(said: Callable[[], str]) -> None:
+    with busy("counting sheep"):
+        time.sleep(0.3)
+    assert "counting sheep" in said()
+
+
+def test_short_work_says_nothing(said: Callable[[], str]) -> None:
+    with busy("counting sheep"):
+        pass
+    assert "counting sheep" not in said()
+
+
+def test_long_loops_show_how_far_they_are(said: Callable[[], str]) -> None:
+    for _ in tracked(range(10), 10, "counting sheep"):
+        time.sleep(0.03)
+    assert "counting sheep" in said()
+
+
+def test_work_that_fails_ends_its_message(said: Callable[[], str]) -> None:
+    def fail() -> None:
+        with busy("counting sheep"):
+            time.sleep(0.2)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert "counting sheep" in said()
