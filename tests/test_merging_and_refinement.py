@@ -96,7 +96,6 @@ def group_of(
         landmarks=members,
         relative_map=relative_map,
         n_observations=n,
-        member=np.ones(len(members), dtype=bool),
         iterations=np.arange(10),
         fitted=none,
         R=np.empty((0, d, d)),

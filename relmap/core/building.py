@@ -122,7 +122,6 @@ class MapBuilder:
         piece: int,
         placed: NDArray[np.float64],
         relative: RelativeMap,
-        members: NDArray[np.int64],
         common_interval: NDArray[np.int64],
     ) -> None:
         """Average a relative map, placed in the frame of a piece, into the map; keep it."""
@@ -136,7 +135,6 @@ class MapBuilder:
                 landmarks=landmarks,
                 relative_map=relative.positions,
                 n_observations=n_unused,
-                member=np.isin(landmarks, members),
                 iterations=common_interval,
                 fitted=relative.iterations[relative.fixed],
                 R=relative.R[relative.fixed],
@@ -157,12 +155,12 @@ class MapBuilder:
         weights: NDArray[np.float64],
         min_members: int,
         min_shared: int,
-    ) -> tuple[RelativeMap, NDArray[np.int64], NDArray[np.int64]] | None:
+    ) -> tuple[RelativeMap, NDArray[np.int64]] | None:
         """Average the static landmarks of a chart; take note of the dynamic ones.
 
         Returns
         -------
-        (relative map, members, common interval) or None
+        (relative map, common interval) or None
             None where no group can be grown, or it fixes no basis.
         """
         static = self._static(chart, block, weights)
@@ -179,8 +177,7 @@ class MapBuilder:
         moving = relative.landmarks[self.dynamics.dynamic[relative.landmarks]]
         self.map.remove(moving)
         self._schedule.grouped(moving, self._store.n_iterations)
-        members, iterations = chart.landmarks[group.rows], chart.iterations[group.columns]
-        return relative.only(at_rest), members, iterations
+        return relative.only(at_rest), chart.iterations[group.columns]
 
     def _completed(
         self,

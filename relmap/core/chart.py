@@ -42,11 +42,6 @@ class PointChart:
         first = np.argsort(present != seed, kind="stable")
         return cls(present[first], when, visible[first])
 
-    @property
-    def seed(self) -> int:
-        """The landmark that the chart is about."""
-        return int(self.landmarks[0])
-
     def only(self, rows: NDArray[np.bool_]) -> PointChart:
         """Return the chart of some of its landmarks, the seed among them."""
         return PointChart(self.landmarks[rows], self.iterations, self.visible[rows])

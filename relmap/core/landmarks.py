@@ -97,8 +97,6 @@ class MappedGroup:
     relative_map : (n, d) float64, group frame, metres
     n_observations : (n,) int64
         Observations behind each position that no earlier group used.
-    member : (n,) bool
-        Whether a landmark was grown into the group: seen in all of its common interval.
     iterations : (i,) int64, ascending
         The common interval.
     fitted : (k,) int64, ascending
@@ -111,7 +109,6 @@ class MappedGroup:
     landmarks: NDArray[np.int64]
     relative_map: NDArray[np.float64]
     n_observations: NDArray[np.int64]
-    member: NDArray[np.bool_]
     iterations: NDArray[np.int64]
     fitted: NDArray[np.int64]
     R: NDArray[np.float64]

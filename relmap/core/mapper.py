@@ -99,11 +99,12 @@ class RelativeMapper(ABC):
         labels[seen] = registration.labels_of(self._identity.of(landmarks[seen]))
         return labels
 
-    def landmarks_of(self, labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now.
 
         A landmark lost and seen again has a label of its own until it is recognised.
         """
+        labels = np.asarray(labels, dtype=np.int64)
         if self._registration is None or isinstance(self._registration, KnownAssociation):
             return labels
         return np.where(labels >= 0, self._identity.of(labels), labels)
@@ -121,9 +122,9 @@ class RelativeMapper(ABC):
         all, over the whole map.
         """
         builder = self._builder
+        of = self._identity.of(np.arange(len(builder.map.pieces)))
         for piece in np.unique(builder.map.pieces[builder.map.pieces != UNMAPPED]):
             mapped = builder.map.pieces == piece
-            of = self._identity.of(np.arange(len(mapped)))
             observations = gathered(builder.groups, mapped, of)
             refined = refine(observations, builder.map.positions)
             builder.map.positions[mapped] = refined[mapped]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.globalmap import GlobalMap
+from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
 from relmap.core.registration.base import middle, nearest
 from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
@@ -80,7 +80,12 @@ class Merger:
         weights = self._map.weights[landmarks]
         for new in landmarks[(weights >= self._mature) & ~self._asked.values[landmarks]].tolist():
             self._ask(new)
-        pairs = [(new, old) for new in landmarks.tolist() for old in self._old_near.get(new, ())]
+        pairs = [
+            (new, old)
+            for new in landmarks.tolist()
+            for old in self._old_near.get(new, ())
+            if self._may_be(new, old)
+        ]
         if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
         tolerance_m = max(TOLERANCE * noise_m, EXACT * self._index.cell_m)
@@ -102,7 +107,7 @@ class Merger:
         return SpatialIndex(REACH * spacing, positions.shape[1]) if spacing > 0 else None
 
     def _ask(self, new: int) -> None:
-        """Look once for old landmarks near a new one, of the same piece and never seen with it."""
+        """Look once for old landmarks near a new one."""
         self._asked.values[new] = True
         if self._index is None:
             return
@@ -110,12 +115,16 @@ class Merger:
         near = [
             old
             for old in self._index.near(position)
-            if self._sightings.last[old] < self._sightings.first[new]
-            and self._map.pieces[old] == self._map.pieces[new]
+            if self._may_be(new, old)
             and np.linalg.norm(self._map.positions[old] - position) <= self._index.cell_m
         ]
         if near:
             self._old_near[new] = sorted(set(near))
+
+    def _may_be(self, new: int, old: int) -> bool:
+        """Tell whether a landmark may be an older one: of its piece, and never seen with it."""
+        apart = self._sightings.last[old] < self._sightings.first[new]
+        return bool(apart and self._map.pieces[old] == self._map.pieces[new] != UNMAPPED)
 
     def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
         new, old = self._map.positions[pairs[:, 0]], self._map.positions[pairs[:, 1]]
