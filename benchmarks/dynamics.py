@@ -1,0 +1,153 @@
+"""Moving landmarks: how well they are told from static ones, and in how many comparisons.
+
+    python benchmarks/dynamics.py [--quick]
+
+The figure eight, sigma 0.05 m, with 10 to 70 % of its landmarks moving in every way that the
+simulation knows.  Judged are landmarks seen 30 times, by their status when the run is finished and
+by whether the world made them dynamic.  Without ids a landmark may be several tracks: each track
+is judged by itself, if it was seen 30 times, by the true landmark that most of its observations
+are of.  A track that moves only while nobody looks, or stopped long before it left the view, counts
+as missed all the same.
+
+A group sorts the landmarks of its chart into bins, twice where the noise may have grown; what is
+counted is the comparisons of both.  The library does not hand them out, so the counts are read off
+its `Binning` (as in benchmarks/figures.py), for n the landmarks of the chart seen often enough to
+be compared, where these are two or more.  The pairs that guessing the noise looks at, of at most
+`PAIRED` landmarks (`relmap.core.noise`), are not among them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from speed import on_one_core, table
+
+from relmap import PointMapper
+from relmap.core import building
+from relmap.core.dynamics import FEWEST, Binning, Bins
+from relmap.evaluation.metrics import majority_ids
+from relmap.simulation import FigureEight, simulate_figure_eight
+
+SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.65, 0.7)
+DENSITIES = (25, 100)
+SEEDS = range(5)
+SEEN = 30
+"""Sightings without which a landmark is not judged."""
+BAR, JUDGED = 0.97, (0.4, 0.65)
+"""Least precision and recall, and the shares of dynamic landmarks at which it is asked for."""
+
+Groups = list[tuple[int, int]]
+"""Landmarks sorted for each group, and pairs of them compared."""
+
+
+@contextmanager
+def comparisons_counted() -> Iterator[Groups]:
+    """Yield a list that grows by an entry with every group whose landmarks are sorted."""
+    groups: Groups = []
+    last: list[NDArray[np.float64]] = []
+
+    class CountingBinning(Binning):
+        def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
+            super().__init__(block, noise_m)
+            self._again = bool(last) and last[0] is block
+            self._n = int(np.sum(np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST))
+            last[:] = [block]
+
+        def sort(self, priority: NDArray[np.float64]) -> Bins:
+            bins = super().sort(priority)
+            before = groups.pop()[1] if self._again else 0
+            groups.append((self._n, before + bins.n_comparisons))
+            return bins
+
+    theirs = building.Binning
+    building.Binning = CountingBinning
+    try:
+        yield groups
+    finally:
+        building.Binning = theirs
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one run: judged tracks by what they are and what they are taken for."""
+
+    both: int  # dynamic, and called so
+    called: int
+    dynamic: int
+    judged: int
+    load: NDArray[np.float64]  # comparisons / (n log2 n) of each group
+
+
+def outcome(world: FigureEight, known: bool) -> Outcome:
+    mapper = PointMapper()
+    with comparisons_counted() as groups:
+        labels = [
+            mapper.update(scan.points_robot, scan.ids if known else None)
+            for scan in world.log.scans()
+        ]
+        mapper.finish()
+    tracks = mapper.landmarks_of(np.concatenate(labels))
+    judged, true_ids, _ = majority_ids(tracks, world.log.ids)
+    found = mapper.landmarks
+    row = np.searchsorted(found.landmark, judged)
+    often = found.observations[row] >= SEEN
+    called = (found.status[row] == "dynamic")[often]
+    dynamic = (world.status[true_ids] == "dynamic")[often]
+    n, compared = np.array([group for group in groups if group[0] > 1]).T
+    return Outcome(
+        int(np.sum(called & dynamic)),
+        int(called.sum()),
+        int(dynamic.sum()),
+        int(often.sum()),
+        compared / (n * np.log2(n)),
+    )
+
+
+def ratio(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")
+
+
+def cells_of(runs: list[Outcome], share: float) -> list[str]:
+    """Return pooled and worst precision and recall, and the load of the groups."""
+    both = sum(run.both for run in runs)
+    cells = [f"{sum(run.judged for run in runs)}"]
+    met = True
+    for name in ("called", "dynamic"):
+        pooled = ratio(both, sum(getattr(run, name) for run in runs))
+        worst = min(ratio(run.both, getattr(run, name)) for run in runs)
+        cells.append(f"{pooled:.3f} ({worst:.3f})")
+        met &= pooled >= BAR
+    load = np.concatenate([run.load for run in runs])
+    cells.append(("yes" if met else "no") if share in JUDGED else "")
+    cells += [f"{len(load)}", f"{np.median(load):.2f}", f"{load.max():.2f}"]
+    return [*cells, f"{100 * np.mean(load > 1):.2f} %"]
+
+
+def main(shares: tuple[float, ...], densities: tuple[int, ...], seeds: range) -> None:
+    rows = []
+    for density in densities:
+        for share in shares:
+            worlds = [simulate_figure_eight(density, dynamic=share, seed=seed) for seed in seeds]
+            for name in ("known", "nearest"):
+                runs = [outcome(world, name == "known") for world in worlds]
+                first = [f"{density}", f"{100 * share:.0f} %", name]
+                rows.append([*first, *cells_of(runs, share)])
+    header = ["density", "dynamic", "association", "judged", "precision (worst seed)"]
+    header += ["recall (worst seed)", f"both >= {BAR}", "groups"]
+    header += ["comparisons / (n log2 n), median", "largest", "groups above 1"]
+    table(f"Status dynamic, and comparisons; seeds {seeds[0]} to {seeds[-1]}", header, rows)
+
+
+if __name__ == "__main__":
+    on_one_core()
+    parser = argparse.ArgumentParser(description="Judge how moving landmarks are found.")
+    parser.add_argument("--quick", action="store_true", help="density 25, one seed, 40 and 65 %%")
+    if parser.parse_args().quick:
+        main(JUDGED, DENSITIES[:1], SEEDS[:1])
+    else:
+        main(SHARES, DENSITIES, SEEDS)

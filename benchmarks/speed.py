@@ -1,0 +1,236 @@
+"""Time of an iteration beside plain averaging and beside ICP, on the same scans in one run.
+
+    python benchmarks/speed.py [--quick]
+
+Every scan of the figure eight (sigma 0.05 m, seed 0) goes to all methods in turn, and who comes
+first changes with every scan.  Times are processor time, which counts every thread, with one thread
+in each library; the first iterations are left out.  The median of an iteration decides; the mean
+stands beside it because groups are not formed in every iteration.
+
+Frame-to-map is given the ids.  KISS-ICP (Vizzo et al., RA-L 2023; `pip install kiss-icp`) gets the
+landmarks of a scan as its point cloud and runs `register_frame`: no deskewing, for a scan is one
+instant; its default range of 100 m, beyond the sensor's 80; and its default voxel, a hundredth of
+that, 1 m, smaller than the landmarks' spacing.  Its path error tells whether it keeps track.
+
+What is compiled, is compiled in processes of their own: once into an empty cache, once from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from tempfile import TemporaryDirectory
+from time import perf_counter, process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.datasets.base import ObservationLog, Scan
+from relmap.evaluation.baselines import FrameToMap
+from relmap.evaluation.metrics import align, rms
+from relmap.simulation import FigureEight, simulate_figure_eight
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+DENSITIES = (23, 92, 367, 918)
+"""Landmarks per 100 m; about 20, 80, 320 and 800 are visible."""
+WARM_UP = 50
+"""Iterations left out at the beginning."""
+RANGE_M, VOXEL_M = 100.0, 1.0
+BARS = (("frame-to-map", 7.0), ("KISS-ICP", 2.0), ("KISS-ICP", 1.5), ("KISS-ICP", 1.5))
+"""What relmap is held against at each density, and how many times its time it may take."""
+OURS = ("relmap nearest", "relmap known")
+
+Step = Callable[[Scan], object]
+Times = dict[str, NDArray[np.float64]]
+
+
+def on_one_core() -> None:
+    """Start this program anew with one thread in every library, unless it has been."""
+    if any(os.environ.get(name) != "1" for name in THREADS):
+        one_each = os.environ | dict.fromkeys(THREADS, "1")
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], one_each)
+
+
+class KissIcp:
+    """KISS-ICP on the landmarks of each scan, and where it thinks the robot was.
+
+    Raises
+    ------
+    ImportError
+        Where it is not installed.
+    """
+
+    def __init__(self) -> None:
+        from kiss_icp.config import load_config
+        from kiss_icp.kiss_icp import KissICP
+
+        config = load_config(None)
+        config.data.max_range, config.data.deskew = RANGE_M, False
+        config.mapping.voxel_size = VOXEL_M
+        config.registration.max_num_threads = 1
+        self._pipeline = KissICP(config)
+        self.path_map: list[NDArray[np.float64]] = []
+
+    def update(self, scan: Scan) -> None:
+        """Register one scan."""
+        self._pipeline.register_frame(scan.points_robot, np.empty(0))
+        self.path_map.append(self._pipeline.last_pose[:3, 3])
+
+    def error_m(self, world: FigureEight) -> float:
+        """Return the RMSE of the path after rigid alignment."""
+        path, truth = np.array(self.path_map), world.trajectory[:, :3, 3]
+        R, t = align(path, truth)
+        return rms(path @ R.T + t - truth) or 0.0
+
+
+def kiss_icp() -> KissIcp | None:
+    try:
+        return KissIcp()
+    except ImportError:
+        return None
+
+
+def methods(icp: KissIcp | None) -> dict[str, Step]:
+    nearest, known, plain = PointMapper(), PointMapper(), FrameToMap()
+    steps: dict[str, Step] = {
+        "relmap nearest": lambda scan: nearest.update(scan.points_robot),
+        "relmap known": lambda scan: known.update(scan.points_robot, scan.ids),
+        "frame-to-map": lambda scan: plain.update(scan.points_robot, scan.ids),
+    }
+    return steps if icp is None else steps | {"KISS-ICP": icp.update}
+
+
+def side_by_side(log: ObservationLog, steps: dict[str, Step]) -> Times:
+    """Return the time of each iteration with each method, milliseconds."""
+    names, times = list(steps), {name: np.zeros(len(log)) for name in steps}
+    for k, scan in enumerate(log.scans()):
+        first = k % len(names)
+        for name in names[first:] + names[:first]:
+            began = process_time()
+            steps[name](scan)
+            times[name][k] = 1e3 * (process_time() - began)
+    return {name: time_ms[WARM_UP:] for name, time_ms in times.items()}
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What was measured at one density."""
+
+    visible: float
+    times_ms: Times
+    error_m: float | None  # of the path of KISS-ICP; None where it is missing
+
+
+def timing(density: float, iterations: int) -> Timing:
+    world, icp = simulate_figure_eight(density, iterations), kiss_icp()
+    times_ms = side_by_side(world.log, methods(icp))
+    visible = len(world.log.points_robot) / len(world.log)
+    return Timing(visible, times_ms, icp.error_m(world) if icp else None)
+
+
+def table(title: str, header: list[str], rows: list[list[str]]) -> None:
+    print(f"\n{title}\n")
+    for cells in (header, ["---"] * len(header), *rows):
+        print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def print_times(timings: list[Timing]) -> None:
+    names = list(timings[0].times_ms)
+    rows = [
+        [f"{one.visible:.1f}"]
+        + [f"{np.median(t):.3f} ({np.mean(t):.3f})" for t in one.times_ms.values()]
+        + [f"{one.error_m:.2f}" if one.error_m is not None else "not installed"]
+        for one in timings
+    ]
+    header = ["visible", *names, "path error of KISS-ICP [m]"]
+    table("Time of an iteration, median (mean), ms", header, rows)
+
+
+def print_ratios(timings: list[Timing]) -> None:
+    rows = []
+    for one, (other, bar) in zip(timings, BARS, strict=False):
+        for name in OURS:
+            cells = [f"{one.visible:.1f}", name, other]
+            if other in one.times_ms:
+                ours, theirs = one.times_ms[name], one.times_ms[other]
+                ratio = np.median(ours) / np.median(theirs)
+                met = "yes" if ratio <= bar else "no"
+                cells += [f"{ratio:.2f}", f"{ours.mean() / theirs.mean():.2f}", f"{bar:g}", met]
+            else:
+                cells += ["not installed", "", f"{bar:g}", "not measured"]
+            rows.append(cells)
+    header = ["visible", "method", "against", "ratio of medians", "of means", "bar", "met"]
+    table("Ratios", header, rows)
+
+
+# Compiling.
+
+
+def use_cache(folder: str) -> None:
+    os.environ["NUMBA_CACHE_DIR"] = folder
+
+
+def whole_run(log: ObservationLog) -> NDArray[np.float64]:
+    """Map a log both ways, and refine it; return the time it took, of clock and processor, s."""
+    began = clocks()
+    for known in (False, True):
+        mapper = PointMapper()
+        for scan in log.scans():
+            mapper.update(scan.points_robot, scan.ids if known else None)
+        mapper.finish()
+        mapper.refine()
+    return clocks() - began
+
+
+def clocks() -> NDArray[np.float64]:
+    return np.array([perf_counter(), process_time()])
+
+
+def first_run() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how long numba takes to load and how much longer a first run takes, as `whole_run`."""
+    log = small_world()
+    began = clocks()
+    import numba  # noqa: F401
+
+    loaded = clocks() - began
+    first = whole_run(log)
+    return loaded, first - whole_run(log)
+
+
+def small_world() -> ObservationLog:
+    return simulate_figure_eight(density=50, iterations=120, dynamic=0.2).log
+
+
+def print_compiling() -> None:
+    rows = []
+    with TemporaryDirectory() as folder:
+        for cache in ("cold", "warm"):
+            with ProcessPoolExecutor(1, get_context("spawn"), use_cache, (folder,)) as pool:
+                measured = pool.submit(first_run).result()
+            times = (f"{clock:.2f} ({processor:.2f})" for clock, processor in measured)
+            rows.append([cache, *times])
+    title = "Compiling: both associations, merging and refining; clock (processor) time, s"
+    table(title, ["cache", "numba loads", "first run takes longer by"], rows)
+
+
+if __name__ == "__main__":
+    on_one_core()
+    parser = argparse.ArgumentParser(description="Time an iteration beside other methods.")
+    parser.add_argument("--quick", action="store_true", help="up to 80 visible, not compiling")
+    quick = parser.parse_args().quick
+    if kiss_icp() is None:
+        print("KISS-ICP is not installed (pip install kiss-icp): what it is for is left out")
+    whole_run(small_world())
+    measured = [
+        timing(density, 150 if quick else 900) for density in DENSITIES[: 2 if quick else None]
+    ]
+    print_times(measured)
+    print_ratios(measured)
+    if not quick:
+        print_compiling()

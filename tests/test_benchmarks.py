@@ -1,0 +1,64 @@
+"""The programs that measure speed, endurance and moving landmarks run, and print their tables."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+
+def tables_of(
+    repo_root: Path, child_env: dict[str, str], *command: str
+) -> dict[str, list[dict[str, str]]]:
+    """Run a benchmark; return the rows of each table that it prints, by the line above it."""
+    done = subprocess.run(
+        [sys.executable, str(repo_root / "benchmarks" / command[0]), *command[1:]],
+        env=child_env,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    tables: dict[str, list[dict[str, str]]] = {}
+    blocks = [block.splitlines() for block in done.stdout.strip().split("\n\n")]
+    for title, lines in pairwise(blocks):
+        if lines[0].startswith("|"):
+            header, _, *rows = ([c.strip() for c in line.strip("|").split("|")] for line in lines)
+            tables[title[-1]] = [dict(zip(header, cells, strict=True)) for cells in rows]
+    return tables
+
+
+def test_speed_stands_beside_frame_to_map(repo_root: Path, child_env: dict[str, str]) -> None:
+    tables = tables_of(repo_root, child_env, "speed.py", "--quick")
+    times = tables["Time of an iteration, median (mean), ms"]
+    ratios = tables["Ratios"]
+    plain, nearest = (
+        float(times[0][name].split()[0]) for name in ("frame-to-map", ratios[0]["method"])
+    )
+    # The times are printed to a microsecond.
+    assert float(ratios[0]["ratio of medians"]) == pytest.approx(nearest / plain, rel=0.1)
+
+
+def test_endurance_tells_time_and_memory(repo_root: Path, child_env: dict[str, str]) -> None:
+    tables = tables_of(repo_root, child_env, "endurance.py", "--iterations", "100")
+    memory = tables["Memory, association known"]
+    assert [int(row["iterations"]) for row in memory] == list(range(10, 101, 10))
+    (times, *others) = tables.values()
+    assert [row["association"] for row in times] == ["known", "nearest"]
+    assert len(others) == 2
+    # Nearly all landmarks that came into view on the way are told of in the end.
+    assert int(times[0]["landmarks"]) == int(memory[-1]["landmarks seen"])
+
+
+def test_dynamics_judges_every_landmark(repo_root: Path, child_env: dict[str, str]) -> None:
+    (rows,) = tables_of(repo_root, child_env, "dynamics.py", "--quick").values()
+    assert [row["association"] for row in rows] == ["known", "nearest"] * 2
+    for row in rows:
+        for figure in ("precision (worst seed)", "recall (worst seed)"):
+            assert 0.8 < float(row[figure].split()[0]) <= 1.0
+        typical, largest = (row["comparisons / (n log2 n), median"], row["largest"])
+        assert 0 < float(typical) <= float(largest)
