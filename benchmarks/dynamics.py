@@ -9,18 +9,14 @@ is judged by itself, if it was seen 30 times, by the true landmark that most of 
 are of.  A track that moves only while nobody looks, or stopped long before it left the view, counts
 as missed all the same.
 
-A group sorts the landmarks of its chart into bins, twice where the noise may have grown; what is
-counted is the comparisons of both.  The library does not hand them out, so the counts are read off
-its `Binning` (as in benchmarks/figures.py), for n the landmarks of the chart seen often enough to
-be compared, where these are two or more.  The pairs that guessing the noise looks at, of at most
-`PAIRED` landmarks (`relmap.core.noise`), are not among them.
+Each group sorts the landmarks of its chart into bins; n are those seen often enough to be
+compared, where these are two or more.  The pairs that guessing the noise looks at, of at most
+`PAIRED` landmarks (`relmap.core.noise`), are not among the comparisons.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +24,7 @@ from numpy.typing import NDArray
 from speed import on_one_core, table
 
 from relmap import PointMapper
-from relmap.core import building
-from relmap.core.dynamics import FEWEST, Binning, Bins
+from relmap.core.dynamics import FEWEST
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, simulate_figure_eight
 
@@ -42,34 +37,25 @@ BAR, JUDGED = 0.97, (0.4, 0.65)
 """Least precision and recall, and the shares of dynamic landmarks at which it is asked for."""
 
 Groups = list[tuple[int, int]]
-"""Landmarks sorted for each group, and pairs of them compared."""
+"""Landmarks sorted for each chart, and pairs of them compared."""
 
 
-@contextmanager
-def comparisons_counted() -> Iterator[Groups]:
-    """Yield a list that grows by an entry with every group whose landmarks are sorted."""
-    groups: Groups = []
-    last: list[NDArray[np.float64]] = []
+class CountingMapper(PointMapper):
+    """Keeps how many landmarks were sorted for each chart, and how many pairs of them compared."""
 
-    class CountingBinning(Binning):
-        def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
-            super().__init__(block, noise_m)
-            self._again = bool(last) and last[0] is block
-            self._n = int(np.sum(np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST))
-            last[:] = [block]
+    def __init__(self) -> None:
+        super().__init__()
+        self.charts: Groups = []
+        averaging = self._builder._averaging
+        average = averaging.average
 
-        def sort(self, priority: NDArray[np.float64]) -> Bins:
-            bins = super().sort(priority)
-            before = groups.pop()[1] if self._again else 0
-            groups.append((self._n, before + bins.n_comparisons))
-            return bins
+        def counted(chart, *settings):
+            averaged = average(chart, *settings)
+            n = int(np.sum(chart.visible.sum(axis=1) >= FEWEST))
+            self.charts.append((n, averaging.n_comparisons))
+            return averaged
 
-    theirs = building.Binning
-    building.Binning = CountingBinning
-    try:
-        yield groups
-    finally:
-        building.Binning = theirs
+        averaging.average = counted
 
 
 @dataclass(frozen=True)
@@ -84,13 +70,11 @@ class Outcome:
 
 
 def outcome(world: FigureEight, known: bool) -> Outcome:
-    mapper = PointMapper()
-    with comparisons_counted() as groups:
-        labels = [
-            mapper.update(scan.points_robot, scan.ids if known else None)
-            for scan in world.log.scans()
-        ]
-        mapper.finish()
+    mapper = CountingMapper()
+    labels = [
+        mapper.update(scan.points_robot, scan.ids if known else None) for scan in world.log.scans()
+    ]
+    mapper.finish()
     tracks = mapper.landmarks_of(np.concatenate(labels))
     judged, true_ids, _ = majority_ids(tracks, world.log.ids)
     found = mapper.landmarks
@@ -98,7 +82,7 @@ def outcome(world: FigureEight, known: bool) -> Outcome:
     often = found.observations[row] >= SEEN
     called = (found.status[row] == "dynamic")[often]
     dynamic = (world.status[true_ids] == "dynamic")[often]
-    n, compared = np.array([group for group in groups if group[0] > 1]).T
+    n, compared = np.array([group for group in mapper.charts if group[0] > 1]).T
     return Outcome(
         int(np.sum(called & dynamic)),
         int(called.sum()),

@@ -24,6 +24,19 @@ def empty_map(n: int, d: int) -> GlobalMap:
     return global_map
 
 
+def average_in(
+    global_map: GlobalMap,
+    piece: int,
+    landmarks: NDArray[np.int64],
+    positions: Points,
+    weights: Points,
+) -> None:
+    """Average positions into a piece, as a new interval of the landmarks does."""
+    global_map.join(piece, landmarks, positions)
+    global_map.settle(landmarks)
+    global_map.place(piece, landmarks, positions, weights)
+
+
 def elsewhere(points: Points, rng: np.random.Generator) -> Points:
     """Bring points into some other frame."""
     d = points.shape[1]
@@ -46,7 +59,7 @@ def test_positions_are_the_weighted_means_of_what_was_averaged_in(seed: int, d: 
         landmarks = rng.permutation(8)[: rng.integers(1, 9)]
         positions = rng.normal(size=(len(landmarks), d))
         weights = rng.integers(1, 10, len(landmarks)).astype(float)
-        global_map.average_in(piece, landmarks, positions, weights)
+        average_in(global_map, piece, landmarks, positions, weights)
         for landmark, position, weight in zip(landmarks, positions, weights, strict=True):
             given_positions[landmark].append(position)
             given_weights[landmark].append(weight)
@@ -62,27 +75,57 @@ def test_positions_are_the_weighted_means_of_what_was_averaged_in(seed: int, d: 
         assert global_map.pieces[landmark] == piece
 
 
-def test_what_was_counted_before_does_not_count_again() -> None:
+def test_a_better_group_takes_the_place_of_what_is_not_settled() -> None:
     global_map = empty_map(2, 2)
     piece = global_map.new_piece()
     both = np.arange(2)
-    global_map.average_in(piece, both, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([5.0, 5.0]))
-    global_map.average_in(piece, both, np.array([[9.0, 9.0], [5.0, 4.0]]), np.array([0.0, 5.0]))
-    np.testing.assert_allclose(global_map.positions, [[1.0, 2.0], [4.0, 4.0]])
-    np.testing.assert_array_equal(global_map.weights, [5.0, 10.0])
+    global_map.place(piece, both, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([5.0, 5.0]))
+    global_map.place(piece, both, np.array([[2.0, 2.0], [5.0, 4.0]]), np.array([8.0, 8.0]))
+    np.testing.assert_allclose(global_map.positions, [[2.0, 2.0], [5.0, 4.0]])
+    np.testing.assert_array_equal(global_map.weights, [8.0, 8.0])
+    global_map.settle(both[:1])
+    global_map.place(piece, both, np.array([[6.0, 2.0], [6.0, 4.0]]), np.array([8.0, 8.0]))
+    np.testing.assert_allclose(global_map.positions, [[4.0, 2.0], [6.0, 4.0]])
+    np.testing.assert_array_equal(global_map.weights, [16.0, 8.0])
+
+
+def test_what_is_settled_moves_with_the_landmark() -> None:
+    global_map = empty_map(1, 2)
+    piece = global_map.new_piece()
+    only = np.arange(1)
+    average_in(global_map, piece, only, np.array([[1.0, 1.0]]), np.array([5.0]))
+    global_map.settle(only)
+    global_map.move(only, np.array([[3.0, 1.0]]))
+    global_map.place(piece, only, np.array([[5.0, 1.0]]), np.array([5.0]))
+    np.testing.assert_allclose(global_map.positions, [[4.0, 1.0]])
+
+
+def test_one_that_turns_out_to_be_another_keeps_what_is_settled_of_both() -> None:
+    global_map = empty_map(2, 2)
+    piece = global_map.new_piece()
+    for landmark, x, weight in ((0, 1.0, 6.0), (1, 4.0, 2.0)):
+        only = np.array([landmark])
+        average_in(global_map, piece, only, np.array([[x, 0.0]]), np.array([weight]))
+        global_map.settle(only)
+    global_map.place(piece, np.array([1]), np.array([[8.0, 0.0]]), np.array([2.0]))
+    global_map.merge(1, 0)
+    assert global_map.pieces.tolist() == [piece, UNMAPPED]
+    np.testing.assert_allclose(global_map.positions[0], [(6 * 1 + 2 * 4 + 2 * 8) / 10, 0.0])
+    global_map.place(piece, np.array([0]), np.array([[3.0, 0.0]]), np.array([8.0]))
+    np.testing.assert_allclose(global_map.positions[0], [(6 * 1 + 2 * 4 + 8 * 3) / 16, 0.0])
 
 
 def test_what_is_removed_begins_again() -> None:
     global_map = empty_map(3, 2)
     piece = global_map.new_piece()
     everything = np.arange(3)
-    global_map.average_in(piece, everything, np.eye(3, 2), np.full(3, 4.0))
+    average_in(global_map, piece, everything, np.eye(3, 2), np.full(3, 4.0))
     global_map.remove(np.array([1]))
     assert global_map.pieces.tolist() == [piece, UNMAPPED, piece]
     assert global_map.weights.tolist() == [4.0, 0.0, 4.0]
     assert np.isnan(global_map.positions[1]).all()
     assert global_map.weights_in(piece, everything).tolist() == [4.0, 0.0, 4.0]
-    global_map.average_in(piece, np.array([1]), np.array([[7.0, 7.0]]), np.array([2.0]))
+    average_in(global_map, piece, np.array([1]), np.array([[7.0, 7.0]]), np.array([2.0]))
     np.testing.assert_array_equal(global_map.positions[1], [7.0, 7.0])
     assert global_map.weights[1] == 2.0
 
@@ -90,7 +133,7 @@ def test_what_is_removed_begins_again() -> None:
 def test_room_for_more_keeps_what_is_there() -> None:
     global_map = empty_map(2, 3)
     piece = global_map.new_piece()
-    global_map.average_in(piece, np.arange(2), np.ones((2, 3)), np.ones(2))
+    average_in(global_map, piece, np.arange(2), np.ones((2, 3)), np.ones(2))
     global_map.resize(100, 3)
     assert len(global_map.positions) == len(global_map.weights) == len(global_map.pieces) == 100
     np.testing.assert_array_equal(global_map.positions[:2], np.ones((2, 3)))
@@ -102,8 +145,8 @@ def test_pieces_come_with_the_oldest_first() -> None:
     global_map = empty_map(9, 2)
     first, second = global_map.new_piece(), global_map.new_piece()
     assert first != second
-    global_map.average_in(second, np.arange(3, 8), np.eye(5, 2), np.ones(5))
-    global_map.average_in(first, np.arange(3), np.eye(3, 2), np.ones(3))
+    average_in(global_map, second, np.arange(3, 8), np.eye(5, 2), np.ones(5))
+    average_in(global_map, first, np.arange(3), np.eye(3, 2), np.ones(3))
     assert global_map.pieces_of(np.arange(9)).tolist() == [first, second]
     assert global_map.pieces_of(np.arange(9), 4).tolist() == [second]
     assert global_map.pieces_of(np.array([3, 8])).tolist() == [second]
@@ -120,7 +163,7 @@ def test_align_is_the_weighted_least_squares_fit(seed: int, d: int) -> None:
     global_map = empty_map(7, d)
     piece = global_map.new_piece()
     there = places[:5] + 0.1 * rng.standard_normal((5, d))
-    global_map.average_in(piece, np.arange(5), there, in_map)
+    average_in(global_map, piece, np.arange(5), there, in_map)
     relative = elsewhere(places, rng) + 0.1 * rng.standard_normal((7, d))
     placed = global_map.align(piece, np.arange(7), relative, n_iterations)
     assert placed is not None
@@ -145,7 +188,7 @@ def test_align_needs_members_that_fix_a_rotation() -> None:
     global_map = empty_map(6, 3)
     piece = global_map.new_piece()
     line = np.outer(np.arange(5.0), [1.0, 2.0, 2.0])
-    global_map.average_in(piece, np.arange(5), line, np.ones(5))
+    average_in(global_map, piece, np.arange(5), line, np.ones(5))
     ones = np.ones(6, dtype=np.int64)
     group = np.vstack([line, [[3.0, 0.0, 0.0]]])
     assert global_map.align(piece, np.arange(6), group, ones) is None
@@ -160,12 +203,12 @@ def test_pieces_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
     global_map = empty_map(20, d)
     first, second = global_map.new_piece(), global_map.new_piece()
     here, there = elsewhere(world, rng), elsewhere(world, rng)
-    global_map.average_in(first, np.arange(10), here[:10], np.full(10, 3.0))
-    global_map.average_in(second, np.arange(10, 19), there[10:19], np.full(9, 7.0))
+    average_in(global_map, first, np.arange(10), here[:10], np.full(10, 3.0))
+    average_in(global_map, second, np.arange(10, 19), there[10:19], np.full(9, 7.0))
     tie = np.array([5, 6, 7, 12, 13, 14, 15, 19])
     placed = global_map.align(first, tie, elsewhere(world[tie], rng), np.ones(8, dtype=np.int64))
     assert placed is not None
-    global_map.average_in(first, tie, placed, np.full(8, 2.0))
+    average_in(global_map, first, tie, placed, np.full(8, 2.0))
     assert len(set(global_map.pieces.tolist())) == 1
     np.testing.assert_allclose(distances(global_map.positions), distances(world), atol=1e-9)
     expected = np.repeat([3.0, 7.0, 0.0], [10, 9, 1])
@@ -180,10 +223,10 @@ def test_members_of_a_piece_that_they_do_not_fix_change_over_alone(d: int) -> No
     global_map = empty_map(10, d)
     first, second = global_map.new_piece(), global_map.new_piece()
     there = elsewhere(world, rng)
-    global_map.average_in(first, np.arange(5), world[:5], np.full(5, 3.0))
-    global_map.average_in(second, np.arange(5, 10), there[5:], np.full(5, 7.0))
+    average_in(global_map, first, np.arange(5), world[:5], np.full(5, 3.0))
+    average_in(global_map, second, np.arange(5, 10), there[5:], np.full(5, 7.0))
     tie = np.array([0, 1, 2, 3, 9])
-    global_map.average_in(first, tie, world[tie], np.full(5, 2.0))
+    average_in(global_map, first, tie, world[tie], np.full(5, 2.0))
     assert global_map.pieces.tolist() == [first] * 5 + [second] * 4 + [first]
     np.testing.assert_allclose(global_map.positions[9], world[9], atol=1e-12)
     np.testing.assert_array_equal(global_map.positions[5:9], there[5:9])

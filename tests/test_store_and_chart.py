@@ -27,26 +27,10 @@ def filled_store(visible: list[list[bool]]) -> tuple[ObservationStore, np.ndarra
 
 
 @given(visibility, st.data())
-def test_gathers_any_block_of_members_by_iterations(
-    visible: list[list[bool]], data: st.DataObject
-) -> None:
-    store, table = filled_store(visible)
-    n_seen = int(store.landmarks.max(initial=-1)) + 1
-    members = np.array(data.draw(st.permutations(range(n_seen))), dtype=np.int64)[:3]
-    chosen = data.draw(st.lists(st.booleans(), min_size=len(visible), max_size=len(visible)))
-    iterations = np.flatnonzero(chosen)
-    block = store.gather(members, iterations)
-    if store.dimension == 0:
-        assert block.size == 0
-    else:
-        np.testing.assert_array_equal(block, table[iterations][:, members].transpose(1, 0, 2))
-
-
-@given(visibility, st.data())
 def test_chart_shows_who_was_visible_with_the_seed(
     visible: list[list[bool]], data: st.DataObject
 ) -> None:
-    store, _ = filled_store(visible)
+    store, table = filled_store(visible)
     begin = data.draw(st.integers(0, len(visible) - 1))
     window = np.array(visible)[begin:]
     candidates = np.flatnonzero(window.any(axis=0))
@@ -60,6 +44,8 @@ def test_chart_shows_who_was_visible_with_the_seed(
     together = np.flatnonzero(window[when].any(axis=0))
     np.testing.assert_array_equal(np.sort(chart.landmarks), together)
     np.testing.assert_array_equal(chart.visible, window[when].T[chart.landmarks])
+    there = table[begin:][when].transpose(1, 0, 2)[chart.landmarks]
+    np.testing.assert_array_equal(chart.points_robot, there)
     np.testing.assert_array_equal(chart.common_interval, window[when].sum(axis=0)[chart.landmarks])
 
 
@@ -135,6 +121,6 @@ def test_every_member_is_visible_in_the_whole_common_interval(
         if group is None:
             continue
         members, iterations = map(np.array, group)
-        assert np.isfinite(store.gather(members, iterations)).all()
+        assert np.isfinite(table[iterations][:, members]).all()
         assert len(members) > min_shared
         assert np.sum(weights[members] > 0) >= min_shared

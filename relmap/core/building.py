@@ -2,32 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid
+from relmap.core.averaging import AverageInBasis, Averaging
 from relmap.core.chart import PointChart
-from relmap.core.completion import RelativeMap, complete
-from relmap.core.dynamics import FEWEST, Binning, DynamicStatus, rests
+from relmap.core.completion import RelativeMap
+from relmap.core.dynamics import FEWEST, DynamicStatus
 from relmap.core.globalmap import GlobalMap
-from relmap.core.grouping import Group, grow_group
 from relmap.core.landmarks import MappedGroup
-from relmap.core.noise import NoiseEstimate, guess_noise
+from relmap.core.levels import GroupLevels
+from relmap.core.noise import NoiseEstimate
 from relmap.core.schedule import GroupingSchedule
 from relmap.core.store import ObservationStore
 
-LONGEST_INTERVAL = 256
+LONGEST_INTERVAL = 128
 """Iterations that are kept at most, however long a landmark has found no group."""
-
-AMPLE = 1.25
-"""A relative map is fitted to again where it came to hold so many times its members."""
-FEW = 0.3
-"""Share of a chart in the static bin below which the noise may have grown."""
-
-AverageInBasis = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
-"""Averages a group's block (g, i, d) in its consistent basis to (g, d); None if it fixes none."""
 
 
 class MapBuilder:
@@ -37,6 +28,7 @@ class MapBuilder:
     ----------
     store : ObservationStore
     schedule : GroupingSchedule
+    levels : GroupLevels
     average_in_basis : callable
         The variant's relative map.
     """
@@ -45,21 +37,31 @@ class MapBuilder:
         self,
         store: ObservationStore,
         schedule: GroupingSchedule,
+        levels: GroupLevels,
         average_in_basis: AverageInBasis,
     ) -> None:
         self.map = GlobalMap()
-        self.dynamics = DynamicStatus()
-        self.noise = NoiseEstimate()
-        self.groups: list[MappedGroup] = []
+        self.levels = levels
+        self._averaging = Averaging(average_in_basis)
         self._store = store
         self._schedule = schedule
-        self._average_in_basis = average_in_basis
+
+    @property
+    def dynamics(self) -> DynamicStatus:
+        """Which landmarks move."""
+        return self._averaging.dynamics
+
+    @property
+    def noise(self) -> NoiseEstimate:
+        """How much observations deviate."""
+        return self._averaging.noise
 
     def resize(self, n: int) -> None:
         """Make room for landmarks 0 to n - 1."""
         if n <= len(self.map.weights):
             return
         self.map.resize(n, self._store.dimension)
+        self.levels.resize(n)
         self.dynamics.resize(n)
 
     def forget(self) -> None:
@@ -71,152 +73,127 @@ class MapBuilder:
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""
         self.map.merge(new, old)
+        self.levels.merge(new, old)
         self.dynamics.merge(new, old)
 
-    def group(self, seed: int, fixes: int) -> bool:
-        """Grow a group around a landmark and align it to the map; tell whether it could be.
+    def last_pass(self, gone: NDArray[np.int64], fixes: int) -> None:
+        """Group landmarks that have left the view over their whole intervals, at level 3.
+
+        What little is left of an interval that was cut while it lasted needs no group of its own.
+        """
+        for seed in gone.tolist():
+            enough = FEWEST if self.map.weights[seed] == 0 else self._schedule.group_after
+            waits = self._schedule.is_gone[seed] and self._schedule.counts[seed] >= enough
+            if waits and not self.dynamics.dynamic[seed]:
+                self.group(seed, 3, fixes)
+        self._close(gone[self._schedule.is_gone[gone]])
+
+    def group(self, seed: int, level: int, fixes: int) -> NDArray[np.int64]:
+        """Grow a group around a landmark and align it to the map.
 
         Parameters
         ----------
         seed : int
+        level : int
+            1, 2 or 3: which pass it is.
         fixes : int
             How few mapped landmarks fix a group.
+
+        Returns
+        -------
+        (n,) int64
+            The landmarks placed; none where it could not be.
         """
-        chart, block = self._chart(seed)
+        chart = self._chart(seed)
         for piece in self.map.pieces_of(chart.landmarks, fixes):
             weights = self.map.weights_in(piece, chart.landmarks)
-            averaged = self._average(chart, block, weights, fixes + 1, fixes)
+            averaged = self._average(chart, weights, fixes)
             if averaged is None:
                 continue
             relative = averaged[0]
             placed = self.map.align(piece, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
-                self._place(piece, placed, *averaged)
-                return True
-        return False
+                return self._place(piece, level, placed, *averaged)
+        return np.empty(0, dtype=np.int64)
 
-    def found_piece(self, seed: int, fixes: int) -> bool:
+    def found_piece(self, seed: int, level: int, fixes: int) -> None:
         """Begin the map, or a new piece of it where what is in view is not enough to go on.
 
         The frame is that of the robot in the first iteration of the group.
         """
         mapped_in_view = np.sum(self.map.weights[self._schedule.in_view] > 0)
         if mapped_in_view >= fixes or self.dynamics.dynamic[seed]:
-            return False
-        chart, block = self._chart(seed)
-        from_the_start = chart.visible[:, 0]
-        chart, block = chart.only(from_the_start), block[from_the_start]
-        averaged = self._average(chart, block, np.zeros(len(block)), fixes + 1, 0)
+            return
+        chart = self._chart(seed)
+        chart = chart.only(chart.visible[:, 0])
+        averaged = self._average(chart, np.zeros(len(chart.landmarks)), fixes, 0)
         if averaged is None:
-            return False
+            return
         relative = averaged[0]
-        first = block[np.isin(chart.landmarks, relative.landmarks), 0]
-        if len(first) <= fixes:
-            return False
-        R, t = fit_rigid(relative.positions, first)
-        self._place(self.map.new_piece(), relative.positions @ R.T + t, *averaged)
-        return True
+        first = chart.points_robot[np.isin(chart.landmarks, relative.landmarks), 0]
+        if len(first) > fixes:
+            R, t = fit_rigid(relative.positions, first)
+            placed = relative.positions @ R.T + t
+            self._place(self.map.new_piece(), level, placed, *averaged)
 
-    def _place(
-        self,
-        piece: int,
-        placed: NDArray[np.float64],
-        relative: RelativeMap,
-        common_interval: NDArray[np.int64],
-    ) -> None:
-        """Average a relative map, placed in the frame of a piece, into the map; keep it."""
-        landmarks = relative.landmarks
-        unused = relative.used & (relative.iterations >= self._schedule.begin[landmarks][:, None])
-        n_unused = unused.sum(axis=1)
-        self.map.average_in(piece, landmarks, placed, n_unused.astype(np.float64))
-        self._schedule.grouped(landmarks, self._store.n_iterations)
-        self.groups.append(
-            MappedGroup(
-                landmarks=landmarks,
-                relative_map=relative.positions,
-                n_observations=n_unused,
-                iterations=common_interval,
-                fitted=relative.iterations[relative.fixed],
-                R=relative.R[relative.fixed],
-                t=relative.t[relative.fixed],
-            )
-        )
-
-    def _chart(self, seed: int) -> tuple[PointChart, NDArray[np.float64]]:
+    def _chart(self, seed: int) -> PointChart:
         end = self._store.n_iterations
         begin = max(self._schedule.begin[seed], self._store.first_iteration)
-        chart = PointChart.around(seed, self._store, begin, end)
-        return chart, self._store.gather(chart.landmarks, chart.iterations)
+        return PointChart.around(seed, self._store, begin, end)
 
     def _average(
         self,
         chart: PointChart,
-        block: NDArray[np.float64],
         weights: NDArray[np.float64],
-        min_members: int,
-        min_shared: int,
+        fixes: int,
+        min_shared: int | None = None,
     ) -> tuple[RelativeMap, NDArray[np.int64]] | None:
-        """Average the static landmarks of a chart; take note of the dynamic ones.
-
-        Returns
-        -------
-        (relative map, common interval) or None
-            None where no group can be grown, or it fixes no basis.
-        """
-        static = self._static(chart, block, weights)
-        group = grow_group(chart, static, weights, min_members, min_shared)
-        if group is None:
+        """Average a chart; return the relative map and the common interval of its core."""
+        min_shared = fixes if min_shared is None else min_shared
+        averaged = self._averaging.average(chart, weights, fixes + 1, min_shared)
+        moving = chart.landmarks[self.dynamics.dynamic[chart.landmarks]]
+        if len(moving):
+            self.map.remove(moving)
+            self.levels.leave(moving)
+            self._schedule.begin_anew(moving, self._store.n_iterations)
+        if averaged is None:
             return None
-        core = block[group.rows][:, group.columns]
-        average = self._average_in_basis(core)
-        if average is None:
-            return None
-        self.noise.add(core)
-        relative = self._completed(chart, block, group, average)
-        at_rest = self.dynamics.test(relative, self.noise.sigma_m)
-        moving = relative.landmarks[self.dynamics.dynamic[relative.landmarks]]
-        self.map.remove(moving)
-        self._schedule.grouped(moving, self._store.n_iterations)
-        return relative.only(at_rest), chart.iterations[group.columns]
+        relative, core = averaged
+        return relative, chart.iterations[core.columns]
 
-    def _completed(
+    def _place(
         self,
-        chart: PointChart,
-        block: NDArray[np.float64],
-        group: Group,
-        average: NDArray[np.float64],
-    ) -> RelativeMap:
-        """Complete a relative map to all of the chart: first from the group, then from all at rest.
-
-        Few members leave the far end of the chart free to swing.
-        """
-        reference = np.full((len(block), block.shape[2]), np.nan)
-        reference[group.rows] = average
-        relative = complete(chart.landmarks, chart.iterations, block, reference)
-        steady = (relative.n_used >= FEWEST) & rests(relative, self.noise.sigma_m)
-        steady &= ~self.dynamics.dynamic[relative.landmarks]
-        if steady.sum() > AMPLE * len(group.rows):
-            rows = np.flatnonzero(np.isin(chart.landmarks, relative.landmarks))[steady]
-            reference = np.full_like(reference, np.nan)
-            reference[rows] = relative.positions[steady]
-            relative = complete(chart.landmarks, chart.iterations, block, reference)
-        return relative
-
-    def _static(
-        self,
-        chart: PointChart,
-        block: NDArray[np.float64],
-        weights: NDArray[np.float64],
+        piece: int,
+        level: int,
+        placed: NDArray[np.float64],
+        relative: RelativeMap,
+        common_interval: NDArray[np.int64],
     ) -> NDArray[np.int64]:
-        """Return the rows of the chart that keep their distances and were not seen moving."""
-        noise_m = self.noise.sigma_m
-        bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else None
-        if bins is None or len(bins.static) < FEW * len(block):
-            guess_m = guess_noise(block)
-            if bins is None or guess_m > noise_m:
-                guessed = Binning(block, guess_m).sort(weights)
-                if bins is None or len(guessed.static) > len(bins.static):
-                    self.noise.restart()
-                    bins = guessed
-        static = bins.static
-        return static[~self.dynamics.dynamic[chart.landmarks[static]]]
+        """Enter a relative map, placed in the frame of a piece, where it is the best there is."""
+        landmarks = relative.landmarks
+        self.map.join(piece, landmarks, placed)
+        # Of a landmark whose interval began within the chart, what came before is settled.
+        begin = self._schedule.begin[landmarks][:, None]
+        n_averaged = np.sum(relative.used & (relative.iterations >= begin), axis=1)
+        reached = self._schedule.reached(landmarks, n_averaged, level)
+        best = self.levels.better(landmarks, reached, n_averaged)
+        members, reached, n_averaged = landmarks[best], reached[best], n_averaged[best]
+        self.map.place(piece, members, placed[best], n_averaged.astype(np.float64))
+        group = MappedGroup(
+            landmarks=landmarks,
+            relative_map=relative.positions,
+            n_observations=relative.n_used,
+            iterations=common_interval,
+            fitted=relative.iterations[relative.fixed],
+            R=relative.R[relative.fixed],
+            t=relative.t[relative.fixed],
+        )
+        self.levels.take(group, members, reached, n_averaged)
+        self._close(members[reached == 3])
+        return landmarks
+
+    def _close(self, landmarks: NDArray[np.int64]) -> None:
+        """End the interval of landmarks: where they are now is kept for good."""
+        self.map.settle(landmarks)
+        self.levels.close(landmarks)
+        self._schedule.begin_anew(landmarks, self._store.n_iterations)

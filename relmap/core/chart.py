@@ -12,7 +12,7 @@ from relmap.core.store import ObservationStore
 
 @dataclass(frozen=True, eq=False)
 class PointChart:
-    """Visibility of landmarks over the iterations in which one of them, the seed, was visible.
+    """Landmarks over the iterations in which one of them, the seed, was visible.
 
     Attributes
     ----------
@@ -20,31 +20,27 @@ class PointChart:
         The seed first, then all that were visible together with it at least once.
     iterations : (i,) int64, ascending
         The iterations in which the seed was visible.
+    points_robot : (n, i, d) float64, robot frame, metres
+        The observations; NaN where a landmark was not seen.
     visible : (n, i) bool
     """
 
     landmarks: NDArray[np.int64]
     iterations: NDArray[np.int64]
+    points_robot: NDArray[np.float64]
     visible: NDArray[np.bool_]
 
     @classmethod
     def around(cls, seed: int, store: ObservationStore, begin: int, end: int) -> PointChart:
         """Chart what was visible together with `seed` in iterations `begin` to `end` (Fig. 9)."""
-        landmarks, iterations = store.seen(begin, end)
-        when = iterations[landmarks == seed]
-        column_of = np.full(end - begin, -1)
-        column_of[when - begin] = np.arange(len(when))
-        column = column_of[iterations - begin]
-        landmarks, column = landmarks[column >= 0], column[column >= 0]
-        present, row = np.unique(landmarks, return_inverse=True)
-        visible = np.zeros((len(present), len(when)), dtype=bool)
-        visible[row, column] = True
-        first = np.argsort(present != seed, kind="stable")
-        return cls(present[first], when, visible[first])
+        landmarks, iterations, block = store.seen_with(seed, begin, end)
+        return cls(landmarks, iterations, block, np.isfinite(block[:, :, 0]))
 
     def only(self, rows: NDArray[np.bool_]) -> PointChart:
         """Return the chart of some of its landmarks, the seed among them."""
-        return PointChart(self.landmarks[rows], self.iterations, self.visible[rows])
+        return PointChart(
+            self.landmarks[rows], self.iterations, self.points_robot[rows], self.visible[rows]
+        )
 
     @property
     def common_interval(self) -> NDArray[np.int64]:

@@ -8,7 +8,6 @@ bins are begun in the order of a priority queue.
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,13 +20,17 @@ LIMIT = 4.0
 """Variance that still counts as noise, in units of what the noise alone would give."""
 FEWEST = 4
 """Common observations without which nothing is said."""
+ENOUGH = 8
+"""Observations that tell one who moves from one who was seen badly now and then."""
 STRIKES = 2
 """Groups in a row that must see a landmark move: real observations have outliers."""
 STILL = 60
 """Iterations at rest, and in view, after which a landmark that moved is static again."""
+ALONE = -1
+"""In place of a moving bin: the landmark moves on its own, or not at all."""
 EXACT = 1e-9
 """Deviation, in units of the landmarks' distances, that is taken for rounding."""
-SAMPLE = 12
+SAMPLE = 6
 """Landmarks that a new bin must find company among, before all the others are asked."""
 
 
@@ -60,11 +63,35 @@ class DynamicStatus:
         self._strikes: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._moved_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._tested_until: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._moving_bin: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     @property
     def dynamic(self) -> NDArray[np.bool_]:
         """Whether each landmark was seen moving, and has not settled since; (n,)."""
         return self._dynamic.values
+
+    @property
+    def moving_bin(self) -> NDArray[np.int64]:
+        """Bin of each dynamic landmark that moves together with others, or `ALONE`; (n,).
+
+        A bin goes by the number of a landmark in it.
+        """
+        return self._moving_bin.values
+
+    def go_together(self, bins: list[NDArray[np.int64]], alone: NDArray[np.int64]) -> None:
+        """Take note of which dynamic landmarks kept their mutual distances, and which went alone.
+
+        A bin keeps its number as long as some of it stay together; who is alone in view keeps it.
+        """
+        compared = self.moving_bin[np.concatenate([alone, *bins])]
+        with_others = np.array([np.sum(compared == n) > 1 for n in self.moving_bin[alone]], bool)
+        self.moving_bin[alone[with_others]] = ALONE
+        taken = {ALONE}
+        for members in bins:
+            known = set(self.moving_bin[members].tolist()) - taken
+            number = min(known, default=int(members.min()))
+            self.moving_bin[members] = number
+            taken.add(number)
 
     def resize(self, n: int) -> None:
         """Make room for landmarks 0 to n - 1."""
@@ -72,6 +99,7 @@ class DynamicStatus:
         self._strikes.resize(n, 0)
         self._moved_until.resize(n, 0)
         self._tested_until.resize(n, 0)
+        self._moving_bin.resize(n, ALONE)
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark be as dynamic as the new one that turned out to be it."""
@@ -79,6 +107,7 @@ class DynamicStatus:
         self._strikes.values[old] = self._strikes.values[new]
         self._moved_until.values[old] = self._moved_until.values[new]
         self._tested_until.values[old] = self._tested_until.values[new]
+        self._moving_bin.values[old] = self._moving_bin.values[new]
 
     def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
         """Take note of who moves in a relative map; return who was seen often enough, and rests.
@@ -87,8 +116,9 @@ class DynamicStatus:
         dynamic; one that has been at rest for long is static again.
         """
         landmarks = relative.landmarks
-        tested = relative.n_used >= FEWEST
-        moves = tested & ~rests(relative, noise_m)
+        still = rests(relative, noise_m)
+        tested = relative.n_used >= ENOUGH
+        moves = tested & ~still
         self._strikes.values[landmarks[tested & ~moves]] = 0
         self._strikes.values[landmarks[moves]] += 1
         self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
@@ -99,7 +129,8 @@ class DynamicStatus:
         self._moved_until.values[landmarks[moves]] = end
         settled = tested & ~moves & (end - self._moved_until.values[landmarks] > STILL)
         self.dynamic[landmarks[settled]] = False
-        return np.asarray(tested & ~moves & ~self.dynamic[landmarks])
+        self.moving_bin[landmarks[settled]] = ALONE
+        return np.asarray((relative.n_used >= FEWEST) & still & ~self.dynamic[landmarks])
 
 
 def rests(relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
@@ -121,75 +152,37 @@ class Binning:
 
     def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
         self._block = block
-        self._seen = np.isfinite(block[:, :, 0])
-        centred = block[self._seen]
-        self._limit = LIMIT * 2 * max(noise_m, _exact(centred)) ** 2
-        self._n_comparisons = 0
+        seen = np.isfinite(block[:, :, 0])
+        self._n = int(np.sum(seen.sum(axis=1) >= FEWEST))
+        self._limit = LIMIT * 2 * max(noise_m, _exact(block[seen])) ** 2
 
-    def sort(self, priority: NDArray[np.float64]) -> Bins:
-        """Sort landmarks into bins; after n log2 n comparisons none is begun any more.
+    def sort(self, priority: NDArray[np.float64], allowed: float | None = None) -> Bins:
+        """Sort landmarks into bins, until half of them, or of the priority, are in one.
 
-        Landmarks seen too seldom to be compared are in none.
+        Landmarks seen too seldom to be compared, or that found no company, are in none.
 
         Parameters
         ----------
         priority : (n,) float64
             Bins are begun with the landmarks of the highest priority.
+        allowed : float, optional
+            Most comparisons; n log2 n, of the n seen often enough, where left out.
         """
-        rest = self._seen.sum(axis=1) >= FEWEST
-        n = int(rest.sum())
-        allowed = n * np.log2(max(n, 2))
-        queue = [(-priority[row], row) for row in np.flatnonzero(rest).tolist()]
-        heapq.heapify(queue)
-        bins: list[NDArray[np.int64]] = []
-        while queue and self._n_comparisons < allowed:
-            _, pivot = heapq.heappop(queue)
-            if not rest[pivot]:
-                continue
-            rest[pivot] = False
-            members = self._begun_with(pivot, np.flatnonzero(rest))
-            rest[members] = False
-            bins.append(members)
-            if 2 * len(members) >= n:
-                break
-        bins.sort(key=len, reverse=True)
-        return Bins(bins, self._n_comparisons)
+        from relmap.core.kernels.binning import sort_into_bins
 
-    def _begun_with(self, pivot: int, rest: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the members of the bin that begins with the pivot."""
-        alone = np.array([pivot])
-        if len(rest) > 2 * SAMPLE:
-            sample = rest[:: len(rest) // SAMPLE]
-            if not self._agree(pivot, sample).any():
-                return alone
-        near = rest[self._agree(pivot, rest)]
-        if len(near) < 2:
-            return np.concatenate([alone, near])
-        # Three more members, from the outermost to the innermost, catch what circles round the
-        # pivot; nobody votes for himself.
-        place = np.nanmean(self._block[near], axis=1)
-        outward = np.argsort(_spread(place, place.mean(axis=0)), kind="stable")
-        voters = np.unique(outward[[0, len(near) // 2, -1]])
-        votes = np.sum([self._agree(near[voter], near) for voter in voters], axis=0)
-        self._n_comparisons -= len(voters)  # those of voters with themselves
-        others = len(voters) - np.isin(np.arange(len(near)), voters)
-        return np.concatenate([alone, near[2 * (votes - len(voters) + others) >= others]])
-
-    def _agree(self, row: int, others: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell with which others (k,) the landmark keeps its distance, but for the noise."""
-        self._n_comparisons += len(others)
-        common = self._seen[others] & self._seen[row]
-        apart = np.where(common[:, :, None], self._block[others] - self._block[row], 0.0)
-        distance = np.sqrt(np.einsum("kid,kid->ki", apart, apart))
-        n = np.maximum(common.sum(axis=1), 1)
-        mean = distance.sum(axis=1) / n
-        deviation = np.where(common, distance - mean[:, None], 0.0)
-        variance = np.einsum("ki,ki->k", deviation, deviation) / np.maximum(n - 1, 1)
-        return np.asarray((n >= FEWEST) & (variance <= self._limit))
+        if allowed is None:
+            allowed = n_log_n(self._n)
+        bin_of, n_comparisons = sort_into_bins(
+            self._block, priority, self._limit, FEWEST, SAMPLE, int(allowed)
+        )
+        sizes = np.bincount(bin_of[bin_of >= 0])
+        bins = np.argsort(-sizes, kind="stable")
+        return Bins([np.flatnonzero(bin_of == number) for number in bins], n_comparisons)
 
 
-def _spread(points: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.sum((points - centre) ** 2, axis=1))
+def n_log_n(n: int) -> float:
+    """Return n log2 n, the most comparisons that may be made among n landmarks."""
+    return float(n * np.log2(max(n, 2)))
 
 
 def _exact(points: NDArray[np.float64]) -> float:

@@ -22,6 +22,8 @@ class GlobalMap:
     def __init__(self) -> None:
         self._positions: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
         self._weights: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._settled: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
+        self._settled_weights: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._pieces: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._n_pieces = 0
 
@@ -44,8 +46,11 @@ class GlobalMap:
         """Make room for landmarks 0 to n - 1 of that many coordinates, the new ones not mapped."""
         if not len(self._positions):
             self._positions = GrowingArray(np.float64, (dimension,))
+            self._settled = GrowingArray(np.float64, (dimension,))
         self._positions.resize(n, np.nan)
         self._weights.resize(n, 0.0)
+        self._settled.resize(n, 0.0)
+        self._settled_weights.resize(n, 0.0)
         self._pieces.resize(n, UNMAPPED)
 
     def pieces_of(self, landmarks: NDArray[np.int64], at_least: int = 1) -> NDArray[np.int64]:
@@ -99,37 +104,69 @@ class GlobalMap:
         """Take landmarks (k,) off the map."""
         self.positions[landmarks] = np.nan
         self.weights[landmarks] = 0.0
+        self._settled_weights.values[landmarks] = 0.0
         self.pieces[landmarks] = UNMAPPED
 
     def merge(self, new: int, old: int) -> None:
-        """Average a landmark's position into another's, and take it off the map."""
+        """Average a landmark's position into another's, and take it off the map.
+
+        What the new one has in its present interval goes on to be replaced by better groups.
+        """
+        self.settle(np.array([old]))
         weights = self.weights[[new, old]]
         self.positions[old] = weights @ self.positions[[new, old]] / weights.sum()
         self.weights[old] = weights.sum()
+        settled = self._settled_weights.values
+        if settled[new] > 0:
+            both = settled[[new, old]]
+            self._settled.values[old] = both @ self._settled.values[[new, old]] / both.sum()
+            settled[old] = both.sum()
         self.remove(np.array([new]))
 
-    def average_in(
+    def place(
         self,
         piece: int,
         landmarks: NDArray[np.int64],
         positions: NDArray[np.float64],
         weights: NDArray[np.float64],
     ) -> None:
-        """Average positions (g, d) into a piece; weights (g,) in iterations not used before.
+        """Put landmarks (g,) at positions (g, d) of a piece, averaged with what is settled of them.
 
-        Members that belonged to another piece join this one, and where they fix how that piece
-        lies, all of it does.
+        Parameters
+        ----------
+        piece : int
+        landmarks : (g,) int64
+        positions : (g, d) float64, frame of the piece, metres
+        weights : (g,) float64
+            In iterations averaged.
         """
+        settled = self._settled_weights.values
+        settled[landmarks[self.pieces[landmarks] != piece]] = 0.0
+        total = settled[landmarks] + weights
+        share = (weights / total)[:, None]
+        before = self._settled.values[landmarks]
+        self.positions[landmarks] = before + share * (positions - before)
+        self.weights[landmarks] = total
+        self.pieces[landmarks] = piece
+
+    def settle(self, landmarks: NDArray[np.int64]) -> None:
+        """Keep what was averaged of landmarks (k,): what is placed later is averaged with it."""
+        mapped = landmarks[self.weights[landmarks] > 0]
+        self._settled.values[mapped] = self.positions[mapped]
+        self._settled_weights.values[mapped] = self.weights[mapped]
+
+    def move(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
+        """Move mapped landmarks (k,), and what is settled of them, to positions (k, d)."""
+        self._settled.values[landmarks] += positions - self.positions[landmarks]
+        self.positions[landmarks] = positions
+
+    def join(
+        self, piece: int, landmarks: NDArray[np.int64], positions: NDArray[np.float64]
+    ) -> None:
+        """Let other pieces join one where landmarks (g,), placed in it, fix how they lie."""
         for other in self.pieces_of(landmarks):
             if other != piece:
                 self._join(int(other), piece, landmarks, positions)
-        old = self.weights_in(piece, landmarks)
-        total = old + weights
-        here = np.where(old[:, None] > 0, self.positions[landmarks], positions)
-        share = np.divide(weights, total, out=np.zeros_like(total), where=total > 0)
-        self.positions[landmarks] = here + share[:, None] * (positions - here)
-        self.weights[landmarks] = total
-        self.pieces[landmarks] = piece
 
     def _join(
         self,
@@ -143,5 +180,6 @@ class GlobalMap:
         if fixes_rotation(there):
             R, t = fit_rigid(there, positions[shared])
             moved = self.pieces == other
-            self.positions[moved] = self.positions[moved] @ R.T + t
+            for places in (self.positions, self._settled.values):
+                places[moved] = places[moved] @ R.T + t
             self.pieces[moved] = piece

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.building import MapBuilder
 from relmap.core.config import MapperConfig
-from relmap.core.dynamics import FEWEST
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import UNMAPPED
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
+from relmap.core.levels import GroupLevels
 from relmap.core.merging import Merger
 from relmap.core.pose import trajectory
 from relmap.core.readout import landmark_table, map_pieces, positions_in_largest_piece
@@ -47,10 +47,11 @@ class RelativeMapper(ABC):
         self._store = ObservationStore()
         self._identity = Identity()
         self._sightings = Sightings()
+        levels = GroupLevels()
         self._schedule = GroupingSchedule(
-            self.config.group_after, self.config.max_missed, self._sightings
+            self.config.group_after, self.config.max_missed, self._sightings, levels
         )
-        self._builder = MapBuilder(self._store, self._schedule, self._relative_map)
+        self._builder = MapBuilder(self._store, self._schedule, levels, self._relative_map)
         self._merger = Merger(self._builder.map, self._sightings, self.config.group_after)
 
     @abstractmethod
@@ -110,10 +111,12 @@ class RelativeMapper(ABC):
         return np.where(labels >= 0, self._identity.of(labels), labels)
 
     def finish(self) -> None:
-        """Group what is still in view and not mapped yet."""
+        """Group what is still in view and not mapped yet, and what has left for the last time."""
         for seed in self._schedule.in_view:
             if self._builder.map.weights[seed] == 0:
-                self._group_or_found(seed)
+                self._group_or_found(seed, 1)
+        self._schedule.end()
+        self._builder.last_pass(self._schedule.gone, self._min_shared())
 
     def refine(self) -> None:
         """Lay all relative maps on one another at once, by joint least squares.
@@ -125,9 +128,10 @@ class RelativeMapper(ABC):
         of = self._identity.of(np.arange(len(builder.map.pieces)))
         for piece in np.unique(builder.map.pieces[builder.map.pieces != UNMAPPED]):
             mapped = builder.map.pieces == piece
-            observations = gathered(builder.groups, mapped, of)
+            observations = gathered(builder.levels.groups, mapped, of)
             refined = refine(observations, builder.map.positions)
-            builder.map.positions[mapped] = refined[mapped]
+            where = np.flatnonzero(mapped)
+            builder.map.move(where, refined[where])
         self._merger.look_again()
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
@@ -154,27 +158,29 @@ class RelativeMapper(ABC):
 
     def _group_due(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
         """Group whoever was seen often enough since the last time, or is seen no longer."""
-        for seed in self._schedule.due(seen):
-            if self._schedule.is_due(seed):
-                self._group_or_found(seed)
-        for seed in left[self._schedule.waiting[left] >= FEWEST]:
-            if self._builder.map.weights[seed] == 0:
-                self._builder.group(seed, self._min_shared())
+        for seed, level in self._schedule.due(seen):
+            if self._schedule.level_due(np.array([seed]))[0] == level:
+                self._group_or_found(seed, level)
+        self._builder.last_pass(
+            self._schedule.leaving(self._store.n_iterations), self._min_shared()
+        )
         self._merger.leave(left)
         self._builder.forget()
 
-    def _group_or_found(self, seed: int) -> None:
+    def _group_or_found(self, seed: int, level: int) -> None:
         fixes = self._min_shared()
-        if self._builder.group(seed, fixes):
-            self._merge_seen_again()
-        else:
-            self._builder.found_piece(seed, fixes)
+        if self._builder.dynamics.dynamic[seed]:
+            return
+        placed = self._builder.group(seed, level, fixes)
+        if len(placed):
+            self._merge_seen_again(placed)
+        elif self._builder.map.weights[seed] == 0:
+            self._builder.found_piece(seed, level, fixes)
 
-    def _merge_seen_again(self) -> None:
+    def _merge_seen_again(self, placed: NDArray[np.int64]) -> None:
         """Merge landmarks in view with those that they are, seen before and lost (section III)."""
         if isinstance(self._registration, KnownAssociation):
             return
-        placed = self._builder.groups[-1].landmarks
         for new, old in self._merger.find(placed, self._builder.noise.sigma_m).tolist():
             self._store.relabel(new, old)
             for state in (
@@ -207,7 +213,7 @@ class RelativeMapper(ABC):
     def groups(self) -> list[MappedGroup]:
         """The groups behind the map, in the order in which they were placed."""
         labels, of = self._labels, self._identity.of
-        groups = self._builder.groups
+        groups = self._builder.levels.groups
         return [replace(group, landmarks=labels[of(group.landmarks)]) for group in groups]
 
     @property
@@ -215,7 +221,7 @@ class RelativeMapper(ABC):
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         positions = positions_in_largest_piece(self._builder.map)
         of = self._identity.of(np.arange(len(positions)))
-        return trajectory(self._store, self._builder.groups, positions, of)
+        return trajectory(self._store, self._builder.levels.groups, positions, of)
 
     @property
     def noise_m(self) -> float:

@@ -40,7 +40,7 @@ def landmark_table(
         observations=sightings.counts[order],
         first_iteration=sightings.first[order],
         last_iteration=sightings.last[order],
-        level=mapped.astype(np.int64)[order],
+        level=np.where(mapped, builder.levels.highest, 0)[order],
         status=status[order],
         piece=rank[order],
     )

@@ -1,4 +1,4 @@
-"""When a landmark is grouped: after every few sightings, and when it leaves the view."""
+"""When landmarks are grouped: the three passes of section III."""
 
 from __future__ import annotations
 
@@ -6,39 +6,60 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.growing import GrowingArray
+from relmap.core.levels import GroupLevels
 from relmap.core.sightings import Sightings
+
+PASSES = (1, 3, 6)
+"""Observations from which levels 1, 2 and 3 are due, in units of those of level 1.
+
+The second pass needs enough to tell who moves.  The third waits for the end of the interval, but
+not longer than this: what stays in view has one interval after the other.
+"""
+RIPE = 0.75
+"""Share of the longest interval from which one is whole when a neighbour's is."""
 
 
 class GroupingSchedule:
-    """Which of each landmark's observations no group has used yet, and so who is due.
+    """The interval in which each landmark is being seen, and so who is due at which level.
+
+    A landmark is due at level 1 after a few observations, at level 2 when there are enough to tell
+    whether it moves, and at level 3 when it has left the view and its whole interval is known.
 
     Parameters
     ----------
     group_after : int
-        A landmark is due each time so many observations wait.
+        Observations after which level 1 is due.
     max_missed : int
         A landmark unseen for more iterations than this has left the view.
     sightings : Sightings
         Kept up to date here.
+    levels : GroupLevels
+        What was reached so far.
     """
 
-    def __init__(self, group_after: int, max_missed: int, sightings: Sightings) -> None:
-        self._group_after = group_after
+    def __init__(
+        self, group_after: int, max_missed: int, sightings: Sightings, levels: GroupLevels
+    ) -> None:
+        self.group_after = group_after
         self._max_missed = max_missed
-        self._begin: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._waiting: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._sightings = sightings
+        self._levels = levels
+        self._thresholds = group_after * np.array(PASSES)
+        self._begin: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._counts: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._is_gone: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._in_view = np.empty(0, dtype=np.int64)
+        self._gone = np.empty(0, dtype=np.int64)
 
     @property
     def begin(self) -> NDArray[np.int64]:
-        """First iteration of each landmark that no group has used yet; (n,)."""
+        """Iteration in which each landmark's present interval began; (n,)."""
         return self._begin.values
 
     @property
-    def waiting(self) -> NDArray[np.int64]:
-        """Number of observations of each landmark that no group has used yet; (n,)."""
-        return self._waiting.values
+    def counts(self) -> NDArray[np.int64]:
+        """Number of observations of each landmark in its present interval; (n,)."""
+        return self._counts.values
 
     @property
     def in_view(self) -> NDArray[np.int64]:
@@ -46,47 +67,103 @@ class GroupingSchedule:
         return self._in_view
 
     @property
+    def is_gone(self) -> NDArray[np.bool_]:
+        """Whether each landmark has left the view and waits for level 3; (n,)."""
+        return self._is_gone.values
+
+    @property
+    def gone(self) -> NDArray[np.int64]:
+        """Those that have left the view and wait for level 3, in the order of leaving; (k,)."""
+        self._gone = self._gone[self.is_gone[self._gone]]
+        return self._gone
+
+    @property
     def oldest_needed(self) -> int | None:
-        """First iteration that a landmark in view has waiting; None where nothing is in view."""
-        return int(self.begin[self._in_view].min()) if len(self._in_view) else None
+        """First iteration that a group may still need; None where none may."""
+        begins = self.begin[np.concatenate([self._in_view, self.gone])]
+        return int(begins.min()) if len(begins) else None
 
     def see(self, landmarks: NDArray[np.int64], iteration: int) -> NDArray[np.int64]:
         """Note who is seen in this iteration; return who has left the view with it."""
-        size = int(landmarks.max(initial=-1)) + 1
-        if size > len(self._begin):
-            self._begin.resize(size, 0)
-            self._waiting.resize(size, 0)
-            self._sightings.resize(size, iteration)
+        self._resize(int(landmarks.max(initial=-1)) + 1, iteration)
         last_seen = self._sightings.last
         arrived = landmarks[iteration - last_seen[landmarks] > self._max_missed + 1]
-        self._begin.values[arrived] = iteration
-        self._waiting.values[arrived] = 0
-        self._waiting.values[landmarks] += 1
+        if len(arrived):
+            self.begin_anew(arrived[~self.is_gone[arrived]], iteration)
+            self.is_gone[arrived] = False
+        self.counts[landmarks] += 1
         self._sightings.see(landmarks, iteration)
         stays = iteration - last_seen[self._in_view] <= self._max_missed
         left = self._in_view[~stays]
-        self._in_view = np.concatenate([self._in_view[stays], arrived])
+        if len(left) or len(arrived):
+            self._in_view = np.concatenate([self._in_view[stays], arrived])
+            self._gone = np.concatenate([self.gone, left])
+            self.is_gone[left] = True
         return left
 
-    def due(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return those of the landmarks that are due, the ones that wait longest first."""
-        ready = landmarks[self.is_due(landmarks)]
-        return ready[np.lexsort((self.begin[ready], -self._waiting.values[ready]))]
+    def due(self, landmarks: NDArray[np.int64]) -> list[tuple[int, int]]:
+        """Return those of the landmarks in view that are due, and at which level.
 
-    def is_due(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which landmarks have enough observations waiting.
-
-        One whose group failed for want of company is due again after as many more.
+        The lower levels come first, and then the ones seen longest.
         """
-        waiting = self._waiting.values[landmarks]
-        return np.asarray((waiting > 0) & (waiting % self._group_after == 0))
+        counts = self.counts[landmarks]
+        landmarks = landmarks[counts % self.group_after == 0]
+        level = self.level_due(landmarks)
+        ready, level = landmarks[level > 0], level[level > 0]
+        order = np.lexsort((self.begin[ready], -self.counts[ready], level))
+        return list(zip(ready[order].tolist(), level[order].tolist(), strict=True))
+
+    def level_due(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the level (n,) that landmarks in view should have by now; 0 if they have it."""
+        level = np.searchsorted(self._thresholds, self.counts[landmarks], side="right")
+        return np.where(level > self._levels.present[landmarks], level, 0)
+
+    def leaving(self, iteration: int) -> NDArray[np.int64]:
+        """Return who is due at level 3 for having left: all, once one has waited long enough.
+
+        Those seen longest come first: their groups are of use to most of the others.
+        """
+        wait = self._max_missed + self.group_after
+        gone = self.gone
+        if not len(gone) or iteration - self._sightings.last[gone[0]] < wait:
+            return gone[:0]
+        return gone[np.argsort(-self.counts[gone], kind="stable")]
+
+    def end(self) -> None:
+        """Let everything in view have left it: nothing more is to come."""
+        self._gone = np.concatenate([self.gone, self._in_view[~self.is_gone[self._in_view]]])
+        self.is_gone[self._in_view] = True
+
+    def reached(
+        self, landmarks: NDArray[np.int64], n_averaged: NDArray[np.int64], level: int
+    ) -> NDArray[np.int64]:
+        """Return the level (n,) that a group of some level gives to the landmarks it averaged.
+
+        The third is for whole intervals only, and one that holds less than half of a landmark's
+        observations gives it no more than the first.
+        """
+        counts = self.counts[landmarks]
+        whole = self.is_gone[landmarks] | (counts >= RIPE * self._thresholds[-1])
+        reached = np.where(whole, level, min(level, 2))
+        return np.where(2 * n_averaged >= counts, reached, 1)
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""
-        self.begin[old], self.waiting[old] = self.begin[new], self.waiting[new]
+        for column in (self._begin, self._counts, self._is_gone):
+            column.values[old] = column.values[new]
+        self.is_gone[new] = False
         self._in_view[self._in_view == new] = old
+        self._gone[self._gone == new] = old
 
-    def grouped(self, landmarks: NDArray[np.int64], end: int) -> None:
-        """Note that a group has used the landmarks' observations before iteration `end`."""
-        self._begin.values[landmarks] = end
-        self._waiting.values[landmarks] = 0
+    def begin_anew(self, landmarks: NDArray[np.int64], iteration: int) -> None:
+        """End the interval of landmarks; those in view begin another."""
+        self.is_gone[landmarks] = False
+        self.begin[landmarks] = iteration
+        self.counts[landmarks] = 0
+
+    def _resize(self, n: int, iteration: int) -> None:
+        if n > len(self._begin):
+            self._begin.resize(n, 0)
+            self._counts.resize(n, 0)
+            self._is_gone.resize(n, False)
+            self._sightings.resize(n, iteration)

@@ -91,33 +91,29 @@ class ObservationStore:
         base = self._offsets.values[0]
         return slice(int(offsets[0] - base), int(offsets[-1] - base)), np.diff(offsets)
 
-    def gather(
-        self, members: NDArray[np.int64], iterations: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
-        """Return the block of the members' observations in the given iterations.
-
-        Parameters
-        ----------
-        members : (g,) int64
-            Landmarks, each once.
-        iterations : (i,) int64, ascending
+    def seen_with(
+        self, seed: int, begin: int, end: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """Return everything seen in those of the iterations `begin` to `end` that show a seed.
 
         Returns
         -------
-        (g, i, d) float64, robot frame, metres
-            NaN where a member was not seen.
+        landmarks : (n,) int64
+            The seed, then the others in ascending order.
+        iterations : (i,) int64, ascending
+        block : (n, i, d) float64, robot frame, metres
+            NaN where a landmark was not seen.
         """
-        block = np.full((len(members), len(iterations), self.dimension), np.nan)
-        if block.size == 0:
-            return block
-        begin, end = int(iterations[0]), int(iterations[-1]) + 1
-        landmarks, seen_at = self.seen(begin, end)
-        column_of = np.full(end - begin, -1)
-        column_of[iterations - begin] = np.arange(len(iterations))
-        slots = self._slots.values
-        slots[members] = np.arange(len(members))
-        row, column = slots[landmarks], column_of[seen_at - begin]
-        slots[members] = -1
-        wanted = (row >= 0) & (column >= 0)
-        block[row[wanted], column[wanted]] = self.points(begin, end)[wanted]
-        return block
+        from relmap.core.kernels.charting import chart_block
+
+        first = begin - self._first_iteration
+        offsets = self._offsets.values[first : end - self._first_iteration + 1]
+        rows, _ = self._rows(begin, end)
+        landmarks, columns, block = chart_block(
+            self.landmarks[rows],
+            self.points_robot[rows],
+            offsets - offsets[0],
+            seed,
+            self._slots.values,
+        )
+        return landmarks, columns + begin, block

@@ -54,7 +54,7 @@ def trimmed_fit(
     Placement or None
         None where fewer than d matches are left.
     """
-    from relmap.core.kernels import trimmed_fit_rows
+    from relmap.core.kernels.fitting import trimmed_fit_rows
 
     R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, TRIMMING_ROUNDS)
     return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None

@@ -1,29 +1,12 @@
-"""The hot loops, compiled: what numpy can only do in many passes.
-
-Compiled code is cached on disk, so that only the first run on a machine waits for it.  Loading the
-compiler takes a moment too, so this module is imported where it is used.
-"""
+"""Rigid fits, compiled; see `relmap.core.alignment` and `relmap.core.completion`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar, cast
-
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.alignment import DEGENERATE
-
-Function = TypeVar("Function", bound=Callable[..., object])
-
-
-def compiled(function: Function) -> Function:
-    """Compile a function on its first call, and cache the code where there is a place for it."""
-    try:
-        return cast("Function", numba.njit(cache=True)(function))
-    except RuntimeError:  # neither beside the package nor in the user's cache folder
-        return cast("Function", numba.njit(function))
+from relmap.core.kernels import compiled
 
 
 @compiled
