@@ -9,6 +9,7 @@ from relmap.core.alignment import fit_rigid
 from relmap.core.averaging import AverageInBasis, Averaging
 from relmap.core.chart import PointChart
 from relmap.core.completion import RelativeMap
+from relmap.core.condensing import CondensedSegments
 from relmap.core.dynamics import FEWEST, DynamicStatus
 from relmap.core.globalmap import GlobalMap
 from relmap.core.landmarks import MappedGroup
@@ -64,11 +65,13 @@ class MapBuilder:
         self.levels.resize(n)
         self.dynamics.resize(n)
 
-    def forget(self) -> None:
-        """Drop the observations that no later group needs: the relative maps hold them."""
+    def forget(self, segments: CondensedSegments) -> None:
+        """Condense and drop the observations that no later group needs."""
         end = self._store.n_iterations
         oldest = self._schedule.oldest_needed
-        self._store.forget(max(end if oldest is None else oldest, end - LONGEST_INTERVAL))
+        before = max(end if oldest is None else oldest, end - LONGEST_INTERVAL)
+        segments.condense(self._store, before, self.dynamics.dynamic)
+        self._store.forget(min(before, segments.end))
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""

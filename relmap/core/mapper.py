@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.building import MapBuilder
+from relmap.core.condensing import CondensedSegments, SegmentRows
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import UNMAPPED
@@ -18,7 +19,7 @@ from relmap.core.levels import GroupLevels
 from relmap.core.merging import Merger
 from relmap.core.pose import trajectory
 from relmap.core.readout import landmark_table, map_pieces, positions_in_largest_piece
-from relmap.core.refinement import gathered, refine
+from relmap.core.refinement import Refined, refine
 from relmap.core.registration import (
     Constellation,
     KnownAssociation,
@@ -45,6 +46,8 @@ class RelativeMapper(ABC):
         self.config = config or MapperConfig()
         self._registration: Registration | None = None
         self._store = ObservationStore()
+        self._segments = CondensedSegments()
+        self._refined: list[Refined] = []
         self._identity = Identity()
         self._sightings = Sightings()
         levels = GroupLevels()
@@ -92,6 +95,7 @@ class RelativeMapper(ABC):
         registration = self._registration_for(known)
         landmarks = registration.match(points_robot, known)
         seen = landmarks >= 0
+        self._refined = []
         self._identity.resize(int(landmarks.max(initial=-1)) + 1)
         present = self._identity.of(landmarks[seen])
         left = self._observe(present, points_robot[seen])
@@ -119,19 +123,20 @@ class RelativeMapper(ABC):
         self._builder.last_pass(self._schedule.gone, self._min_shared())
 
     def refine(self) -> None:
-        """Lay all relative maps on one another at once, by joint least squares.
+        """Bring all landmarks to where all observations agree best, by joint least squares.
 
         The chain of groups drifts; this spreads what is left of it, after a loop was closed above
-        all, over the whole map.
+        all, over the whole map.  From then on until the next update it is also known how sure each
+        landmark's position is.
         """
-        builder = self._builder
-        of = self._identity.of(np.arange(len(builder.map.pieces)))
-        for piece in np.unique(builder.map.pieces[builder.map.pieces != UNMAPPED]):
-            mapped = builder.map.pieces == piece
-            observations = gathered(builder.levels.groups, mapped, of)
-            refined = refine(observations, builder.map.positions)
-            where = np.flatnonzero(mapped)
-            builder.map.move(where, refined[where])
+        positions, pieces = self._builder.map.positions, self._builder.map.pieces
+        rows, of = self._rows, self._identity.of(np.arange(len(pieces)))
+        self._refined = []
+        for piece in np.unique(pieces[pieces != UNMAPPED]):
+            refined = refine(rows, positions, pieces == piece, of)
+            if refined is not None:
+                self._builder.map.move(refined.landmarks, refined.positions)
+                self._refined.append(refined)
         self._merger.look_again()
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
@@ -165,7 +170,7 @@ class RelativeMapper(ABC):
             self._schedule.leaving(self._store.n_iterations), self._min_shared()
         )
         self._merger.leave(left)
-        self._builder.forget()
+        self._builder.forget(self._segments)
 
     def _group_or_found(self, seed: int, level: int) -> None:
         fixes = self._min_shared()
@@ -220,13 +225,16 @@ class RelativeMapper(ABC):
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         positions = positions_in_largest_piece(self._builder.map)
-        of = self._identity.of(np.arange(len(positions)))
-        return trajectory(self._store, self._builder.levels.groups, positions, of)
+        return trajectory(self._rows, positions, self._identity.of(np.arange(len(positions))))
 
     @property
     def noise_m(self) -> float:
         """Estimated standard deviation of an observed coordinate, metres; NaN if not known yet."""
         return float(self._builder.noise.sigma_m)
+
+    @property
+    def _rows(self) -> SegmentRows:
+        return self._segments.with_rest(self._store, self._builder.dynamics.dynamic)
 
     @property
     def _labels(self) -> NDArray[np.int64]:

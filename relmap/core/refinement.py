@@ -1,187 +1,171 @@
-"""Joint least squares over the relative maps of all groups: the step that the paper lacks.
+"""Joint least squares over all condensed segments: the step that the paper lacks.
 
 A chain of groups drifts, and where it closes a loop only the landmarks seen again move.  Here all
-relative maps are laid on one another at once.  Where each one lies is a nuisance variable, no
-motion is estimated: what counts is where the landmarks come to lie relative to one another.
+observations count at once.  Where the robot was in each iteration is a nuisance variable, no motion
+is estimated: what counts is where the landmarks come to lie relative to one another.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
-from scipy.spatial.transform import Rotation
 
-from relmap.core.alignment import fit_rigid_each, sums_each
-from relmap.core.landmarks import MappedGroup
+from relmap.core.alignment import fit_rigid, fit_rigid_each, fixes_rotation
+from relmap.core.condensing import LENGTH, SegmentRows
+from relmap.core.jointequations import Equations, JointRows, equations
+from relmap.core.tridiagonal import Factor
 
-ROUNDS = 10
-SETTLED = 1e-6
+ROUNDS = 30
+SETTLED = 1e-7
 """Step, as a share of the size of the map, at which the solution has settled."""
-LOOSE = 1e-9
-"""What holds a group that hangs by too little, as a share of what holds the others."""
+SLOW = 0.1
+"""A step that leaves a larger share of the one before asks for a new factor."""
+
+SURELY = 3.0
+"""Standard deviations by which a variance must be larger to be taken for larger."""
 
 
 @dataclass(frozen=True, eq=False)
-class RelativeObservations:
-    """Positions of landmarks in the frames of groups, as a structure of arrays.
+class Refined:
+    """A piece of the map on which all observations agree best.
 
     Attributes
     ----------
-    points : (n, d) float64, group frame, metres
-    weights : (n,) float64
-        Observations behind each.
-    group : (n,) int64
-        0 to n_groups - 1.
-    landmark : (n,) int64
-        0 to n_landmarks - 1.
-    n_groups, n_landmarks : int
+    landmarks : (m,) int64
+    positions : (m, d) float64, metres
+        In the frame of the robot in the anchor iteration.
+    covariances : (m, d, d) float64, square metres
+        In that frame.
+    anchor_iteration : int
+        The first iteration that saw enough of the landmarks to be fixed by them.
+    noise_m : float
+        Standard deviation of an observed coordinate, from what is left.
     """
 
-    points: NDArray[np.float64]
-    weights: NDArray[np.float64]
-    group: NDArray[np.int64]
-    landmark: NDArray[np.int64]
-    n_groups: int
-    n_landmarks: int
-
-
-def gathered(
-    groups: Sequence[MappedGroup], mapped: NDArray[np.bool_], of: NDArray[np.int64]
-) -> RelativeObservations:
-    """Return what groups saw of mapped landmarks.
-
-    Parameters
-    ----------
-    groups : sequence of MappedGroup
-    mapped : (m,) bool
-        Which landmarks count.
-    of : (m,) int64
-        The landmark that each number stands for, after merging.
-    """
-    sizes = [len(group.landmarks) for group in groups]
-    landmark = of[np.concatenate([group.landmarks for group in groups])]
-    weights = np.concatenate([group.n_observations for group in groups]).astype(np.float64)
-    rows = mapped[landmark] & (weights > 0)
-    return RelativeObservations(
-        np.concatenate([group.relative_map for group in groups])[rows],
-        weights[rows],
-        np.repeat(np.arange(len(groups)), sizes)[rows],
-        landmark[rows],
-        len(groups),
-        len(mapped),
-    )
+    landmarks: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+    anchor_iteration: int
+    noise_m: float
 
 
 def refine(
-    observations: RelativeObservations, positions: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return positions (m, d) that all relative maps agree on best.
-
-    Gauss-Newton with the landmarks eliminated: they are the weighted means of where the groups put
-    them, so that only the placements of the groups are solved for (Schur complement).
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    of: NDArray[np.int64],
+) -> Refined | None:
+    """Return where landmarks of one piece of the map lie by all observations.
 
     Parameters
     ----------
-    observations : RelativeObservations
-        Of one piece of the map.
+    rows : SegmentRows
     positions : (m, d) float64, metres
-        The chained map; its frame is kept at the first group.
+        The chained map to start from.
+    chosen : (m,) bool
+        The landmarks of the piece.
+    of : (m,) int64
+        The landmark that each number stands for, after merging.
 
     Returns
     -------
-    (m, d) float64, metres
-        As before where no group saw a landmark.
+    Refined or None
+        None where nothing is fixed.
     """
-    o = observations
-    R, t, fixed = fit_rigid_each(o.points, positions[o.landmark], o.weights, o.group, o.n_groups)
-    o = _only(o, fixed[o.group])
-    free = np.flatnonzero(np.bincount(o.group, minlength=o.n_groups))[1:]
-    for _ in range(ROUNDS):
-        turned = np.einsum("nij,nj->ni", R[o.group], o.points)
-        residual = turned + t[o.group]
-        residual -= _means(o, residual)[o.landmark]
-        turn, shift = _step(o, turned, residual, free)
-        R, t = turn @ R, t + shift
-        if np.abs(shift).max() <= SETTLED * np.abs(t).max():
-            break
-    placed = np.einsum("nij,nj->ni", R[o.group], o.points) + t[o.group]
-    seen = np.bincount(o.landmark, minlength=o.n_landmarks) > 0
-    return np.where(seen[:, None], _means(o, placed), positions)
+    joint = _joint_rows(rows, positions, chosen, of)
+    anchor = _anchor(joint)
+    if anchor is None:
+        return None
+    system = equations(joint, anchor)
+    weight = np.ones(len(joint.points))
+    refined, factor = _settled(system, joint, positions[joint.landmarks], weight)
+    placed = _placed(joint, refined, weight)
+    noise_m = _noise(rows, joint, system)
+    covariances = noise_m**2 * system.covariances(factor, placed, weight)
+    iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
+    seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
+    R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
+    R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
+    return Refined(joint.landmarks, (refined - t) @ R, R.T @ covariances @ R, iteration, noise_m)
 
 
-def _only(o: RelativeObservations, rows: NDArray[np.bool_]) -> RelativeObservations:
-    return RelativeObservations(
-        o.points[rows], o.weights[rows], o.group[rows], o.landmark[rows], o.n_groups, o.n_landmarks
+def _joint_rows(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    of: NDArray[np.int64],
+) -> JointRows:
+    """Return the rows of the chosen landmarks, without segments that these do not fix."""
+    landmark = of[rows.landmark]
+    kept = np.flatnonzero(chosen[landmark])
+    points, there, segment = rows.points[kept], positions[landmark[kept]], rows.segment[kept]
+    _, _, fixed = fit_rigid_each(points, there, np.ones(len(kept)), segment, rows.n_segments)
+    return JointRows.of_landmarks(rows, landmark, kept[fixed[segment]])
+
+
+def _anchor(rows: JointRows) -> tuple[int, int] | None:
+    """Return segment and bit of the first iteration that its landmarks fix."""
+    for segment, (begin, end) in enumerate(zip(rows.begin[:-1], rows.begin[1:], strict=True)):
+        for bit in range(LENGTH):
+            seen = (rows.visible[begin:end] >> bit) & 1 > 0
+            if fixes_rotation(rows.points[begin:end][seen]):
+                return segment, bit
+    return None
+
+
+def _placed(
+    rows: JointRows, positions: NDArray[np.float64], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the rows (n, d), each segment laid on the positions as it fits best."""
+    there = positions[rows.landmark]
+    R, t, _ = fit_rigid_each(
+        rows.points, there, weight * rows.n_seen, rows.segment, len(rows.segments)
     )
+    return np.asarray(np.einsum("nij,nj->ni", R[rows.segment], rows.points) + t[rows.segment])
 
 
-def _means(o: RelativeObservations, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the weighted mean (m, d) of values (n, d) for each landmark."""
-    total = np.bincount(o.landmark, weights=o.weights, minlength=o.n_landmarks)
-    sums = sums_each(values * o.weights[:, None], o.landmark, o.n_landmarks)
-    return np.asarray(sums / np.where(total > 0, total, 1)[:, None])
+def _settled(
+    system: Equations,
+    rows: JointRows,
+    positions: NDArray[np.float64],
+    weight: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], Factor]:
+    """Return the positions of the least sum of squares, and the factor of the last matrix."""
+    size = np.abs(positions - positions.mean(axis=0)).max()
+    factor, before = None, np.inf
+    for _ in range(ROUNDS):
+        placed = _placed(rows, positions, weight)
+        right, matrix = system.normal(positions, placed, weight, with_matrix=factor is None)
+        if factor is None:
+            factor = Factor(system.levels, matrix)
+        moved = system.moved(positions, placed, weight, factor.solve(right))
+        step = np.abs(moved - positions).max()
+        positions = moved
+        if step <= SETTLED * size:
+            break
+        if step > SLOW * before:
+            factor, step = None, np.inf
+        before = step
+    assert factor is not None
+    return positions, factor
 
 
-def _step(
-    o: RelativeObservations,
-    turned: NDArray[np.float64],
-    residual: NDArray[np.float64],
-    free: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return one Gauss-Newton step: turns (g, d, d) and shifts (g, d) of the groups."""
-    d = turned.shape[1]
-    J = np.concatenate([_turning(turned), np.tile(np.eye(d), (len(turned), 1, 1))], axis=2)
-    q = J.shape[2]
-    weighted = J * o.weights[:, None, None]
-    own = sums_each(np.swapaxes(weighted, 1, 2) @ J, o.group, o.n_groups)
-    right = sums_each(np.einsum("nij,ni->nj", weighted, residual), o.group, o.n_groups)
-    total = np.bincount(o.landmark, weights=o.weights, minlength=o.n_landmarks)
-    root = 1 / np.sqrt(np.where(total > 0, total, 1))
-    coupling = _blocks(weighted * root[o.landmark, None, None], o.landmark, o.group, o)
-    columns = (free[:, None] * q + np.arange(q)).ravel()
-    coupling = coupling[:, columns]
-    own[:, range(q), range(q)] *= 1 + LOOSE
-    step = np.zeros(o.n_groups * q)
-    if len(columns):
-        normal = sparse.block_diag(own[free]) - coupling.T @ coupling
-        solver = splu(normal.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-        step[columns] = -solver.solve(right.ravel()[columns])
-    step = step.reshape(o.n_groups, q)
-    return _rotations(step[:, : q - d]), step[:, q - d :]
+def _noise(rows: SegmentRows, joint: JointRows, system: Equations) -> float:
+    """Return the standard deviation of an observed coordinate that explains what is left.
 
-
-def _turning(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivative (n, d, r) of turned points (n, d) by a small turn."""
-    x, y = points[:, 0], points[:, 1]
-    if points.shape[1] == 2:
-        return np.stack([-y, x], axis=1)[:, :, None]
-    z, zero = points[:, 2], np.zeros(len(points))
-    rows = [[zero, z, -y], [-z, zero, x], [y, -x, zero]]
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
-
-
-def _rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    if turns.shape[1] == 3:
-        return np.asarray(Rotation.from_rotvec(turns).as_matrix())
-    cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
-    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
-
-
-def _blocks(
-    blocks: NDArray[np.float64],
-    row: NDArray[np.int64],
-    column: NDArray[np.int64],
-    o: RelativeObservations,
-) -> sparse.csr_array:
-    """Return the sparse matrix with blocks (n, d, q) at block rows and columns."""
-    _, d, q = blocks.shape
-    rows = np.broadcast_to((row[:, None] * d + np.arange(d))[:, :, None], blocks.shape)
-    columns = np.broadcast_to((column[:, None] * q + np.arange(q))[:, None, :], blocks.shape)
-    shape = (o.n_landmarks * d, o.n_groups * q)
-    entries = (blocks.ravel(), (rows.ravel(), columns.ravel()))
-    return sparse.coo_array(entries, shape=shape).tocsr()
+    Within segments and between them alike; but where segments surely agree less with one another
+    than within, what is between them counts.
+    """
+    d = joint.points.shape[1]
+    q = 3 * d - 3
+    inside = np.isin(rows.segment, joint.segments)
+    placed = np.isin(rows.iteration_segment, joint.segments).sum()
+    within = d * (rows.n_seen[inside] - 1).sum() - q * (placed - len(joint.segments))
+    between = d * (len(joint.points) - len(joint.landmarks)) - q * (len(joint.segments) - 1)
+    squares, cost = rows.squares[joint.segments].sum(), system.cost.sum()
+    variance = (squares + cost) / max(within + between, 1)
+    if between > 0 and cost / between > (1 + SURELY * np.sqrt(2 / between)) * variance:
+        variance = cost / between
+    return float(np.sqrt(variance))

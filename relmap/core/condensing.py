@@ -1,0 +1,163 @@
+"""Condensed segments: what short stretches of time say of the landmarks, each told once.
+
+Time is cut into consecutive segments of a few iterations.  Before the iterations of a segment are
+forgotten, they are laid on one another by least squares, whatever groups they were used in.  What
+stays is where each landmark came to lie, in which of the iterations it was seen, and where each
+iteration lies.  This is all that the joint least squares of `refinement` needs to know: near the
+best places of a segment, the sum of squares of all its observations depends on where the landmarks
+lie and on who saw them, not on the observations themselves.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.growing import GrowingArray
+from relmap.core.store import ObservationStore
+
+LENGTH = 8
+"""Iterations in a segment: one bit each in the landmarks' visibility."""
+NOWHERE = -1
+"""In place of the segment of an iteration that saw too little to be in one."""
+
+_BITS = np.array([number.bit_count() for number in range(1 << LENGTH)])
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentRows:
+    """What segments say, as a structure of arrays: rows are landmarks in segments.
+
+    Attributes
+    ----------
+    landmark : (n,) int64
+        As numbered when it was seen; merging may have changed that.
+    segment : (n,) int64, ascending
+    points : (n, d) float64, segment frame, metres
+    visible : (n,) uint8
+        Bit k: seen in iteration ``first_iteration + k`` of its segment.
+    first_iteration : (s,) int64
+    squares : (s,) float64, square metres
+        Sum of the squared deviations of a segment's observations from its points.
+    iteration_segment : (i,) int64
+        Segment of each iteration, or `NOWHERE`.
+    R : (i, d, d) float64
+    t : (i, d) float64, metres
+        Where each iteration lies: robot frame to segment frame.
+    """
+
+    landmark: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    points: NDArray[np.float64]
+    visible: NDArray[np.uint8]
+    first_iteration: NDArray[np.int64]
+    squares: NDArray[np.float64]
+    iteration_segment: NDArray[np.int64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+
+    @property
+    def n_seen(self) -> NDArray[np.int64]:
+        """Number of observations behind each row; (n,)."""
+        return _BITS[self.visible]
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments."""
+        return len(self.squares)
+
+
+class CondensedSegments:
+    """Condenses iterations as they leave the store; each observation counts exactly once."""
+
+    def __init__(self) -> None:
+        self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._segment: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
+        self._visible: GrowingArray[np.uint8] = GrowingArray(np.uint8)
+        self._first_iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._squares: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._iteration_segment: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._R: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
+        self._t: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
+
+    @property
+    def end(self) -> int:
+        """The first iteration that is not condensed yet."""
+        return len(self._iteration_segment)
+
+    @property
+    def rows(self) -> SegmentRows:
+        """All that is condensed, as views that stay valid until more is."""
+        return SegmentRows(
+            self._landmark.values,
+            self._segment.values,
+            self._points.values,
+            self._visible.values,
+            self._first_iteration.values,
+            self._squares.values,
+            self._iteration_segment.values,
+            self._R.values,
+            self._t.values,
+        )
+
+    def condense(self, store: ObservationStore, before: int, dynamic: NDArray[np.bool_]) -> None:
+        """Condense all whole segments before an iteration.
+
+        Parameters
+        ----------
+        store : ObservationStore
+            Holds the iterations from `end` on.
+        before : int
+        dynamic : (m,) bool
+            Landmarks known to move, which say nothing.
+        """
+        while self.end + LENGTH <= before:
+            self._condense(store, self.end + LENGTH, dynamic)
+
+    def with_rest(self, store: ObservationStore, dynamic: NDArray[np.bool_]) -> SegmentRows:
+        """Return the rows of all iterations seen, those still in the store included.
+
+        These are condensed anew each time: the last segment may not be whole yet.
+        """
+        whole = deepcopy(self)
+        while whole.end < store.n_iterations:
+            whole._condense(store, min(whole.end + LENGTH, store.n_iterations), dynamic)
+        return whole.rows
+
+    def _condense(self, store: ObservationStore, end: int, dynamic: NDArray[np.bool_]) -> None:
+        from relmap.core.segmentkernels import condense_block
+
+        begin, k, d = self.end, end - self.end, store.dimension
+        self._make_room(k, d)
+        landmarks, iterations = store.seen(begin, end)
+        steady = ~dynamic[landmarks]
+        present, row = np.unique(landmarks[steady], return_inverse=True)
+        block = np.full((len(present), k, d), np.nan)
+        block[row, iterations[steady] - begin] = store.points(begin, end)[steady]
+        free = np.isfinite(block[:, :, :1]).sum(axis=(0, 2)) >= 2
+        while free.any():
+            joined, R, t, points, visible, squares = condense_block(block, free)
+            free &= ~joined
+            at = begin + np.flatnonzero(joined)
+            self._iteration_segment.values[at] = len(self._squares)
+            self._R.values[at], self._t.values[at] = R[joined], t[joined]
+            there = visible > 0
+            self._landmark.extend(present[there])
+            self._segment.extend(np.full(there.sum(), len(self._squares)))
+            self._points.extend(points[there])
+            self._visible.extend(visible[there])
+            self._first_iteration.extend(np.array([begin]))
+            self._squares.extend(np.array([squares]))
+
+    def _make_room(self, k: int, d: int) -> None:
+        """Make room for k more iterations, in d dimensions from now on."""
+        if self._t.values.shape[1] != d:
+            self._points = GrowingArray(np.float64, (d,))
+            self._R, self._t = GrowingArray(np.float64, (d, d)), GrowingArray(np.float64, (d,))
+        self._iteration_segment.resize(self.end + k, NOWHERE)
+        self._R.resize(self.end, np.nan)
+        self._t.resize(self.end, np.nan)

@@ -1,0 +1,372 @@
+"""The normal equations of the joint least squares, with one side eliminated or the other.
+
+Two sets of unknowns are coupled, landmarks and placements, and one of them is eliminated (Schur
+complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000).  Landmarks that stay
+make equations that grow with the map, but not with the time spent in it; placements that stay make
+equations that do not mind how many landmarks are seen at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.alignment import sums_each
+from relmap.core.condensing import LENGTH, SegmentRows
+from relmap.core.tridiagonal import Factor, Levels
+
+LOOSE = 1e-9
+"""What holds an unknown that hangs by too little, as a share of what holds others."""
+STIFF = 1e9
+"""What holds the placement that is not free, as a multiple of what its observations do."""
+FLOPS_PER_OBSERVATION = 4e4
+"""What may be spent to have one placement for each iteration: about a microsecond."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointRows:
+    """Rows of segments that belong to one piece of the map, numbered without gaps.
+
+    Attributes
+    ----------
+    points : (n, d) float64, segment frame, metres
+    visible : (n,) uint8
+    n_seen : (n,) int64
+    segment : (n,) int64, ascending
+        0 to s - 1.
+    landmark : (n,) int64
+        0 to m - 1.
+    landmarks : (m,) int64
+        Their numbers in the map.
+    segments : (s,) int64
+        Their numbers among all segments.
+    rows : (n,) int64
+        Where these are among all rows.
+    """
+
+    points: NDArray[np.float64]
+    visible: NDArray[np.uint8]
+    n_seen: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    landmarks: NDArray[np.int64]
+    segments: NDArray[np.int64]
+    rows: NDArray[np.int64]
+
+    @classmethod
+    def of_landmarks(
+        cls,
+        rows: SegmentRows,
+        landmark: NDArray[np.int64],
+        kept: NDArray[np.int64],
+    ) -> JointRows:
+        """Return chosen rows `kept` (n,), where all rows are of landmarks (k,)."""
+        landmarks, compact = _numbered(landmark[kept])
+        segments, segment = _numbered(rows.segment[kept])
+        return cls(
+            rows.points[kept],
+            rows.visible[kept],
+            rows.n_seen[kept],
+            segment,
+            compact,
+            landmarks,
+            segments,
+            kept,
+        )
+
+    @property
+    def begin(self) -> NDArray[np.int64]:
+        """Where the rows of each segment begin, and where the last ends; (s + 1,)."""
+        return np.searchsorted(self.segment, np.arange(len(self.segments) + 1))
+
+    def by_landmark(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return where each landmark's rows begin (m + 1,) in a list of rows (n,)."""
+        order = np.argsort(self.landmark, kind="stable")
+        counts = np.bincount(self.landmark, minlength=len(self.landmarks))
+        return np.concatenate([[0], np.cumsum(counts)]), order
+
+
+class Equations(Protocol):
+    """Normal equations with one side eliminated.
+
+    Attributes
+    ----------
+    levels : Levels
+        Where the unknowns that stay stand.
+    cost : (s,) float64
+        Weighted sum of squares that each segment left, when the equations were last made.
+    """
+
+    levels: Levels
+    cost: NDArray[np.float64]
+
+    def normal(
+        self,
+        positions: NDArray[np.float64],
+        placed: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        with_matrix: bool,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return right side and matrix; an empty one where it is not asked for.
+
+        Parameters
+        ----------
+        positions : (m, d) float64, map frame, metres
+        placed : (n, d) float64, map frame, metres
+            The rows, each segment where it fits the positions best.
+        weight : (n,) float64
+            Of one observation in a row.
+        """
+        ...
+
+    def moved(
+        self,
+        positions: NDArray[np.float64],
+        placed: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        step: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return the positions after a step, the solution of the equations."""
+        ...
+
+    def covariances(
+        self, factor: Factor, placed: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the covariances (m, d, d) of the landmarks under noise of variance 1."""
+        ...
+
+
+def equations(rows: JointRows, anchor: tuple[int, int]) -> Equations:
+    """Return the exact equations, or where these take too long those of segments as a whole.
+
+    Parameters
+    ----------
+    rows : JointRows
+    anchor : (segment, bit)
+        The iteration whose placement makes the frame.
+    """
+    by_landmark = rows.by_landmark()
+    levels = _levels(rows, *by_landmark)
+    exact = LandmarkEquations(rows, anchor, levels[0])
+    coarse = PlacementEquations(rows, anchor, by_landmark, levels[1])
+    affordable = FLOPS_PER_OBSERVATION * rows.n_seen.sum()
+    return exact if exact.flops <= max(affordable, coarse.levels.flops) else coarse
+
+
+def _levels(
+    rows: JointRows, landmark_begin: NDArray[np.int64], entry: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return levels of landmarks and segments, beginning at an outer landmark."""
+    from relmap.core.jointkernels import breadth_first
+
+    graph = rows.begin, rows.landmark, landmark_begin, rows.segment[entry]
+    outer = int(np.argmax(breadth_first(0, *graph)[0]))
+    return breadth_first(outer, *graph)
+
+
+class LandmarkEquations:
+    """The landmarks stay; each iteration has a placement of its own, and is eliminated."""
+
+    def __init__(self, rows: JointRows, anchor: tuple[int, int], level: NDArray[np.int64]) -> None:
+        self._rows = rows
+        self._anchor = anchor
+        self._begin = rows.begin
+        self.cost = np.zeros(len(rows.segments))
+        self.levels = Levels(level, rows.points.shape[1])
+
+    @property
+    def flops(self) -> float:
+        """About how many operations the equations and their solution take."""
+        d = self.levels.q
+        sizes = d * np.diff(self._begin).astype(np.float64)
+        return float(self.levels.flops + 2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
+
+    def normal(
+        self,
+        positions: NDArray[np.float64],
+        placed: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        with_matrix: bool,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return right side and matrix; see `Equations`."""
+        from relmap.core.jointkernels import landmark_equations
+
+        rows, levels = self._rows, self.levels
+        gradient = np.zeros_like(positions)
+        buffer = np.zeros(levels.size if with_matrix else 0)
+        there = positions[rows.landmark]
+        self.cost = landmark_equations(
+            self._begin,
+            rows.landmark,
+            rows.visible,
+            there,
+            placed - there,
+            weight,
+            self._anchor,
+            gradient,
+            buffer,
+            *levels.layout,
+        )
+        for diagonal, _ in levels.blocks(buffer) if with_matrix else ():
+            diagonal[np.diag_indices(len(diagonal))] += LOOSE
+        return gradient, buffer
+
+    def moved(
+        self,
+        positions: NDArray[np.float64],
+        placed: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        step: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return the positions after a step; see `Equations`."""
+        return positions + step
+
+    def covariances(
+        self, factor: Factor, placed: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the covariances of the landmarks; see `Equations`."""
+        return self.levels.diagonal(factor.inverse())
+
+
+class PlacementEquations:
+    """One placement for each segment stays, and one for the anchor; landmarks are eliminated."""
+
+    def __init__(
+        self,
+        rows: JointRows,
+        anchor: tuple[int, int],
+        by_landmark: tuple[NDArray[np.int64], NDArray[np.int64]],
+        level: NDArray[np.int64],
+    ) -> None:
+        d = rows.points.shape[1]
+        self._rows = rows
+        self._anchor = anchor
+        self.cost = np.zeros(len(rows.segments))
+        # The rows that the anchor saw come twice: what it saw itself, and what the others did.
+        self._own = np.flatnonzero(
+            (rows.segment == anchor[0]) & ((rows.visible >> anchor[1]) & 1 > 0)
+        )
+        n = len(rows.points)
+        self._row = np.concatenate([np.arange(n), self._own])
+        self._seen = np.concatenate([rows.n_seen, np.ones(len(self._own), dtype=np.int64)])
+        self._seen[self._own] -= 1
+        self._placement = np.concatenate(
+            [rows.segment, np.full(len(self._own), len(rows.segments))]
+        )
+        landmark = rows.landmark[self._row]
+        self._entry = np.argsort(landmark, kind="stable")
+        counts = np.bincount(landmark, minlength=len(rows.landmarks))
+        self._entry_begin = np.concatenate([[0], np.cumsum(counts)])
+        self.levels = Levels(np.append(level, level[anchor[0]]), 3 * d - 3)
+
+    def normal(
+        self,
+        positions: NDArray[np.float64],
+        placed: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        with_matrix: bool,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return right side and matrix; see `Equations`."""
+        from relmap.core.jointkernels import placement_equations
+
+        levels, omega = self.levels, self._seen * weight[self._row]
+        gradient = np.zeros((len(levels.level), levels.q))
+        buffer = np.zeros(levels.size if with_matrix else 0)
+        residual = (placed - self._means(placed, weight)[self._rows.landmark])[self._row]
+        squares = omega * np.sum(residual**2, axis=1)
+        self.cost = np.bincount(self._rows.segment[self._row], weights=squares).astype(np.float64)
+        placement_equations(
+            self._entry_begin,
+            self._entry,
+            self._placement,
+            self._centred(placed),
+            residual,
+            omega,
+            gradient,
+            buffer,
+            *levels.layout,
+        )
+        fixed = len(levels.level) - 1
+        # The anchor only makes the frame: what pulls at it pulls at its segment.
+        gradient[self._anchor[0]] += gradient[fixed]
+        gradient[fixed] = 0.0
+        if with_matrix:
+            for diagonal, _ in levels.blocks(buffer):
+                diagonal[np.diag_indices(len(diagonal))] *= 1 + LOOSE
+            diagonal = levels.blocks(buffer)[levels.level[fixed]][0]
+            of_anchor = levels.place[fixed] + np.arange(levels.q)
+            diagonal[of_anchor, of_anchor] *= STIFF
+        return -gradient, buffer
+
+    def moved(
+        self,
+        positions: NDArray[np.float64],
+        placed: NDArray[np.float64],
+        weight: NDArray[np.float64],
+        step: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return the positions after a step; see `Equations`."""
+        d = placed.shape[1]
+        step[-1] = step[self._anchor[0]]
+        turn, shift = _rotations(step[:, :-d]), step[:, -d:]
+        centred, centre = self._centred(placed), self._centres(placed)[self._placement]
+        moved = np.einsum("nij,nj->ni", turn[self._placement], centred) + centre
+        return self._weighted_means(moved + shift[self._placement], weight)
+
+    def covariances(
+        self, factor: Factor, placed: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the covariances of the landmarks; see `Equations`."""
+        from relmap.core.jointkernels import spread_of_landmarks
+
+        return spread_of_landmarks(
+            self._entry_begin,
+            self._entry,
+            self._placement,
+            self._centred(placed),
+            self._seen * weight[self._row],
+            factor.inverse(),
+            *self.levels.layout,
+        )
+
+    def _means(
+        self, placed: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        return self._weighted_means(placed[self._row], weight)
+
+    def _weighted_means(
+        self, values: NDArray[np.float64], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the mean (m, d) of values (k, d) for each landmark."""
+        omega, of = self._seen * weight[self._row], self._rows.landmark[self._row]
+        m = len(self._rows.landmarks)
+        total = np.bincount(of, weights=omega, minlength=m)
+        return np.asarray(sums_each(values * omega[:, None], of, m) / total[:, None])
+
+    def _centres(self, placed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the middle (p, d) of each placement's segment."""
+        s = len(self._rows.segments)
+        counts = np.bincount(self._rows.segment, minlength=s)
+        middle = sums_each(placed, self._rows.segment, s) / counts[:, None]
+        return np.vstack([middle, middle[self._anchor[0]]])
+
+    def _centred(self, placed: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(placed[self._row] - self._centres(placed)[self._placement])
+
+
+def _rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    if turns.shape[1] == 3:
+        return np.asarray(Rotation.from_rotvec(turns).as_matrix())
+    cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
+    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+
+
+def _numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return what is among values (k,), ascending, and the place of each in that."""
+    there = np.zeros(int(values.max(initial=-1)) + 1, dtype=bool)
+    there[values] = True
+    return np.flatnonzero(there), (np.cumsum(there) - 1)[values]

@@ -1,0 +1,360 @@
+"""The hot loops of the joint least squares, compiled; see `kernels` on how and why.
+
+A row is a landmark in a segment.  Rows come in the order of their segments; `begin` (s + 1,) tells
+where each segment's begin.  A matrix is a buffer of dense blocks; see `tridiagonal`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.kernels import compiled
+from relmap.core.segmentkernels import derivative
+
+LOOSE = 1e-9
+"""What holds a placement that hangs by too little, as a share of what holds it otherwise."""
+
+
+@compiled
+def breadth_first(
+    start: int,
+    begin: NDArray[np.int64],
+    landmark: NDArray[np.int64],
+    landmark_begin: NDArray[np.int64],
+    segment: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the levels of landmarks and segments, searched breadth-first from one landmark.
+
+    `segment` lists the segments of each landmark, from `landmark_begin` on.  What cannot be reached
+    stands in levels of its own, after the others.
+    """
+    of_landmark = np.full(len(landmark_begin) - 1, -1)
+    of_segment = np.full(len(begin) - 1, -1)
+    queue = np.empty(len(of_landmark), dtype=np.int64)
+    tail, head, base, candidate = 0, 0, 0, start
+    while tail < len(queue):
+        while of_landmark[candidate] >= 0:
+            candidate = (candidate + 1) % len(queue)
+        of_landmark[candidate] = base
+        queue[tail] = candidate
+        tail += 1
+        while head < tail:
+            here = queue[head]
+            head += 1
+            base = of_landmark[here]
+            for entry in range(landmark_begin[here], landmark_begin[here + 1]):
+                s = segment[entry]
+                if of_segment[s] >= 0:
+                    continue
+                of_segment[s] = base
+                for row in range(begin[s], begin[s + 1]):
+                    if of_landmark[landmark[row]] < 0:
+                        of_landmark[landmark[row]] = base + 1
+                        queue[tail] = landmark[row]
+                        tail += 1
+        base += 1
+    return of_landmark, of_segment
+
+
+@compiled
+def _subtract(
+    product: NDArray[np.float64],
+    nodes: NDArray[np.int64],
+    q: int,
+    buffer: NDArray[np.float64],
+    level: NDArray[np.int64],
+    place: NDArray[np.int64],
+    width: NDArray[np.int64],
+    offset: NDArray[np.int64],
+) -> None:
+    """Subtract a product (n q, n q) over n nodes from the lower blocks of a matrix."""
+    for i in range(len(nodes)):
+        row, row_level = nodes[i], level[nodes[i]]
+        for j in range(len(nodes)):
+            column, column_level = nodes[j], level[nodes[j]]
+            same = row_level == column_level
+            if not (same and place[row] >= place[column]) and row_level != column_level + 1:
+                continue
+            start = offset[column_level, 0 if same else 1] + place[column]
+            for a in range(q):
+                at = start + (place[row] + a) * width[column_level]
+                for b in range(q):
+                    buffer[at + b] -= product[i * q + a, j * q + b]
+
+
+@compiled
+def _patterns(visible: NDArray[np.uint8]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the iterations (p,) of a segment that saw different things, and how many saw each."""
+    bits, counts, n = np.empty(8, dtype=np.int64), np.zeros(8, dtype=np.int64), 0
+    for bit in range(8):
+        if not np.any((visible >> bit) & 1):
+            continue
+        known = n
+        for pattern in range(n):
+            if np.all((visible >> bit) & 1 == (visible >> bits[pattern]) & 1):
+                known = pattern
+        if known == n:
+            bits[n] = bit
+            n += 1
+        counts[known] += 1
+    return bits[:n], counts[:n]
+
+
+@compiled
+def _saw(visible: NDArray[np.uint8], bits: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which rows (n,) some iterations (p,) saw; (p, n)."""
+    saw = np.empty((len(bits), len(visible)), dtype=np.bool_)
+    for p in range(len(bits)):
+        saw[p] = (visible >> bits[p]) & 1 == 1
+    return saw
+
+
+@compiled
+def _pattern_of(bit: int, saw: NDArray[np.bool_], visible: NDArray[np.uint8]) -> int:
+    """Return the row of `saw` that an iteration belongs to."""
+    found = -1
+    for p in range(len(saw)):
+        if np.all(saw[p] == ((visible >> bit) & 1 == 1)):
+            found = p
+    return found
+
+
+@compiled
+def _inverse_root(G: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverse of a small matrix's lower Cholesky factor (q, q); G is overwritten."""
+    q = len(G)
+    inverse = np.zeros((q, q))
+    for a in range(q):
+        for b in range(a + 1):
+            for c in range(b):
+                G[a, b] -= G[a, c] * G[b, c]
+            if b < a:
+                G[a, b] /= G[b, b]
+        G[a, a] = np.sqrt(max(G[a, a], 1e-300))
+        inverse[a, a] = 1 / G[a, a]
+        for b in range(a):
+            for c in range(b, a):
+                inverse[a, b] -= G[a, c] * inverse[c, b] / G[a, a]
+    return inverse
+
+
+@compiled
+def _roots(points: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return derivatives by a placement about the middle of points (n, d), as columns (q, n d)."""
+    n, d = points.shape
+    q = 3 if d == 2 else 6
+    roots, J, middle = np.empty((q, n * d)), np.empty((d, q)), np.zeros(d)
+    for row in range(n):
+        middle += points[row] / n
+    for row in range(n):
+        derivative(points[row] - middle, J)
+        for a in range(d):
+            for b in range(q):
+                roots[b, row * d + a] = np.sqrt(weight[row]) * J[a, b]
+    return roots
+
+
+@compiled
+def _taken_away(
+    roots: NDArray[np.float64], saw: NDArray[np.bool_], counts: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return what free placements of patterns take away from points, as a root (p q, n d).
+
+    `saw` (p, n) tells which points a pattern saw, `counts` (p,) how many iterations saw them.
+    """
+    q, columns = roots.shape
+    d = columns // saw.shape[1]
+    T = np.empty((len(saw) * q, columns))
+    for p in range(len(saw)):
+        seen = roots.copy()
+        for row in range(saw.shape[1]):
+            if not saw[p, row]:
+                seen[:, row * d : (row + 1) * d] = 0.0
+        G = np.dot(seen, seen.T)
+        turn = np.max(np.diag(G)[: q - d])
+        for a in range(q):
+            G[a, a] += LOOSE * (turn if a < q - d else G[a, a])
+        T[p * q : (p + 1) * q] = np.sqrt(counts[p]) * np.dot(_inverse_root(G), seen)
+    return T
+
+
+@compiled
+def _release_but_one(
+    T: NDArray[np.float64], saw: NDArray[np.bool_], counts: NDArray[np.int64], one: int
+) -> None:
+    """Let all placements but one of the pattern `one` be free."""
+    q = len(T) // len(saw)
+    T[one * q : (one + 1) * q] *= np.sqrt((counts[one] - 1) / counts[one])
+
+
+@compiled
+def landmark_equations(
+    begin: NDArray[np.int64],
+    landmark: NDArray[np.int64],
+    visible: NDArray[np.uint8],
+    points: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    anchor: tuple[int, int],
+    gradient: NDArray[np.float64],
+    buffer: NDArray[np.float64],
+    level: NDArray[np.int64],
+    place: NDArray[np.int64],
+    width: NDArray[np.int64],
+    offset: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Add the normal equations of the landmarks, with the placements eliminated.
+
+    Each iteration has a placement of its own; those that saw the same share it.
+
+    Parameters
+    ----------
+    points : (n, d) float64, map frame, metres
+        Where the landmarks of the rows are.
+    residual : (n, d) float64, map frame, metres
+        How far from there the rows, as placed, are.
+    weight : (n,) float64
+        Of one observation.
+    anchor : (segment, bit)
+        The iteration whose placement is not free.
+    gradient : (m, d) float64
+        Added to.
+    buffer : float64
+        The matrix, added to; nothing is where it is empty.
+
+    Returns
+    -------
+    (s,) float64
+        Weighted sum of squares that is left of each segment.
+    """
+    d = points.shape[1]
+    cost = np.zeros(len(begin) - 1)
+    for s in range(len(begin) - 1):
+        rows = slice(begin[s], begin[s + 1])
+        bits, counts = _patterns(visible[rows])
+        saw = _saw(visible[rows], bits)
+        T = _taken_away(_roots(points[rows], weight[rows]), saw, counts)
+        root = np.repeat(np.sqrt(weight[rows]), d)
+        seen = np.repeat(np.dot(counts.astype(np.float64), saw.astype(np.float64)), d)
+        e = root * np.ascontiguousarray(residual[rows]).reshape(-1)
+        left = seen * e - np.dot(T.T, np.dot(T, e))
+        cost[s] = np.dot(e, left)
+        for i in range(len(left)):
+            gradient[landmark[begin[s] + i // d], i % d] += root[i] * left[i]
+        if len(buffer) > 0:
+            if s == anchor[0]:
+                one = _pattern_of(anchor[1], saw, visible[rows])
+                _release_but_one(T, saw, counts, one)
+            T *= root
+            product = np.dot(T.T, T)
+            for i in range(len(left)):
+                product[i, i] -= root[i] ** 2 * seen[i]
+            _subtract(product, landmark[rows], d, buffer, level, place, width, offset)
+    return cost
+
+
+@compiled
+def placement_equations(
+    entry_begin: NDArray[np.int64],
+    entry: NDArray[np.int64],
+    placement: NDArray[np.int64],
+    points: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    gradient: NDArray[np.float64],
+    buffer: NDArray[np.float64],
+    level: NDArray[np.int64],
+    place: NDArray[np.int64],
+    width: NDArray[np.int64],
+    offset: NDArray[np.int64],
+) -> None:
+    """Add the normal equations of the placements, with the landmarks eliminated.
+
+    Parameters
+    ----------
+    entry_begin : (m + 1,) int64
+        Where the rows of each landmark begin in `entry`.
+    entry : (n,) int64
+    placement : (n,) int64
+    points : (n, d) float64, metres
+        The rows as placed, from the centre that their placement turns about.
+    residual : (n, d) float64, metres
+        How far they are from the mean of their landmark.
+    weight : (n,) float64
+        Of all observations in a row.
+    gradient : (p, q) float64
+        Added to.
+    buffer : float64
+        The matrix, added to; nothing is where it is empty.
+    """
+    d = points.shape[1]
+    q = 3 if d == 2 else 6
+    J = np.empty((d, q))
+    for i in range(len(entry_begin) - 1):
+        rows = entry[entry_begin[i] : entry_begin[i + 1]]
+        total = weight[rows].sum()
+        T = np.zeros((d, q * len(rows)))
+        for k in range(len(rows)):
+            derivative(points[rows[k]], J)
+            for b in range(q):
+                for a in range(d):
+                    value = weight[rows[k]] * J[a, b]
+                    gradient[placement[rows[k]], b] += value * residual[rows[k], a]
+                    T[a, q * k + b] = value / np.sqrt(total)
+        if len(buffer) == 0:
+            continue
+        product = np.dot(T.T, T)
+        for k in range(len(rows)):
+            derivative(points[rows[k]], J)
+            for a in range(q):
+                for b in range(q):
+                    for c in range(d):
+                        own = weight[rows[k]] * J[c, a] * J[c, b]
+                        product[q * k + a, q * k + b] -= own
+        _subtract(product, placement[rows], q, buffer, level, place, width, offset)
+
+
+@compiled
+def spread_of_landmarks(
+    entry_begin: NDArray[np.int64],
+    entry: NDArray[np.int64],
+    placement: NDArray[np.int64],
+    points: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    inverse: NDArray[np.float64],
+    level: NDArray[np.int64],
+    place: NDArray[np.int64],
+    width: NDArray[np.int64],
+    offset: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Return the covariances (m, d, d) of landmarks, of unit noise, from that of placements."""
+    d = points.shape[1]
+    q = 3 if d == 2 else 6
+    found = np.zeros((len(entry_begin) - 1, d, d))
+    J, K = np.empty((d, q)), np.empty((d, q))
+    block = np.empty((q, q))
+    for i in range(len(found)):
+        rows = entry[entry_begin[i] : entry_begin[i + 1]]
+        total = weight[rows].sum()
+        for k in rows:
+            derivative(points[k], J)
+            for other in rows:
+                derivative(points[other], K)
+                swap = level[placement[k]] < level[placement[other]]
+                row = placement[other] if swap else placement[k]
+                column = placement[k] if swap else placement[other]
+                same = level[row] == level[column]
+                start = offset[level[column], 0 if same else 1] + place[column]
+                for a in range(q):
+                    at = start + (place[row] + a) * width[level[column]]
+                    for b in range(q):
+                        if swap:
+                            block[b, a] = inverse[at + b]
+                        else:
+                            block[a, b] = inverse[at + b]
+                share = weight[k] * weight[other] / total**2
+                found[i] += share * np.dot(np.dot(J, block), K.T)
+        for a in range(d):
+            found[i, a, a] += 1 / total
+    return found

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from relmap.core.condensing import LENGTH, NOWHERE, CondensedSegments, SegmentRows
+from relmap.core.store import ObservationStore
+from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from tests.worlds import aligned_rmse, walk
+
+seeds = st.integers(0, 2**32 - 1)
+dimensions = st.sampled_from([2, 3])
+both_dimensions = pytest.mark.parametrize("d", [2, 3])
+Scans = list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+
+
+def stored(scans: Scans) -> ObservationStore:
+    store = ObservationStore()
+    for landmarks, points in scans:
+        store.append(landmarks, points)
+    return store
+
+
+def condensed(scans: Scans) -> SegmentRows:
+    none = np.zeros(1000, dtype=bool)
+    return CondensedSegments().with_rest(stored(scans), none)
+
+
+def observations_of(rows: SegmentRows) -> list[tuple[int, int]]:
+    """Return iteration and landmark of every observation, in order."""
+    row, bit = np.nonzero((rows.visible[:, None] >> np.arange(LENGTH)) & 1)
+    at = rows.first_iteration[rows.segment[row]] + bit
+    return sorted(zip(at.tolist(), rows.landmark[row].tolist(), strict=True))
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds, dimensions)
+def test_each_observation_counts_exactly_once(seed: int, d: int) -> None:
+    world = walk(d, seed, sigma=0.05, iterations=60)
+    rows = condensed(world.scans)
+    expected = sorted((k, int(i)) for k, (ids, _) in enumerate(world.scans) for i in ids)
+    assert observations_of(rows) == expected
+    assert rows.n_seen.sum() == len(expected)
+
+
+def test_forgetting_on_the_way_changes_nothing() -> None:
+    world = walk(3, 2, sigma=0.05, iterations=61)
+    store, segments, none = ObservationStore(), CondensedSegments(), np.zeros(1000, dtype=bool)
+    for k, (landmarks, points) in enumerate(world.scans):
+        store.append(landmarks, points)
+        segments.condense(store, k - 10, none)
+        store.forget(min(max(k - 10, 0), segments.end))
+    rows, expected = segments.with_rest(store, none), condensed(world.scans)
+    np.testing.assert_array_equal(rows.points, expected.points)
+    np.testing.assert_array_equal(rows.visible, expected.visible)
+    np.testing.assert_array_equal(rows.R, expected.R)
+
+
+@both_dimensions
+def test_a_segment_is_the_least_squares_map_of_its_iterations(d: int) -> None:
+    world = walk(d, 4, sigma=0.1)
+    scans = world.scans[:LENGTH]
+    rows = condensed(scans)
+    assert rows.n_segments == 1
+    ids = np.concatenate([ids for ids, _ in scans])
+    points = np.concatenate([points for _, points in scans])
+    pose = np.repeat(np.arange(LENGTH), [len(ids) for ids, _ in scans])
+    landmarks, landmark = np.unique(ids, return_inverse=True)
+    np.testing.assert_array_equal(rows.landmark, landmarks)
+    expected = batch_least_squares(Batch(points, pose, landmark), world.landmarks[landmarks])
+    assert aligned_rmse(rows.points, expected) < 1e-4
+    placed = np.einsum("nij,nj->ni", rows.R[pose], points) + rows.t[pose]
+    squares = np.sum((placed - rows.points[landmark]) ** 2)
+    assert rows.squares[0] == pytest.approx(squares)
+
+
+def test_outliers_and_movers_are_left_out() -> None:
+    before = walk(3, 4, sigma=0.05).scans[:LENGTH]
+    scans = [(ids, points.copy()) for ids, points in before]
+    ids, points = scans[3]
+    points[2] += [1.0, -2.0, 0.5]
+    clean = condensed(before)
+    rows = condensed(scans)
+    assert set(observations_of(clean)) - set(observations_of(rows)) == {(3, int(ids[2]))}
+    dynamic = np.zeros(1000, dtype=bool)
+    dynamic[ids[2]] = True
+    without = CondensedSegments().with_rest(stored(scans), dynamic)
+    assert ids[2] not in without.landmark
+
+
+def test_iterations_that_share_too_little_make_segments_of_their_own() -> None:
+    rng = np.random.default_rng(0)
+    here, there = rng.normal(0, 5, (6, 3)), rng.normal(0, 5, (5, 3))
+    scans: Scans = [(np.arange(6), here), (np.arange(6), here)]
+    scans += [(np.empty(0, dtype=np.int64), np.empty((0, 3))), (np.array([7]), here[:1])]
+    scans += [(np.arange(10, 15), there), (np.arange(10, 15), there)]
+    rows = condensed(scans)
+    assert rows.n_segments == 2
+    segment = rows.iteration_segment.tolist()
+    assert segment == [0, 0, NOWHERE, NOWHERE, 1, 1]
+    assert np.isnan(rows.t[2:4]).all()
+    assert np.isfinite(rows.points).all()
+
+
+def test_nothing_seen_condenses_to_nothing() -> None:
+    none: Scans = [(np.empty(0, dtype=np.int64), np.empty((0, 3)))] * 20
+    rows = condensed(none)
+    assert rows.n_segments == 0
+    assert (rows.iteration_segment == NOWHERE).all()
+    assert len(rows.iteration_segment) == 20

@@ -1,0 +1,199 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.core import jointequations
+from relmap.core.condensing import CondensedSegments, SegmentRows
+from relmap.core.refinement import Refined, refine
+from relmap.core.store import ObservationStore
+from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.simulation import simulate_figure_eight
+from tests.worlds import Walk, aligned_rmse, mapped, walk
+
+seeds = st.integers(0, 2**32 - 1)
+dimensions = st.sampled_from([2, 3])
+both_dimensions = pytest.mark.parametrize("d", [2, 3])
+Points = NDArray[np.float64]
+
+
+@pytest.fixture(params=["exact", "segments as a whole"])
+def both_equations(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Eliminate the placements in one run of a test, and the landmarks in another."""
+    name: str = request.param
+    flops = {"exact": 0.0, "segments as a whole": np.inf}[name]
+    monkeypatch.setattr(jointequations.LandmarkEquations, "flops", flops)
+    return name
+
+
+def condensed(world: Walk) -> SegmentRows:
+    store = ObservationStore()
+    for ids, points in world.scans:
+        store.append(ids, points)
+    return CondensedSegments().with_rest(store, np.zeros(len(world.landmarks), dtype=bool))
+
+
+def batch_of(world: Walk) -> Batch:
+    return Batch(
+        np.concatenate([points for _, points in world.scans]),
+        np.repeat(np.arange(len(world.scans)), [len(ids) for ids, _ in world.scans]),
+        np.concatenate([ids for ids, _ in world.scans]),
+    )
+
+
+def refined(world: Walk, start: Points) -> Refined:
+    m = len(world.landmarks)
+    found = refine(condensed(world), start, np.ones(m, dtype=bool), np.arange(m))
+    assert found is not None
+    assert found.landmarks.tolist() == list(range(m))
+    return found
+
+
+def whole(world: Walk) -> Walk:
+    """Return a walk of which every landmark was seen."""
+    seen = np.unique(np.concatenate([ids for ids, _ in world.scans]))
+    scans = [(np.searchsorted(seen, ids), points) for ids, points in world.scans]
+    return Walk(world.landmarks[seen], world.poses, scans)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds, dimensions)
+def test_refinement_is_exact_without_noise(seed: int, d: int) -> None:
+    world = whole(walk(d, seed, iterations=60))
+    start = world.landmarks + 0.1 * np.random.default_rng(seed).normal(size=world.landmarks.shape)
+    found = refined(world, start)
+    np.testing.assert_allclose(found.positions, world.landmarks, atol=1e-9)
+
+
+@both_dimensions
+@pytest.mark.parametrize("seed", range(3))
+def test_refinement_is_batch_least_squares(d: int, seed: int) -> None:
+    world = whole(walk(d, seed, sigma=0.05, iterations=60))
+    expected = batch_least_squares(batch_of(world), world.landmarks)
+    limit = aligned_rmse(expected, world.landmarks)
+    assert aligned_rmse(refined(world, world.landmarks).positions, expected) < 0.03 * limit
+
+
+@both_dimensions
+def test_one_placement_for_a_segment_is_nearly_as_good(
+    d: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jointequations.LandmarkEquations, "flops", np.inf)
+    apart, limits = [], []
+    for seed in range(5):
+        world = whole(walk(d, seed, sigma=0.05, iterations=60))
+        expected = batch_least_squares(batch_of(world), world.landmarks)
+        found = refined(world, world.landmarks)
+        apart.append(aligned_rmse(found.positions, expected))
+        limits.append(aligned_rmse(expected, world.landmarks))
+    # What is apart from the best estimate adds to its error in squares (Gauss and Markov).
+    assert np.hypot(np.median(limits), np.median(apart)) < 1.1 * np.median(limits)
+
+
+def dense_covariances(world: Walk, sigma: float) -> Points:
+    """Return the landmarks' covariances by a dense inverse, the first pose being the frame."""
+    batch, d = batch_of(world), world.landmarks.shape[1]
+    k, m = len(world.scans), len(world.landmarks)
+    q = 3 if d == 2 else 6
+    R0, t0 = world.poses[0]
+    J = np.zeros((len(batch.pose), d, k * q + m * d))
+    for row, (pose, landmark) in enumerate(zip(batch.pose, batch.landmark, strict=True)):
+        R = R0.T @ world.poses[pose][0]
+        from_robot = world.landmarks[landmark] - R0.T @ (world.poses[pose][1] - t0)
+        turning = turnings(d)
+        J[row, :, pose * q : pose * q + q - d] = (R.T @ turning @ from_robot).T
+        J[row, :, pose * q + q - d : (pose + 1) * q] = R.T
+        J[row, :, k * q + landmark * d : k * q + (landmark + 1) * d] = -R.T
+    J = J.reshape(-1, J.shape[2])[:, q:]
+    inverse = np.linalg.inv(J.T @ J)[-m * d :, -m * d :]
+    blocks = inverse.reshape(m, d, m, d)
+    return sigma**2 * np.stack([blocks[i, :, i] for i in range(m)])
+
+
+def turnings(d: int) -> Points:
+    """Return the generators of rotations, (1, 2, 2) or (3, 3, 3)."""
+    if d == 2:
+        return np.array([[[0.0, -1.0], [1.0, 0.0]]])
+    return np.stack([np.cross(axis, np.eye(3)).T for axis in np.eye(3)])
+
+
+@both_dimensions
+def test_covariances_are_those_of_a_dense_inverse(d: int, both_equations: str) -> None:
+    world = whole(walk(d, 5, sigma=0.02, iterations=40))
+    found = refined(world, world.landmarks)
+    expected = dense_covariances(world, found.noise_m)
+    deviation = np.sqrt(np.trace(found.covariances, axis1=1, axis2=2))
+    reference = np.sqrt(np.trace(expected, axis1=1, axis2=2))
+    if both_equations == "exact":
+        np.testing.assert_allclose(deviation, reference, rtol=0.02)
+        scale = np.abs(expected).max(axis=(1, 2), keepdims=True)
+        np.testing.assert_allclose(found.covariances / scale, expected / scale, atol=0.05)
+    else:
+        np.testing.assert_allclose(deviation, reference, rtol=0.2)
+
+
+@both_dimensions
+def test_covariances_explain_the_errors(d: int, both_equations: str) -> None:
+    """Over many runs of one world the squares of the errors are what the covariances say.
+
+    The errors of one run share that of the first pose, so that the runs must be many.
+    """
+    ratios, world = [], whole(walk(d, 3, iterations=40))
+    for seed in range(120):
+        rng = np.random.default_rng(seed)
+        scans = [(ids, points + rng.normal(0, 0.02, points.shape)) for ids, points in world.scans]
+        found = refined(Walk(world.landmarks, world.poses, scans), world.landmarks)
+        error = found.positions - world.landmarks
+        solved = np.linalg.solve(found.covariances, error[:, :, None])[:, :, 0]
+        ratios.append(np.mean(np.sum(error * solved, axis=1)) / d)
+    assert 0.8 < np.mean(ratios) < 1.25
+
+
+def test_noise_is_estimated_from_what_is_left() -> None:
+    world = whole(walk(3, 1, sigma=0.03))
+    assert refined(world, world.landmarks).noise_m == pytest.approx(0.03, rel=0.1)
+
+
+def test_mapper_refines_to_the_limit() -> None:
+    for seed in (20, 21):
+        world = simulate_figure_eight(seed=seed)
+        assert world.log.ids is not None
+        mapper = PointMapper()
+        for scan in world.log.scans():
+            mapper.update(scan.points_robot, scan.ids)
+        mapper.finish()
+        mapper.refine()
+        observations = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
+        limit = batch_least_squares(observations, world.landmarks_map)
+        assert len(mapper.map.positions) == len(world.landmarks_map)
+        rmse = aligned_rmse(mapper.map.positions, world.landmarks_map)
+        assert rmse <= 1.02 * aligned_rmse(limit, world.landmarks_map)
+
+
+def test_refinement_keeps_what_it_cannot_improve() -> None:
+    mapper = mapped(walk(3, 5).scans)
+    before = mapper.map.positions
+    mapper.refine()
+    np.testing.assert_allclose(mapper.map.positions, before, atol=1e-9)
+    empty = PointMapper()
+    empty.refine()
+    assert len(empty.map.positions) == 0
+
+
+def test_refining_twice_or_on_the_way_changes_nothing() -> None:
+    world = walk(3, 6, sigma=0.05)
+    once = mapped(world.scans)
+    once.refine()
+    often = PointMapper()
+    for k, (ids, points) in enumerate(world.scans):
+        often.update(points, ids)
+        if k % 50 == 49:
+            often.refine()
+    often.finish()
+    often.refine()
+    often.refine()
+    np.testing.assert_allclose(often.map.positions, once.map.positions, atol=1e-4)
