@@ -197,3 +197,31 @@ def test_refining_twice_or_on_the_way_changes_nothing() -> None:
     often.refine()
     often.refine()
     np.testing.assert_allclose(often.map.positions, once.map.positions, atol=1e-4)
+
+
+@both_dimensions
+def test_mapper_tells_how_sure_the_map_is(d: int) -> None:
+    world = walk(d, 8, sigma=0.05)
+    mapper = mapped(world.scans)
+    before = mapper.map.covariances
+    mapper.refine()
+    found, table = mapper.map, mapper.landmarks
+    assert before.shape == found.covariances.shape == (len(found.positions), 3, 3)
+    assert (np.linalg.eigvalsh(found.covariances[:, :d, :d]) > 0).all()
+    assert (found.covariances[:, d:] == 0).all()
+    sd = table.sd[table.level > 0]
+    variance = np.trace(found.covariances, axis1=1, axis2=2) / d
+    np.testing.assert_allclose(sd, np.sqrt(variance))
+    # What is farther from the first pose is less sure.
+    far = np.linalg.norm(found.positions, axis=1)
+    assert sd[far > 15].min() > sd[far < 5].max()
+    mapper.update(world.scans[-1][1], world.scans[-1][0])
+    np.testing.assert_allclose(mapper.map.covariances, before, rtol=0.2)
+
+
+@both_dimensions
+def test_the_frame_is_that_of_the_first_iteration(d: int) -> None:
+    world = walk(d, 9, sigma=0.05)
+    mapper = mapped(world.scans)
+    mapper.refine()
+    np.testing.assert_allclose(mapper.trajectory[0], np.eye(4), atol=1e-3)

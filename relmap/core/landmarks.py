@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,16 @@ class LandmarkMap:
         The given id, or the number of the track where none was given.
     positions : (m, 3) float64, map frame, metres
         z is 0 in a planar world.
+    covariances : (m, 3, 3) float64, map frame, square metres
+        Of the errors of the positions, after refinement.  The map frame is that of the robot in
+        the first iteration that its landmarks fix, as it was: that this iteration is known no
+        better than by what was seen in it is part of the errors, the more the farther away.
+        Before refinement those of the averages alone.  (0, 3, 3) where nothing is known.
     """
 
     landmark_ids: NDArray[np.int64]
     positions: NDArray[np.float64]
+    covariances: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +67,9 @@ class LandmarkTable:
     position : (n, 3) float64, map frame, metres
         NaN where the landmark is not mapped.
     sd : (n,) float64, metres
-        One standard deviation of the average behind the position, per axis; what the chain of
-        groups adds on the way to the landmark is not in it.  NaN where it is not mapped.
+        One standard deviation of the position, root mean over the axes, in the frame of the map;
+        see `LandmarkMap.covariances`.  Before refinement that of the average behind the position:
+        what the chain of groups adds on the way is not in it.  NaN where it is not mapped.
     observations : (n,) int64
     first_iteration, last_iteration : (n,) int64
         Counted from the mapper's first update.

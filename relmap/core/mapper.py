@@ -18,7 +18,12 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.levels import GroupLevels
 from relmap.core.merging import Merger
 from relmap.core.pose import trajectory
-from relmap.core.readout import landmark_table, map_pieces, positions_in_largest_piece
+from relmap.core.readout import (
+    landmark_map,
+    landmark_table,
+    map_pieces,
+    positions_in_largest_piece,
+)
 from relmap.core.refinement import Refined, refine
 from relmap.core.registration import (
     Constellation,
@@ -200,14 +205,13 @@ class RelativeMapper(ABC):
     @property
     def map(self) -> LandmarkMap:
         """The mapped landmarks, in ascending order of their labels."""
-        table = self.landmarks
-        mapped = table.level > 0
-        return LandmarkMap(table.landmark[mapped], table.position[mapped])
+        return landmark_map(self._builder, self._refined, self._labels)
 
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen, mapped or not."""
-        return landmark_table(self._sightings, self._builder, self._labels, self._identity.own)
+        labels, own = self._labels, self._identity.own
+        return landmark_table(self._sightings, self._builder, self._refined, labels, own)
 
     @property
     def pieces(self) -> list[Piece]:

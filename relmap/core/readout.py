@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.building import MapBuilder
 from relmap.core.globalmap import UNMAPPED, GlobalMap
-from relmap.core.landmarks import LandmarkTable, Piece, in_space
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece, in_space
+from relmap.core.refinement import Refined
 from relmap.core.sightings import Sightings
 
 
@@ -16,9 +19,44 @@ def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
     return np.where(_ranks(global_map)[:, None] == 0, global_map.positions, np.nan)
 
 
+def covariances_in_largest_piece(
+    builder: MapBuilder, refined: Sequence[Refined]
+) -> NDArray[np.float64]:
+    """Return how sure the positions are: covariances (n, d, d), square metres; NaN if not mapped.
+
+    After refinement they are those of the joint least squares, in the frame of the robot in the
+    piece's first iteration.  Before, only that of the average behind a position is known, which the
+    drift of the chain comes on top of.
+    """
+    mapped = _ranks(builder.map) == 0
+    d = builder.map.positions.shape[1]
+    variance = builder.noise.sigma_m**2 / np.maximum(builder.map.weights, 1)
+    covariances: NDArray[np.float64] = variance[:, None, None] * np.eye(d)
+    for piece in refined:
+        if mapped[piece.landmarks].any():
+            covariances[piece.landmarks] = piece.covariances
+    covariances[~mapped] = np.nan
+    return covariances
+
+
+def landmark_map(
+    builder: MapBuilder,
+    refined: Sequence[Refined],
+    labels: NDArray[np.int64],
+) -> LandmarkMap:
+    """Return the largest piece, in ascending order of its landmarks' labels."""
+    members = np.flatnonzero(_ranks(builder.map) == 0)
+    members = members[np.argsort(labels[members])]
+    covariances = np.zeros((len(members), 3, 3))
+    d = builder.map.positions.shape[1]
+    covariances[:, :d, :d] = covariances_in_largest_piece(builder, refined)[members]
+    return LandmarkMap(labels[members], in_space(builder.map.positions[members]), covariances)
+
+
 def landmark_table(
     sightings: Sightings,
     builder: MapBuilder,
+    refined: Sequence[Refined],
     labels: NDArray[np.int64],
     own: NDArray[np.bool_],
 ) -> LandmarkTable:
@@ -28,15 +66,15 @@ def landmark_table(
     """
     order = np.argsort(labels)
     order = order[own[order]]
-    global_map, noise_m = builder.map, builder.noise.sigma_m
-    rank = _ranks(global_map)
+    rank = _ranks(builder.map)
     mapped = rank == 0
     status = np.where(mapped, "static", np.where(builder.dynamics.dynamic, "dynamic", "unmapped"))
-    averaged = np.where(mapped, np.maximum(global_map.weights, 1), 1)
+    covariances = covariances_in_largest_piece(builder, refined)
+    variance = np.trace(covariances, axis1=1, axis2=2) / max(covariances.shape[1], 1)
     return LandmarkTable(
         landmark=labels[order],
-        position=in_space(positions_in_largest_piece(global_map))[order],
-        sd=np.where(mapped, noise_m / np.sqrt(averaged), np.nan)[order],
+        position=in_space(positions_in_largest_piece(builder.map))[order],
+        sd=np.sqrt(variance)[order],
         observations=sightings.counts[order],
         first_iteration=sightings.first[order],
         last_iteration=sightings.last[order],

@@ -7,7 +7,9 @@ is estimated: what counts is where the landmarks come to lie relative to one ano
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +38,6 @@ class Refined:
     landmarks : (m,) int64
     positions : (m, d) float64, metres
         In the frame of the robot in the anchor iteration.
-    covariances : (m, d, d) float64, square metres
-        In that frame.
     anchor_iteration : int
         The first iteration that saw enough of the landmarks to be fixed by them.
     noise_m : float
@@ -46,9 +46,14 @@ class Refined:
 
     landmarks: NDArray[np.int64]
     positions: NDArray[np.float64]
-    covariances: NDArray[np.float64]
     anchor_iteration: int
     noise_m: float
+    _spread: Callable[[], NDArray[np.float64]]
+
+    @cached_property
+    def covariances(self) -> NDArray[np.float64]:
+        """Of the errors of the positions (m, d, d), square metres, worked out when first asked."""
+        return self._spread()
 
 
 def refine(
@@ -83,12 +88,15 @@ def refine(
     refined, factor = _settled(system, joint, positions[joint.landmarks], weight)
     placed = _placed(joint, refined, weight)
     noise_m = _noise(rows, joint, system)
-    covariances = noise_m**2 * system.covariances(factor, placed, weight)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
     R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
     R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
-    return Refined(joint.landmarks, (refined - t) @ R, R.T @ covariances @ R, iteration, noise_m)
+
+    def spread() -> NDArray[np.float64]:
+        return np.asarray(noise_m**2 * R.T @ system.covariances(factor, placed, weight) @ R)
+
+    return Refined(joint.landmarks, (refined - t) @ R, iteration, noise_m, spread)
 
 
 def _joint_rows(
