@@ -2,6 +2,19 @@
 
 from __future__ import annotations
 
+from relmap.simulation.building import (
+    Building,
+    BuildingScan,
+    building_scene,
+    simulate_building,
+)
 from relmap.simulation.figure_eight import FigureEight, simulate_figure_eight
 
-__all__ = ["FigureEight", "simulate_figure_eight"]
+__all__ = [
+    "Building",
+    "BuildingScan",
+    "FigureEight",
+    "building_scene",
+    "simulate_building",
+    "simulate_figure_eight",
+]

@@ -8,7 +8,7 @@ start only after the whole loop.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.simulation.motion import dynamic_offsets
-
-Noise = Literal["gaussian", "uniform"]
+from relmap.simulation.noise import Noise, draw_noise
 
 LOOP_LENGTH_M = 740.0
 LOOP_ITERATIONS = 900
@@ -185,7 +184,7 @@ def _observe(
         ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
         seen = np.flatnonzero(ahead & (distance <= RANGE_M))
         ids.append(seen)
-        points.append(in_robot[seen] + _draw(noise, sigma, (len(seen), 3), rng))
+        points.append(in_robot[seen] + draw_noise(noise, sigma, (len(seen), 3), rng))
     counts = [len(seen) for seen in ids]
     n = sum(counts)
     return ObservationLog(
@@ -196,12 +195,3 @@ def _observe(
         end_iteration=len(trajectory),
         ids=np.concatenate(ids).astype(np.int64),
     )
-
-
-def _draw(
-    noise: Noise, sigma: float, shape: tuple[int, int], rng: np.random.Generator
-) -> NDArray[np.float64]:
-    if noise == "gaussian":
-        return rng.normal(0.0, sigma, shape)
-    half_width = np.sqrt(3) * sigma
-    return rng.uniform(-half_width, half_width, shape)

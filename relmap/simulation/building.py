@@ -1,0 +1,254 @@
+"""A robot that drives through a building, or among panels, and sees points of the walls.
+
+The world is 2½-D: vertical walls of one height, a robot that moves in the plane. Its frame, which
+is its sensor's, is `SENSOR_HEIGHT_M` above the floor; there the map's z is 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.simulation.drive import STEP_S, drive_round
+from relmap.simulation.floor_plan import (
+    CLEARANCE_M,
+    FloorPlan,
+    World,
+    make_floor_plan,
+    wall_distances,
+)
+from relmap.simulation.noise import Noise
+from relmap.simulation.sensor import (
+    DEPTH_SENSOR,
+    LASER,
+    Sample,
+    Sampling,
+    Sensor,
+    cast_rays,
+    sample_surface,
+    scan_laser,
+)
+from relmap.simulation.visibility import SeenWalls, seen_walls
+
+SENSOR_HEIGHT_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class BuildingScan:
+    """What the robot saw at one place, and what it was.
+
+    Attributes
+    ----------
+    points : (n, 3) float64, robot frame, metres
+        Of a laser with z = 0, from right to left.
+    wall : (n,) int64
+        The wall that each point belongs to.
+    seen : SeenWalls
+        The visible stretches of walls.
+    stretch : (n,) int64
+        The row of `seen` that each point belongs to.
+    ranges_m : (b,) float64 or None
+        Of a laser: the range of every beam, right to left; infinite where there is no return.
+    """
+
+    points: NDArray[np.float64]
+    wall: NDArray[np.int64]
+    seen: SeenWalls
+    stretch: NDArray[np.int64]
+    ranges_m: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Building:
+    """A simulated run and its truth.
+
+    Attributes
+    ----------
+    walls : (w, 6) float64, map frame, metres
+        x0, y0, x1, y1, z0, z1; the two ends go from right to left as seen from the wall's front.
+        A wall with two sides is two walls.
+    trajectory : (k, 4, 4) float64
+        ``T_map_robot`` at each scan.
+    stamps_s : (k,) float64
+    scans : list of k BuildingScan
+    """
+
+    walls: NDArray[np.float64]
+    trajectory: NDArray[np.float64]
+    stamps_s: NDArray[np.float64]
+    scans: list[BuildingScan]
+
+
+def simulate_building(
+    points: int = 2000,
+    sigma: float = 0.05,
+    noise: Noise = "gaussian",
+    sampling: Sampling = "surface",
+    iterations: int | None = None,
+    seed: int = 0,
+    world: World = "building",
+    loops: int = 1,
+    *,
+    sensor: Sensor | None = None,
+    sample_ends: bool = False,
+) -> Building:
+    """Drive round the corridor of a building, or round among panels.
+
+    Parameters
+    ----------
+    points : int
+        Points of a scan; with `rays` and `laser` the number of beams, of which some return none.
+    sigma : float
+        Standard deviation, metres: of each coordinate with `surface`, of the range otherwise.
+    noise : "gaussian" or "uniform"
+        Distribution of the noise; both have the standard deviation `sigma`.
+    sampling : "surface", "rays" or "laser"
+        Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
+    iterations : int, optional
+        Number of scans; as many as the loops take where left out. One loop is 250 to 400.
+    seed : int
+        Seed of everything random.
+    world : "building" or "panels"
+        Corridors and rooms, or free-standing panels only.
+    loops : int
+        How often the robot drives round.
+    sensor : Sensor, optional
+        Range and field of view: 8 m and 90 degrees (`laser`: 180) where left out.
+    sample_ends : bool
+        With `surface`, put a point on each end of every stretch that has two points or more.
+
+    Raises
+    ------
+    RelmapError
+        Where an argument is out of its range.
+    """
+    sensor = sensor or _default_sensor(sampling)
+    _validate(points, sigma, noise, sampling, seed, sensor)
+    _validate_run(iterations, world, loops)
+    rng = np.random.default_rng(seed)
+    plan = make_floor_plan(world, rng)
+    trajectory = drive_round(plan.loop, loops, iterations, rng)
+    scans = [
+        _scan(plan, pose, sensor, points, sigma, noise, sampling, sample_ends, rng)
+        for pose in trajectory
+    ]
+    walls = plan.walls - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
+    stamps_s = STEP_S * np.arange(len(trajectory), dtype=np.float64)
+    return Building(walls, trajectory, stamps_s, scans)
+
+
+def building_scene(
+    seed: int,
+    points: int = 2000,
+    sigma: float = 0.05,
+    noise: Noise = "gaussian",
+    sampling: Sampling = "surface",
+    *,
+    sensor: Sensor | None = None,
+    sample_ends: bool = False,
+) -> BuildingScan:
+    """Look once from a random pose in a random building, corridor or room.
+
+    The arguments are those of `simulate_building`.
+
+    Raises
+    ------
+    RelmapError
+        Where an argument is out of its range.
+    """
+    sensor = sensor or _default_sensor(sampling)
+    _validate(points, sigma, noise, sampling, seed, sensor)
+    rng = np.random.default_rng(seed)
+    plan = make_floor_plan("building", rng)
+    pose = _random_pose(plan, rng)
+    return _scan(plan, pose, sensor, points, sigma, noise, sampling, sample_ends, rng)
+
+
+def _default_sensor(sampling: str) -> Sensor:
+    return LASER if sampling == "laser" else DEPTH_SENSOR
+
+
+def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw a pose (4, 4), uniform over the floor that is clear of walls."""
+    low, high = plan.floors[:, :2] + CLEARANCE_M, plan.floors[:, 2:] - CLEARANCE_M
+    share = np.prod(high - low, axis=1)
+    while True:
+        floor = rng.choice(len(share), p=share / share.sum())
+        position = rng.uniform(low[floor], high[floor])
+        if wall_distances(position[None], plan.walls).min() >= CLEARANCE_M:
+            break
+    yaw = rng.uniform(-np.pi, np.pi)
+    pose = np.eye(4)
+    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    pose[:2, 3] = position
+    return pose
+
+
+def _scan(
+    plan: FloorPlan,
+    T_map_robot: NDArray[np.float64],
+    sensor: Sensor,
+    points: int,
+    sigma: float,
+    noise: Noise,
+    sampling: Sampling,
+    sample_ends: bool,
+    rng: np.random.Generator,
+) -> BuildingScan:
+    ends_map = plan.walls[:, :4].reshape(-1, 2, 2)
+    ends_robot = (ends_map - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
+    seen = seen_walls(ends_robot, sensor.range_m, sensor.view_rad / 2)
+    z_robot = plan.walls[0, 4:] - SENSOR_HEIGHT_M
+    sample: Sample
+    if sampling == "surface":
+        sample = sample_surface(seen, z_robot, points, noise, sigma, rng, sample_ends)
+    elif sampling == "rays":
+        sample = cast_rays(seen, z_robot, sensor, points, noise, sigma, rng)
+    else:
+        sample = scan_laser(seen, sensor, points, noise, sigma, rng)
+    wall = seen.wall[sample.stretch]
+    return BuildingScan(sample.points, wall, seen, sample.stretch, sample.ranges_m)
+
+
+def _validate(
+    points: int, sigma: float, noise: str, sampling: str, seed: int, sensor: Sensor
+) -> None:
+    _require(
+        (1 <= points <= 10**7, f"points is {points}; it must lie in [1, 10000000]"),
+        (0 <= sigma < 1e3, f"sigma is {sigma}; it must lie in [0, 1000) metres"),
+        (noise in get_args(Noise), f"noise is {noise!r}; it must be gaussian or uniform"),
+        (
+            sampling in get_args(Sampling),
+            f"sampling is {sampling!r}; it must be surface, rays or laser",
+        ),
+        (seed >= 0, f"seed is {seed}; it must not be negative"),
+        (
+            0 < sensor.range_m < np.inf,
+            f"the range of the sensor is {sensor.range_m}; it must be positive, metres",
+        ),
+        (
+            0 < sensor.view_rad <= np.pi and 0 < sensor.vertical_view_rad < np.pi,
+            "the field of view must lie in (0, pi] radians, the vertical one in (0, pi)",
+        ),
+    )
+
+
+def _validate_run(iterations: int | None, world: str, loops: int) -> None:
+    _require(
+        (
+            iterations is None or 1 <= iterations <= 10**6,
+            f"iterations is {iterations}; it must lie in [1, 1000000]",
+        ),
+        (world in get_args(World), f"world is {world!r}; it must be building or panels"),
+        (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
+    )
+
+
+def _require(*limits: tuple[bool, str]) -> None:
+    for holds, message in limits:
+        if not holds:
+            raise RelmapError(message)

@@ -1,0 +1,214 @@
+"""The world of vertical walls: a building of corridors and rooms, or panels in the open.
+
+A wall is the segment (x0, y0) to (x1, y1) from z0 to z1. Its front is to the left of the way from
+the first end to the second, so that its ends go from right to left as seen from there. A thin wall
+between two rooms is two walls, one for each side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+World = Literal["building", "panels"]
+Array = NDArray[np.float64]
+
+CORRIDOR_M = 2.4
+"""Width of the corridor round a block of rooms; more rooms lie along its outer side."""
+TURN_RADIUS_M = 1.8
+"""The robot drives in the middle of the corridor and rounds its corners so."""
+BLOCK_M = ((13.0, 18.0), (7.0, 10.0))
+ROOM_M = (3.2, 5.2)
+DEPTH_M = (3.5, 5.5)
+DOOR_M = (0.9, 1.3)
+POST_M = 0.8
+"""No wall beside a door is shorter."""
+PANEL_M = (0.8, 2.0)
+MOST_PANELS = 2
+"""A room has so many free-standing panels, or fewer."""
+CLEARANCE_M = 0.6
+"""Panels keep so far from other walls, and so does the robot from all."""
+FIELD_M = 12.0
+FIELD_LOOP_M = 7.0
+FIELD_PANELS = 40
+"""In the open, so many panels stand within `FIELD_M` of the middle of a round way."""
+HEIGHT_M = (2.4, 3.0)
+TRIALS = 30
+"""So often a place for a panel is looked for."""
+NOTHING: Array = np.empty((0, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """Walls, where a robot may be, and the closed line it drives.
+
+    Attributes
+    ----------
+    walls : (w, 6) float64, map frame, metres
+        x0, y0, x1, y1, z0, z1; they touch but do not cross, and all have the same z0 and z1.
+    floors : (f, 4) float64, metres
+        Rectangles x_low, y_low, x_high, y_high without fixed walls inside.
+    loop : (l, 2) float64, metres
+        The line, counter-clockwise; from the last point it goes back to the first.
+    """
+
+    walls: NDArray[np.float64]
+    floors: NDArray[np.float64]
+    loop: NDArray[np.float64]
+
+
+def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
+    """Draw a world: a building, or panels only."""
+    flat, floors, loop = _building(rng) if world == "building" else _field(rng)
+    height = np.tile([0.0, rng.uniform(*HEIGHT_M)], (len(flat), 1))
+    return FloorPlan(np.hstack([flat, height]), floors, loop)
+
+
+def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the distances (n, w) of points (n, 2) from walls (w, 4 or more), metres."""
+    first, along = walls[:, :2], walls[:, 2:4] - walls[:, :2]
+    offset = points[:, None] - first
+    t = np.clip((offset * along).sum(axis=2) / (along * along).sum(axis=1), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=2))
+
+
+def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return the walls (w, 4), floors and loop of a corridor round a block, with rooms."""
+    block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
+    hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
+    inner = _rooms_inside(block, rng)
+    outer = [room for side in range(4) for room in _rooms_along(hall, side, rng)]
+    rooms = np.array([room for room, _ in inner + outer])
+    doors = np.array([_door(_edges(room)[side], rng) for room, side in inner + outer])
+    walls = [
+        _cut(edge, doors[number, None])
+        for number, room in enumerate(rooms)
+        for edge in _edges(room)
+    ]
+    walls += [_cut(edge, doors) for edge in (*_edges(hall), *_edges(block)[:, ::-1])]
+    panels = [_panels(room, int(rng.integers(MOST_PANELS + 1)), rng) for room in rooms]
+    floors = np.vstack([rooms, _ring(hall, block)])
+    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2)
+
+
+def _field(rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return the walls (w, 4), floors and loop of panels in the open."""
+    square = FIELD_M * np.array([-1.0, -1.0, 1.0, 1.0])
+    angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    radius = FIELD_LOOP_M * (1 + 0.12 * np.sin(2 * angle + rng.uniform(0, 2 * np.pi)))
+    loop = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
+    return _panels(square, FIELD_PANELS, rng, obstacles=way), square[None], loop
+
+
+def _rooms_inside(block: Array, rng: np.random.Generator) -> list[tuple[Array, int]]:
+    """Return rooms side by side, each with the side of its door: below or above."""
+    splits = _split(block[0], block[2], rng)
+    return [
+        (np.array([low, block[1], high, block[3]]), 2 * int(rng.integers(2)))
+        for low, high in pairwise(splits)
+    ]
+
+
+def _rooms_along(hall: Array, side: int, rng: np.random.Generator) -> list[tuple[Array, int]]:
+    """Return rooms beyond one side of the hall, each with the side of its door."""
+    across = 1 - side % 2
+    along = 1 - across
+    splits = _split(hall[along], hall[along + 2], rng)
+    rooms = []
+    for low, high in pairwise(splits):
+        depth = rng.uniform(*DEPTH_M)
+        room = np.empty(4)
+        room[[along, along + 2]] = low, high
+        if side in (0, 3):
+            room[[across, across + 2]] = hall[across] - depth, hall[across]
+        else:
+            room[[across, across + 2]] = hall[across + 2], hall[across + 2] + depth
+        rooms.append((room, (side + 2) % 4))
+    return rooms
+
+
+def _split(low: float, high: float, rng: np.random.Generator) -> Array:
+    """Cut an interval into pieces that are about as wide as rooms."""
+    count = max(1, round((high - low) / np.mean(ROOM_M)))
+    cuts = np.cumsum(rng.uniform(*ROOM_M, count))
+    return np.concatenate([[low], low + (high - low) * cuts[:-1] / cuts[-1], [high]])
+
+
+def _edges(box: Array) -> Array:
+    """Return the sides (4, 2, 2) of a rectangle, counter-clockwise: below, right, above, left."""
+    corners = box[np.array([[0, 1], [2, 1], [2, 3], [0, 3]])]
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+def _door(edge: Array, rng: np.random.Generator) -> Array:
+    """Place a door (2, 2) somewhere in a wall (2, 2)."""
+    length = float(np.linalg.norm(edge[1] - edge[0]))
+    width = rng.uniform(*DOOR_M)
+    begin = rng.uniform(POST_M, length - POST_M - width)
+    t = np.array([[begin], [begin + width]]) / length
+    return np.asarray(edge[0] + t * (edge[1] - edge[0]))
+
+
+def _cut(edge: Array, doors: Array) -> Array:
+    """Return what doors (d, 2, 2) leave of a wall (2, 2), as rows x0, y0, x1, y1."""
+    along = edge[1] - edge[0]
+    offset = doors - edge[0]
+    t = offset @ along / (along @ along)
+    away = np.abs(offset[..., 0] * along[1] - offset[..., 1] * along[0])
+    here = ((away < 1e-9) & (t > 0) & (t < 1)).all(axis=1)
+    gaps = doors[here].reshape(-1, 2)[np.argsort(t[here], axis=None)]
+    return np.vstack([edge[:1], gaps, edge[1:]]).reshape(-1, 4)
+
+
+def _panels(box: Array, count: int, rng: np.random.Generator, obstacles: Array = NOTHING) -> Array:
+    """Place panels in a rectangle, clear of its sides, of one another and of obstacles (o, 4).
+
+    Returns
+    -------
+    (2 p, 4) float64
+        Both sides of each; there are fewer than `count` where they do not fit.
+    """
+    low, high = box[:2] + CLEARANCE_M, box[2:] - CLEARANCE_M
+    tries = count * TRIALS
+    middle = rng.uniform(low, high, (tries, 2))
+    yaw, length = rng.uniform(0, np.pi, tries), rng.uniform(*PANEL_M, tries)
+    half = length[:, None] / 2 * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    inside = ((np.abs(half) < middle - low) & (np.abs(half) < high - middle)).all(axis=1)
+    placed = [NOTHING]
+    for k in np.flatnonzero(inside):
+        if len(placed) > count:
+            break
+        points = middle[k] + np.linspace(-1, 1, 21)[:, None] * half[k]
+        if (wall_distances(points, np.vstack([obstacles, *placed])) > CLEARANCE_M).all():
+            right, left = middle[k] - half[k], middle[k] + half[k]
+            placed.append(np.array([[*right, *left], [*left, *right]]))
+    return np.vstack(placed)
+
+
+def _ring(hall: Array, block: Array) -> Array:
+    """Return the four rectangles (4, 4) between two."""
+    return np.array(
+        [
+            [hall[0], hall[1], hall[2], block[1]],
+            [hall[0], block[3], hall[2], hall[3]],
+            [hall[0], block[1], block[0], block[3]],
+            [block[2], block[1], hall[2], block[3]],
+        ]
+    )
+
+
+def _rounded(box: Array) -> Array:
+    """Return a rectangle with rounded corners as a dense line, counter-clockwise."""
+    quarter = np.linspace(-np.pi / 2, 0, 60)
+    pieces = []
+    for k, corner in enumerate(_edges(box)[:, 1]):
+        angle = quarter + k * np.pi / 2
+        inward = np.sign((box[:2] + box[2:]) / 2 - corner)
+        middle = corner + TURN_RADIUS_M * inward
+        pieces.append(middle + TURN_RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle)]))
+    return np.vstack(pieces)
