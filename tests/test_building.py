@@ -38,7 +38,7 @@ def crossings(walls: NDArray[np.float64]) -> int:
 
 @pytest.mark.parametrize("world", WORLDS)
 def test_walls_do_not_cross(world: World) -> None:
-    for seed in range(20):
+    for seed in range(40):
         walls = make_floor_plan(world, np.random.default_rng(seed)).walls
         assert crossings(walls) == 0
         assert np.linalg.norm(walls[:, 2:4] - walls[:, :2], axis=1).min() > 0.75
@@ -143,7 +143,7 @@ def test_true_corners_are_corners_of_the_map(exact: Building) -> None:
 
 
 def test_points_are_uniform_on_the_surface() -> None:
-    scan = building_scene(3, points=40_000, sigma=0.0)
+    scan = building_scene(5, points=40_000, sigma=0.0, sensor=Sensor(8.0, np.pi))
     lengths = np.linalg.norm(scan.seen.ends[:, 1] - scan.seen.ends[:, 0], axis=1)
     assert len(lengths) >= 3
     expected = lengths / lengths.sum()

@@ -22,7 +22,8 @@ CORRIDOR_M = 2.4
 TURN_RADIUS_M = 1.8
 """The robot drives in the middle of the corridor and rounds its corners so."""
 BLOCK_M = ((13.0, 18.0), (7.0, 10.0))
-ROOM_M = (3.2, 5.2)
+ROOM_M = (3.4, 5.0)
+"""Rooms are about so wide: the narrowest has space for the widest door between two posts."""
 DEPTH_M = (3.5, 5.5)
 DOOR_M = (0.9, 1.3)
 POST_M = 0.8
@@ -134,7 +135,7 @@ def _rooms_along(hall: Array, side: int, rng: np.random.Generator) -> list[tuple
 
 def _split(low: float, high: float, rng: np.random.Generator) -> Array:
     """Cut an interval into pieces that are about as wide as rooms."""
-    count = max(1, round((high - low) / np.mean(ROOM_M)))
+    count = int((high - low) / np.mean(ROOM_M))
     cuts = np.cumsum(rng.uniform(*ROOM_M, count))
     return np.concatenate([[low], low + (high - low) * cuts[:-1] / cuts[-1], [high]])
 
