@@ -142,6 +142,17 @@ def test_true_corners_are_corners_of_the_map(exact: Building) -> None:
         np.testing.assert_allclose(in_map[corner], true[corner], atol=1e-12)
 
 
+def test_how_often_a_wall_and_its_ends_were_seen_is_counted(exact: Building) -> None:
+    counts = exact.times_seen()
+    for wall in range(len(exact.walls)):
+        rows = [scan.seen.end_type[scan.seen.wall == wall] for scan in exact.scans]
+        assert counts[wall, 0] == sum(len(types) > 0 for types in rows)
+        for side in (0, 1):
+            assert counts[wall, 1 + side] == sum((t[:, side] == "corner").any() for t in rows)
+    assert (counts[:, 0] == 0).any()
+    assert (counts[:, 1:] > 0).all(axis=1).any()
+
+
 def test_points_are_uniform_on_the_surface() -> None:
     scan = building_scene(5, points=40_000, sigma=0.0, sensor=Sensor(8.0, np.pi))
     lengths = np.linalg.norm(scan.seen.ends[:, 1] - scan.seen.ends[:, 0], axis=1)

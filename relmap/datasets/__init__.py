@@ -1,17 +1,25 @@
-"""Readers of landmark logs: one file per format, all giving an `ObservationLog`.
+"""Readers of logs, one file per format.
 
-`open_log` recognises the format by its content.
+Logs of landmarks all give an `ObservationLog`, logs of point scans a `ScanLog`; `open_log` and
+`open_scans` recognise the format by its content.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import LandmarkDataset, ObservationLog, Scan
+from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
+from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
+from relmap.datasets.point_clouds import PointClouds
+from relmap.datasets.relations import Relations, read_relations
+from relmap.datasets.scans import PointScan, ScanDataset, ScanLog
+from relmap.datasets.scans_npz import ScansNpz, write_scans_npz
 from relmap.datasets.slsjf import SlsjfSimulation
 from relmap.datasets.textfile import open_text, quoted, read_head, require_path, shown
 from relmap.datasets.victoria_park import VictoriaPark
@@ -19,11 +27,20 @@ from relmap.datasets.victoria_park import VictoriaPark
 __all__ = [
     "DATASETS",
     "FORMATS",
+    "SCAN_DATASETS",
+    "SCAN_FORMATS",
     "LandmarkDataset",
     "ObservationLog",
+    "PointScan",
+    "Relations",
     "Scan",
+    "ScanDataset",
+    "ScanLog",
     "open_log",
+    "open_scans",
+    "read_relations",
     "write_observation_csv",
+    "write_scans_npz",
 ]
 
 DATASETS: tuple[LandmarkDataset, ...] = (
@@ -35,8 +52,19 @@ DATASETS: tuple[LandmarkDataset, ...] = (
 )
 """Every format, in the order in which messages list them."""
 
+SCAN_DATASETS: tuple[ScanDataset, ...] = (ScansNpz(), CarmenLog(), MrptLaser(), PointClouds())
+"""Every format of point scans, likewise."""
+
 FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in DATASETS)
-"""Names that ``--format`` takes."""
+"""Names of landmark logs that ``--format`` takes."""
+
+SCAN_FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in SCAN_DATASETS)
+"""Names of logs of point scans that ``--format`` takes."""
+
+LANDMARK_LOG = "landmark log"
+SCAN_LOG = "log of point scans"
+
+Dataset = TypeVar("Dataset", LandmarkDataset, ScanDataset)
 
 
 def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
@@ -54,29 +82,61 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
     RelmapError
         Where there is no log of a known format, or it is damaged: file, line, field.
     """
-    path = Path(path)
-    if format is not None and format not in FORMATS:
-        raise RelmapError(f"format {quoted(format)} is not known, expected {', '.join(FORMATS)}")
+    return _choose(Path(path), format, DATASETS, LANDMARK_LOG).load(Path(path))
+
+
+def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
+    """Read a log of point scans of any known format.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file, or a folder that holds a log.
+    format : str or None
+        One of `SCAN_FORMATS`; None: recognised by the content.
+
+    Raises
+    ------
+    RelmapError
+        Where there is no log of a known format, or it is damaged: file, line, field.
+    """
+    return _choose(Path(path), format, SCAN_DATASETS, SCAN_LOG).load(Path(path))
+
+
+def _choose(path: Path, format: str | None, datasets: tuple[Dataset, ...], what: str) -> Dataset:
+    """Return the format that is named, or the one that recognises the path."""
+    names = [dataset.name for dataset in datasets]
+    if format is not None and format not in names:
+        raise RelmapError(f"format {quoted(format)} is not known, expected {', '.join(names)}")
     require_path(path)
     if format is not None:
-        return DATASETS[FORMATS.index(format)].load(path)
-    return _recognise(path).load(path)
-
-
-def _recognise(path: Path) -> LandmarkDataset:
-    """Return the one format that recognises the path."""
-    found = [dataset for dataset in DATASETS if dataset.recognises(path)]
+        return datasets[names.index(format)]
+    found = [dataset for dataset in datasets if dataset.recognises(path)]
     if len(found) == 1:
         return found[0]
     if found:
-        names = " and ".join(dataset.name for dataset in found)
-        raise RelmapError(f"{shown(path)}: may be {names}, expected one: name it with --format")
-    known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in DATASETS)
+        candidates = " and ".join(dataset.name for dataset in found)
+        raise RelmapError(
+            f"{shown(path)}: may be {candidates}, expected one: name it with --format"
+        )
+    known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in datasets)
+    _refuse_other(path, what)
     if path.is_dir():
-        raise RelmapError(f"{shown(path)}: the folder holds no landmark log, expected {known}")
+        raise RelmapError(f"{shown(path)}: the folder holds no {what}, expected {known}")
     with open_text(path) as stream:
         head = read_head(path, stream)
     first = quoted(",".join(head.columns))
     raise RelmapError(
-        f"{shown(path)}: line {head.line}: {first} begins no landmark log, expected {known}"
+        f"{shown(path)}: line {head.line}: {first} begins no {what}, expected {known}"
     )
+
+
+def _refuse_other(path: Path, what: str) -> None:
+    """Say so where the path holds a log, but not of what is wanted."""
+    others: tuple[LandmarkDataset | ScanDataset, ...] = DATASETS
+    other = LANDMARK_LOG
+    if what == LANDMARK_LOG:
+        others, other = SCAN_DATASETS, SCAN_LOG
+    for dataset in others:
+        if dataset.recognises(path):
+            raise RelmapError(f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}")

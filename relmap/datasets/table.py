@@ -18,6 +18,8 @@ MAX_EXACT_INTEGER = 2**53 - 1
 """Beyond this a float64 no longer tells neighbouring integers apart."""
 
 _BATCH_CHARACTERS = 1 << 22
+_MOST_NAMES = 12
+"""Messages list no more columns than this."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +153,15 @@ def checked_table(
 def header_text(columns: Sequence[Column]) -> str:
     """Return the header that the columns ask for, optional ones in brackets."""
     first, *others = columns
-    return first.name + "".join(f",{c.name}" if c.required else f"[,{c.name}]" for c in others)
+    shown_columns = others[: _MOST_NAMES - 1]
+    text = "".join(f",{c.name}" if c.required else f"[,{c.name}]" for c in shown_columns)
+    return first.name + text + ",..." * (len(others) > len(shown_columns))
+
+
+def _names(columns: Sequence[Column], comma: str) -> str:
+    """Return the names of the columns for a message."""
+    names = [column.name for column in columns]
+    return comma.join(names[:_MOST_NAMES] + ["..."] * (len(names) > _MOST_NAMES))
 
 
 def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[Column]:
@@ -168,7 +178,7 @@ def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[
     if problems:
         raise RelmapError(
             f"{shown(path)}: line {head.line}: {' and '.join(problems)}; "
-            f"expected the header {header_text(columns)} (known columns: {', '.join(known)})"
+            f"expected the header {header_text(columns)} (known columns: {_names(columns, ', ')})"
         )
     return [known[cell] for cell in head.columns]
 
@@ -201,7 +211,7 @@ class _Rows:
         if len(cells) != len(self.columns):
             raise RelmapError(
                 f"{shown(self._path)}: line {line}: {len(cells)} fields in {quoted(text)}, "
-                f"expected {len(self.columns)}: {','.join(c.name for c in self.columns)}"
+                f"expected {len(self.columns)}: {_names(self.columns, ',')}"
             )
         return [self._number(c, cell, line) for c, cell in zip(self.columns, cells, strict=True)]
 

@@ -1,0 +1,177 @@
+"""One point cloud: PCD or PLY, as text or binary, plain or packed by xz.
+
+Only the points' x, y and z are read. They are read here and not by open3d because that makes up
+what a damaged file lacks: of a PLY text cut short it returns as many points as the header says,
+the last ones arbitrary, and in a PCD text it takes a word for 0 (version 0.20).
+
+The formats: PCD 0.7, https://pointclouds.org/documentation/tutorials/pcd_file_format.html; PLY
+1.0, G. Turk, Stanford 1994.
+"""
+
+from __future__ import annotations
+
+import lzma
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.textfile import quoted, shown, unreadable
+
+MAX_BYTES = 1 << 30
+"""A cloud unpacks to at most 1 GiB: some thirty million points."""
+
+_XZ_MAGIC = b"\xfd7zXZ\x00"
+_HEADER_BYTES = 1 << 16
+_END = re.compile(rb"^(?:DATA[^\n]*|end_header[ \t\r]*)\n", re.MULTILINE)
+_MAGIC = re.compile(rb"ply\r?\n|# \.PCD|VERSION|FIELDS")
+_PCD_TYPES = {
+    f"{kind} {size}": f"<{kind.lower()}{size}"
+    for kind, sizes in (("F", "48"), ("I", "1248"), ("U", "1248"))
+    for size in sizes
+}
+_PLY_TYPES = {
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
+}
+_PLY_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How the points stand in a file.
+
+    Attributes
+    ----------
+    count : int
+    names : sequence of str
+        The numbers that a point has.
+    types : sequence of str
+        As numpy writes them; without the order of bytes where the numbers are text.
+    text : bool
+    """
+
+    count: int
+    names: Sequence[str]
+    types: Sequence[str]
+    text: bool
+
+
+def is_cloud(file: Path) -> bool:
+    """Tell from its first bytes, unpacked, whether a file is a PCD or PLY file."""
+    try:
+        return _MAGIC.match(_unpacked(file, _HEADER_BYTES)) is not None
+    except RelmapError:
+        return False
+
+
+def read_cloud(file: Path) -> NDArray[np.float64]:
+    """Read the points of a PCD or PLY file, plain or packed by xz.
+
+    Returns
+    -------
+    (n, 3) float64, metres
+        Without those that are NaN, which stand for beams that did not return.
+
+    Raises
+    ------
+    RelmapError
+        Where the file is damaged, holds less than it says, or no point.
+    """
+    data = _unpacked(file, MAX_BYTES)
+    end = _END.search(data, 0, _HEADER_BYTES) if _MAGIC.match(data) else None
+    if end is None:
+        raise RelmapError(f"{shown(file)}: no header of a cloud, expected a PCD or PLY file")
+    try:
+        header = [line.split() for line in data[: end.end()].decode("ascii").splitlines()]
+        layout = (_ply if header[0] == ["ply"] else _pcd)([line for line in header if line])
+        points = _points(layout, data, end.end())
+    except (ValueError, KeyError, IndexError) as error:
+        raise RelmapError(
+            f"{shown(file)}: damaged: {quoted(str(error))}; expected a whole PCD or PLY file"
+        ) from error
+    points = points[~np.isnan(points).any(axis=1)]
+    far = ~(np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
+    if far.any() or not len(points):
+        what = "a point is out of range" if far.any() else "holds no point"
+        raise RelmapError(f"{shown(file)}: {what}, expected coordinates in metres")
+    return points
+
+
+def _unpacked(file: Path, most: int) -> bytes:
+    """Return the bytes of a file, but no more than the most and one."""
+    try:
+        with file.open("rb") as stream:
+            packed = stream.read(len(_XZ_MAGIC)) == _XZ_MAGIC
+        with lzma.open(file) if packed else file.open("rb") as source:
+            data = source.read(most + 1)
+    except (lzma.LZMAError, EOFError) as error:
+        reason = quoted(str(error))
+        raise RelmapError(f"{shown(file)}: damaged xz: {reason}; expected a whole file") from error
+    except (OSError, ValueError) as error:
+        raise unreadable(file, error) from error
+    if len(data) > MAX_BYTES:
+        raise RelmapError(f"{shown(file)}: more than {MAX_BYTES} bytes, expected at most that")
+    return data
+
+
+def _pcd(header: list[list[str]]) -> _Layout:
+    """Read a header of PCD; ValueError, KeyError or IndexError where it is none."""
+    entries = {line[0]: line[1:] for line in header if not line[0].startswith("#")}
+    counts = [int(text) for text in entries.get("COUNT", ["1"] * len(entries["FIELDS"]))]
+    names, types = [], []
+    fields = zip(entries["FIELDS"], entries["TYPE"], entries["SIZE"], counts, strict=True)
+    for name, kind, size, count in fields:
+        names += [name] * count
+        types += [_PCD_TYPES[f"{kind} {size}"]] * count
+    form = entries["DATA"][0]
+    if form not in ("ascii", "binary"):
+        raise ValueError(f"DATA {form} cannot be read, only ascii and binary")
+    return _Layout(int(entries["POINTS"][0]), names, types, form == "ascii")
+
+
+def _ply(header: list[list[str]]) -> _Layout:
+    """Read a header of PLY; ValueError, KeyError or IndexError where it is none."""
+    lines = [line for line in header[1:-1] if line[0] not in ("comment", "obj_info")]
+    order = _PLY_ORDER[lines[0][1]]
+    if lines[1][:2] != ["element", "vertex"]:
+        raise ValueError(f"{' '.join(lines[1])} stands before the vertices")
+    names, types = [], []
+    for line in lines[2:]:
+        if line[0] == "element":
+            break
+        _, kind, name = line
+        names.append(name)
+        types.append(order + _PLY_TYPES[kind])
+    return _Layout(int(lines[1][2]), names, types, not order)
+
+
+def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
+    """Return x, y and z of all points (n, 3); ValueError where some are missing."""
+    axes = [layout.names.index(axis) for axis in "xyz"]
+    if layout.count <= 0:
+        return np.empty((0, 3))
+    if layout.text:
+        rows = data[begin:].decode("ascii").splitlines()[: layout.count]
+        filled = any(row.strip() for row in rows)
+        table = np.loadtxt(rows, comments=None, ndmin=2) if filled else np.empty((0, 0))
+        if table.shape != (layout.count, len(layout.names)):
+            raise ValueError(f"{len(table)} of {layout.count} points")
+        return np.asarray(table[:, axes])
+    row = np.dtype([(f"f{k}", kind) for k, kind in enumerate(layout.types)])
+    whole = (len(data) - begin) // row.itemsize
+    if whole < layout.count:
+        raise ValueError(f"{whole} of {layout.count} points")
+    points = np.frombuffer(data, row, layout.count, begin)
+    return np.column_stack([points[f"f{k}"] for k in axes]).astype(np.float64)

@@ -1,0 +1,92 @@
+"""2-D laser scans of MRPT's simulator with the exact path, as ``*.scans.csv.gz``.
+
+Header ``t_s,gt_x,gt_y,gt_theta,odo_dx,odo_dy,odo_dtheta,r0,r1,...``: one row per scan, beams from
+-90 degrees (right) to +90 degrees (left). A comment above tells of the sensor::
+
+    # ... ; sensor on robot x=0.2 y=0 z=0.1 yaw=0 ; ..., max range 80 m
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.scans import ScanLog, checked_stamps, laser_scans, planar_poses
+from relmap.datasets.table import Column, Table, parse_number, read_table
+from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
+
+_HALLMARK = frozenset({"t_s", "gt_theta", "r0"})
+_KIND = "MRPT laser log"
+_BEAM = re.compile(r"r(0|[1-9]\d{0,4})$")
+_SENSOR = re.compile(r"sensor on robot x=(\S+) y=(\S+) z=\S+ yaw=(\S+)")
+_MAXIMUM = re.compile(r"max range (\S+) m\b")
+
+
+class MrptLaser:
+    """Reads one log, or a folder that holds just one."""
+
+    name = "mrpt-laser2d"
+    description = "MRPT's laser scans with the header t_s,gt_x,gt_y,gt_theta,...,r0,r1,..."
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the header is that of such a log."""
+        if os.path.isdir(path):
+            return bool(tables_with(path, _HALLMARK))
+        return columns_of(path) >= _HALLMARK
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log: planar scans in the robot's frame; the reference poses are exact.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, line, field.
+        """
+        file = only_table(path, _HALLMARK, _KIND)
+        beams = sum(bool(_BEAM.match(name)) for name in columns_of(file))
+        table = read_table(file, _columns(beams))
+        stamps_s = checked_stamps(
+            file, table.columns["t_s"], lambda row: f"line {table.lines[row]}, field t_s"
+        )
+        sensor, limit_m = _sensor(table)
+        ranges = np.column_stack([table.columns[f"r{k}"] for k in range(beams)])
+        bearing = np.linspace(-math.pi / 2, math.pi / 2, beams)
+        poses = planar_poses(*(table.columns[name] for name in ("gt_x", "gt_y", "gt_theta")))
+        k = len(ranges)
+        return laser_scans(
+            list(ranges), [bearing] * k, limit_m, np.tile(sensor, (k, 1)), stamps_s, poses
+        )
+
+
+def _columns(beams: int) -> list[Column]:
+    far = MAX_COORDINATE_M
+    names = ("gt_x", "gt_y", "gt_theta", "odo_dx", "odo_dy", "odo_dtheta")
+    return [
+        Column("t_s", 0.0, 1e12, "seconds"),
+        *(Column(name, -far, far, "metres or radians") for name in names),
+        *(Column(f"r{k}", 0.0, far, "metres") for k in range(beams)),
+    ]
+
+
+def _sensor(table: Table) -> tuple[NDArray[np.float64], float]:
+    """Return the pose x, y, yaw of the sensor on the robot, and its maximum range, metres."""
+    text = "\n".join(table.comments)
+    pose, maximum = _SENSOR.search(text), _MAXIMUM.search(text)
+    if pose and maximum:
+        try:
+            numbers = [parse_number(cell) for cell in (*pose.groups(), maximum[1])]
+        except ValueError:
+            numbers = [math.nan]
+        if np.isfinite(numbers).all() and numbers[-1] > 0:
+            return np.array(numbers[:3]), numbers[3]
+    raise RelmapError(
+        f"{shown(table.path)}: comments above the header: no usable sensor, expected "
+        "'# sensor on robot x=0 y=0 z=0 yaw=0 ; max range 80 m'"
+    )

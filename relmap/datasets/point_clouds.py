@@ -1,0 +1,108 @@
+"""A folder of point clouds, one file per scan: PCD or PLY, plain or packed by xz.
+
+The scans come in the order of the numbers in their names. ``alidarPose.csv`` beside them (as BALM,
+Z. Liu and F. Zhang, RA-L 2021, writes it) gives the reference poses: rows 4N to 4N + 3 are the
+matrix T_reference_robot of file number N, with the time in its last cell.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.cloud_file import is_cloud, read_cloud
+from relmap.datasets.scans import ScanLog, checked_stamps
+from relmap.datasets.table import parse_number
+from relmap.datasets.textfile import (
+    open_text,
+    quoted,
+    require_path,
+    require_utf8,
+    shown,
+    unreadable,
+)
+
+POSES_FILE = "alidarPose.csv"
+
+_NAME = re.compile(r"\.(pcd|ply)(\.xz)?$", re.IGNORECASE)
+_RESULT = "summary.json"
+
+
+class PointClouds:
+    """Reads a folder of PCD or PLY files, or one such file."""
+
+    name = "point-clouds"
+    description = "a folder of .pcd or .ply files, which may be packed as .xz"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether it is such a file, or a folder with one that is no result of relmap's."""
+        if not os.path.isdir(path):
+            return is_cloud(path)
+        return bool(_files(path)) and not (path / _RESULT).exists()
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log; a cloud is read when its scan is asked for.
+
+        Points whose coordinates are NaN are no returns and left out.
+
+        Raises
+        ------
+        RelmapError
+            Where there is no cloud, or the poses beside are damaged. `ScanLog.scans` raises it
+            where a cloud is damaged or empty.
+        """
+        require_path(path)
+        files = _files(path) if os.path.isdir(path) else [path]
+        if not files:
+            raise RelmapError(f"{shown(path)}: holds no cloud, expected {self.description}")
+        stamps_s, poses = np.arange(len(files), dtype=np.float64), None
+        poses_file = files[0].with_name(POSES_FILE)
+        if poses_file.is_file():
+            stamps_s, poses = _read_poses(poses_file, files)
+        return ScanLog(3, stamps_s, lambda index: read_cloud(files[index]), poses)
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the clouds in a folder, in the order of the numbers in their names."""
+    try:
+        found = [path for path in folder.iterdir() if _NAME.search(path.name)]
+    except OSError as error:
+        raise unreadable(folder, error) from error
+    return sorted(found, key=_order)
+
+
+def _order(path: Path) -> tuple[list[int], str]:
+    return [int(digits) for digits in re.findall(r"\d+", _NAME.sub("", path.name))], path.name
+
+
+def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
+    rows = []
+    with open_text(file) as stream:
+        for number, line in enumerate(stream, 1):
+            require_utf8(file, number, line)
+            if not line.strip():
+                continue
+            try:
+                row = [parse_number(cell) for cell in line.strip().rstrip(",").split(",")]
+            except ValueError:
+                row = []
+            if len(row) != 4 or not np.isfinite(row).all():
+                problem = f"{quoted(line)}, expected 4 numbers: a row of a 4 x 4 matrix"
+                raise RelmapError(f"{shown(file)}: line {number}: {problem}")
+            rows.append(row)
+    numbers = [_order(cloud)[0] for cloud in clouds]
+    for cloud, name in zip(clouds, numbers, strict=True):
+        if len(name) != 1 or 4 * name[0] + 4 > len(rows):
+            problem = f"no rows for {shown(cloud.name)}, expected 4 for each number from 0"
+            raise RelmapError(f"{shown(file)}: {problem}")
+    first = 4 * np.array(numbers)
+    matrices = np.array(rows)[first + np.arange(4)]
+    stamps_s = matrices[:, 3, 3].copy()
+    matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
+    return checked_stamps(file, stamps_s, lambda k: f"line {first[k, 0] + 4}"), matrices

@@ -1,0 +1,71 @@
+"""Relations between poses that were checked by hand: the ground truth of real laser logs.
+
+R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009.
+Each line is ``t1 t2 x y z roll pitch yaw``: the pose at t2 in the frame of the pose at t1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.table import parse_number
+from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+
+_COLUMNS = "t1 t2 x y z roll pitch yaw"
+_LIMITS = np.array([1e12, 1e12, *[MAX_COORDINATE_M] * 6])
+
+
+@dataclass(frozen=True, eq=False)
+class Relations:
+    """True relative poses, as a structure of arrays.
+
+    Attributes
+    ----------
+    begin_s, end_s : (r,) float64
+        Times of the two poses, seconds, by the log's clock.
+    T_begin_end : (r, 4, 4) float64
+        The later pose in the frame of the earlier one, metres.
+    """
+
+    begin_s: NDArray[np.float64]
+    end_s: NDArray[np.float64]
+    T_begin_end: NDArray[np.float64]
+
+
+def read_relations(path: Path) -> Relations:
+    """Read a ``.relations`` file.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be read, holds no relation, or a line is none.
+    """
+    rows = []
+    with open_text(path) as stream:
+        for number, line in enumerate(stream, 1):
+            require_utf8(path, number, line)
+            cells = line.partition("#")[0].split()
+            if not cells:
+                continue
+            try:
+                row = [parse_number(cell) for cell in cells]
+            except ValueError:
+                row = []
+            if len(row) != 8 or not (np.abs(row) <= _LIMITS).all():
+                problem = f"{quoted(line)}, expected 8 numbers: {_COLUMNS}"
+                raise RelmapError(f"{shown(path)}: line {number}: {problem}")
+            rows.append(row)
+    if not rows:
+        raise RelmapError(f"{shown(path)}: holds no relation, expected lines of {_COLUMNS}")
+    table = np.array(rows)
+    T = np.tile(np.eye(4), (len(table), 1, 1))
+    T[:, :3, :3] = Rotation.from_euler("xyz", table[:, 5:]).as_matrix()
+    T[:, :3, 3] = table[:, 2:5]
+    return Relations(table[:, 0], table[:, 1], T)

@@ -1,0 +1,231 @@
+"""What every log of point scans looks like once read, and what a format's reader offers."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.textfile import shown
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class PointScan:
+    """The points of one scan.
+
+    Attributes
+    ----------
+    iteration : int
+        Number of the scan in the log.
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+        Of a 2-D laser two columns, the beams that returned, in order from right to left.
+    stamp_s : float
+        Time, seconds; the iteration where the log has no clock.
+    T_reference_robot : (4, 4) float64 or None
+        The pose that the log gives for comparison; None where it gives none.
+    """
+
+    iteration: int
+    points_robot: NDArray[np.float64]
+    stamp_s: float
+    T_reference_robot: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, eq=False)
+class ScanLog:
+    """The point scans of a whole run; the points of a scan may be read only when asked for.
+
+    Attributes
+    ----------
+    dimension : int
+        2 for scans of a 2-D laser, else 3.
+    stamps_s : (k,) float64, ascending
+        Time of each scan, seconds; iteration numbers where the log has no clock.
+    points_of : callable
+        Gives the points (n, dimension) of the scan at an index in range(k); robot frame, metres.
+        It raises RelmapError where a file of that scan is damaged.
+    poses : (k, 4, 4) float64 or None
+        T_reference_robot of each scan: the poses the log gives for comparison, exact or not.
+    first_iteration : int
+        Number of the first scan.
+    """
+
+    dimension: int
+    stamps_s: NDArray[np.float64]
+    points_of: Callable[[int], NDArray[np.float64]]
+    poses: NDArray[np.float64] | None = None
+    first_iteration: int = 0
+
+    def __len__(self) -> int:
+        """Return the number of scans, empty ones included."""
+        return len(self.stamps_s)
+
+    def scans(self) -> Iterator[PointScan]:
+        """Yield every scan in order, the empty ones too.
+
+        Raises
+        ------
+        RelmapError
+            Where a file of the log is damaged.
+        """
+        for index, stamp_s in enumerate(self.stamps_s.tolist()):
+            pose = None if self.poses is None else self.poses[index]
+            yield PointScan(self.first_iteration + index, self.points_of(index), stamp_s, pose)
+
+    def between(self, begin: int, end: int) -> ScanLog:
+        """Return the part of the log in iterations ``range(begin, end)``.
+
+        Raises
+        ------
+        RelmapError
+            Where the log has no scan in that range.
+        """
+        last = self.first_iteration + len(self)
+        first, stop = max(begin, self.first_iteration), min(end, last)
+        if first >= stop:
+            raise RelmapError(
+                f"scans {begin}:{end} hold nothing: the log covers {self.first_iteration}:{last}"
+            )
+        skip, points_of = first - self.first_iteration, self.points_of
+        rows = slice(skip, stop - self.first_iteration)
+        return replace(
+            self,
+            stamps_s=self.stamps_s[rows],
+            points_of=lambda index: points_of(skip + index),
+            poses=None if self.poses is None else self.poses[rows],
+            first_iteration=first,
+        )
+
+
+class ScanDataset(Protocol):
+    """One format of logs of point scans."""
+
+    name: str
+    """The format's name, as ``--format`` takes it."""
+
+    description: str
+    """What its files look like, for messages."""
+
+    def recognises(self, path: Path) -> bool:
+        """Tell from its content whether the file or folder is of this format."""
+        ...
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log.
+
+        Raises
+        ------
+        RelmapError
+            Where the content is not what the format promises: file, line, field.
+        """
+        ...
+
+
+def stored_scans(
+    points_robot: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    stamps_s: NDArray[np.float64],
+    poses: NDArray[np.float64] | None = None,
+) -> ScanLog:
+    """Make a log of points that are all in memory.
+
+    Parameters
+    ----------
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+    offsets : (k + 1,) int64
+        Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
+    stamps_s : (k,) float64
+    poses : (k, 4, 4) float64, optional
+        T_reference_robot.
+    """
+    return ScanLog(
+        points_robot.shape[1],
+        stamps_s,
+        lambda index: points_robot[offsets[index] : offsets[index + 1]],
+        poses,
+    )
+
+
+def laser_scans(
+    ranges_m: list[NDArray[np.float64]],
+    bearings_rad: list[NDArray[np.float64]],
+    limit_m: float,
+    T_robot_laser: NDArray[np.float64],
+    stamps_s: NDArray[np.float64],
+    poses: NDArray[np.float64],
+) -> ScanLog:
+    """Make a log of 2-D laser scans, without the beams that did not return.
+
+    Parameters
+    ----------
+    ranges_m, bearings_rad : list of k (b,) float64
+        Beams in order, right to left; a range of 0, or of `limit_m` or more, is no return.
+    limit_m : float
+    T_robot_laser : (k, 3) float64
+        x, y (metres) and yaw (radians) of the laser on the robot.
+    stamps_s : (k,) float64
+    poses : (k, 4, 4) float64
+        T_reference_robot.
+    """
+    returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
+    counts = [int(beams.sum()) for beams in returned]
+    scan = np.repeat(np.arange(len(counts)), counts)
+    r = np.concatenate([ranges[beams] for ranges, beams in zip(ranges_m, returned, strict=True)])
+    bearing = np.concatenate([b[beams] for b, beams in zip(bearings_rad, returned, strict=True)])
+    x, y, yaw = T_robot_laser[scan].T
+    points = np.column_stack([x + r * np.cos(bearing + yaw), y + r * np.sin(bearing + yaw)])
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return stored_scans(points, offsets, stamps_s, poses)
+
+
+def planar_poses(
+    x: NDArray[np.float64], y: NDArray[np.float64], yaw: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return poses (k, 4, 4) in the plane z = 0."""
+    poses = np.tile(np.eye(4), (len(yaw), 1, 1))
+    poses[:, 0, 0] = poses[:, 1, 1] = np.cos(yaw)
+    poses[:, 1, 0] = np.sin(yaw)
+    poses[:, 0, 1] = -np.sin(yaw)
+    poses[:, :2, 3] = np.column_stack([x, y])
+    return poses
+
+
+def checked_stamps(
+    path: Path, stamps_s: NDArray[np.float64], place: Callable[[int], str]
+) -> NDArray[np.float64]:
+    """Return the stamps, or the numbers of the scans where the clock is too coarse to tell them.
+
+    Parameters
+    ----------
+    path : Path
+        The log, for messages.
+    stamps_s : (k,) float64, seconds
+    place : callable
+        Says of an index where in the log that stamp stands.
+
+    Raises
+    ------
+    RelmapError
+        Where a stamp is not finite or the time goes back.
+    """
+    wrong = ~np.isfinite(stamps_s)
+    wrong[1:] |= np.diff(stamps_s) < 0
+    if wrong.any():
+        index = int(np.argmax(wrong))
+        before = f" after {float(stamps_s[index - 1])!r}" if index else ""
+        raise RelmapError(
+            f"{shown(path)}: {place(index)}: time {float(stamps_s[index])!r}{before}, "
+            "expected seconds in ascending order"
+        )
+    if (np.diff(stamps_s) > 0).all():
+        return stamps_s
+    _LOG.warning("%s: times repeat: the scans are counted instead", shown(path))
+    return np.arange(len(stamps_s), dtype=np.float64)

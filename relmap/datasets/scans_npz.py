@@ -1,0 +1,161 @@
+"""The project's own log of point scans: ``scans.npz``.
+
+``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
+each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
+time of every scan, seconds, ascending; a scan without a point is an empty one.
+"""
+
+from __future__ import annotations
+
+import os
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.datasets.textfile import quoted, require_path, shown, unreadable
+
+FILE_NAME = "scans.npz"
+"""The log's name in a folder."""
+
+MAX_BYTES = 1 << 32
+"""A log unpacks to at most 4 GiB: some 130 million points."""
+
+_MAGIC = b"PK\x03\x04"
+_KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
+
+
+class ScansNpz:
+    """Reads ``scans.npz``, or a folder that holds it."""
+
+    name = "scans-npz"
+    description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether it is a zip file, as .npz files are."""
+        file = _file_of(path)
+        try:
+            with file.open("rb") as stream:
+                return stream.read(len(_MAGIC)) == _MAGIC
+        except (OSError, ValueError):
+            return False
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log.
+
+        Raises
+        ------
+        RelmapError
+            Where an array is missing, damaged or holds what no scan can: file, array, row.
+        """
+        file = _file_of(path)
+        require_path(file)
+        arrays = _read_arrays(file)
+        points, iteration, stamps_s = (arrays[name] for name in _KINDS)
+        _check_shapes(file, points, iteration, stamps_s)
+        _check_values(file, points, iteration, stamps_s)
+        order = np.argsort(iteration, kind="stable")
+        offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
+        points_robot = points[order].astype(np.float64, copy=False)
+        return stored_scans(points_robot, offsets.astype(np.int64), stamps_s.astype(np.float64))
+
+
+def write_scans_npz(
+    path: Path, scans: list[NDArray[np.float64]], stamps_s: NDArray[np.float64]
+) -> None:
+    """Write scans so that reading them gives the same numbers; the same scans give the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+        The file; it appears whole or not at all.
+    scans : list of k (n, 3) or (n, 2) float64, robot frame, metres
+    stamps_s : (k,) float64
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    counts = [len(points) for points in scans]
+    iteration = np.repeat(np.arange(len(scans), dtype=np.int64), counts)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez(file, points=np.concatenate(scans), iteration=iteration, stamps_s=stamps_s)
+        part.replace(path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _file_of(path: Path) -> Path:
+    return path / FILE_NAME if os.path.isdir(path) else path
+
+
+def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays the log must have, of the kinds of numbers they must be."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_BYTES:
+            raise ValueError(f"{size} bytes when unpacked, more than {MAX_BYTES}")
+        with np.load(file, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in _KINDS}
+    except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
+        raise unreadable(file, error) from error
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        reason = quoted(str(error))
+        raise RelmapError(
+            f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
+        ) from error
+    return arrays
+
+
+def _check_shapes(
+    file: Path,
+    points: NDArray[Any],
+    iteration: NDArray[Any],
+    stamps_s: NDArray[Any],
+) -> None:
+    arrays = {"points": points, "iteration": iteration, "stamps_s": stamps_s}
+    n, k = len(np.atleast_1d(points)), stamps_s.size
+    fits = {
+        "points": points.ndim == 2 and points.shape[1] in (2, 3) and n > 0,
+        "iteration": iteration.shape == (n,),
+        "stamps_s": stamps_s.shape == (k,) and k > 0,
+    }
+    for name, array in arrays.items():
+        if not fits[name] or array.dtype.kind not in _KINDS[name]:
+            raise RelmapError(
+                f"{shown(file)}: array {name}: {array.dtype} {array.shape}, "
+                f"expected {ScansNpz.description}, with at least one point"
+            )
+
+
+def _check_values(
+    file: Path,
+    points: NDArray[Any],
+    iteration: NDArray[Any],
+    stamps_s: NDArray[Any],
+) -> None:
+    good = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
+    _require(file, "points", good, "is not finite or out of range, expected metres")
+    inside = (iteration >= 0) & (iteration < len(stamps_s))
+    _require(file, "iteration", inside, f"is no scan, expected 0 to {len(stamps_s) - 1}")
+    ascending = np.isfinite(stamps_s)
+    ascending[1:] &= np.diff(stamps_s) > 0
+    _require(file, "stamps_s", ascending, "is no later time, expected seconds in ascending order")
+
+
+def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:
+    if not good.all():
+        raise RelmapError(f"{shown(file)}: array {array}, row {np.argmin(good)}: {problem}")

@@ -1,0 +1,85 @@
+"""``relmap simulate building``: the files and columns of the contract."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.cli import main
+from relmap.datasets import open_scans
+from relmap.files import read_tum
+from relmap.simulation import simulate_building
+from tests.commands import Check, names, snapshot, table
+
+OPTIONS = ["--points", "200", "--iterations", "40", "--seed", "3"]
+
+
+def simulate(folder: Path, *options: str) -> None:
+    assert main(["simulate", "building", "-o", str(folder), *options]) == 0
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("world") / "building"
+    simulate(folder, *OPTIONS)
+    return folder
+
+
+def test_it_writes_scans_and_truth(world: Path) -> None:
+    assert names(world) == ["building.png", "scans.npz", "truth"]
+    assert names(world / "truth") == ["planes.csv", "trajectory.tum"]
+    run = simulate_building(points=200, iterations=40, seed=3)
+    with np.load(world / "scans.npz") as scans:
+        assert set(scans) == {"points", "iteration", "stamps_s"}
+        assert scans["points"].shape == (8000, 3)
+        assert scans["iteration"].tolist() == np.repeat(np.arange(40), 200).tolist()
+        assert scans["stamps_s"].tolist() == run.stamps_s.tolist()
+    planes = table(world / "truth" / "planes.csv")
+    columns = ["plane", "x0", "y0", "x1", "y1", "z0", "z1"]
+    assert list(planes[0])[:7] == columns
+    assert [int(row["plane"]) for row in planes] == list(range(len(run.walls)))
+    assert [[float(row[name]) for name in columns[1:]] for row in planes] == run.walls.tolist()
+    seen = [[int(row[name]) for name in ("scans", "corner0", "corner1")] for row in planes]
+    assert seen == run.times_seen().tolist()
+    stamps_s, poses = read_tum(world / "truth" / "trajectory.tum")
+    assert stamps_s.tolist() == run.stamps_s.tolist()
+    np.testing.assert_allclose(poses, run.trajectory, atol=1e-12)
+
+
+def test_what_it_writes_is_a_log_of_point_scans(world: Path) -> None:
+    run = simulate_building(points=200, iterations=40, seed=3)
+    log = open_scans(world)
+    for scan, true in zip(log.scans(), run.scans, strict=True):
+        assert scan.points_robot.tobytes() == true.points.tobytes()
+
+
+def test_the_same_seed_writes_the_same_bytes(world: Path, tmp_path: Path) -> None:
+    simulate(tmp_path / "same", *OPTIONS)
+    assert snapshot(tmp_path / "same") == snapshot(world)
+    simulate(tmp_path / "other", *OPTIONS[:-1], "4")
+    other = snapshot(tmp_path / "other")
+    assert all(other[name] != data for name, data in snapshot(world).items() if data is not None)
+
+
+def test_a_laser_writes_planar_scans(tmp_path: Path) -> None:
+    simulate(tmp_path, *OPTIONS, "--sampling", "laser", "--world", "panels")
+    log = open_scans(tmp_path)
+    assert log.dimension == 2
+    assert len(log) == 40
+    assert 0 < min(len(scan.points_robot) for scan in log.scans()) < 200
+
+
+def test_bad_options_leave_everything_as_it_was(refused: Check) -> None:
+    for option, value, expected in (
+        ("--points", "0", "points"),
+        ("--sigma", "-1", "sigma"),
+        ("--sigma", "nan", "sigma"),
+        ("--iterations", "0", "iterations"),
+        ("--loops", "0", "loops"),
+        ("--seed", "-1", "seed"),
+        ("--world", "moon", "'building', 'panels'"),
+        ("--sampling", "sonar", "'surface', 'rays', 'laser'"),
+    ):
+        assert expected in refused("simulate", "building", "-o", "new", option, value)
