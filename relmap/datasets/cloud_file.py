@@ -69,9 +69,9 @@ class _Layout:
 
 
 def is_cloud(file: Path) -> bool:
-    """Tell from its first bytes, unpacked, whether a file is a PCD or PLY file."""
+    """Tell whether a file, unpacked, begins with the header of a PCD or PLY file."""
     try:
-        return _MAGIC.match(_unpacked(file, _HEADER_BYTES)) is not None
+        return _header_end(_unpacked(file, _HEADER_BYTES)) is not None
     except RelmapError:
         return False
 
@@ -90,13 +90,13 @@ def read_cloud(file: Path) -> NDArray[np.float64]:
         Where the file is damaged, holds less than it says, or no point.
     """
     data = _unpacked(file, MAX_BYTES)
-    end = _END.search(data, 0, _HEADER_BYTES) if _MAGIC.match(data) else None
+    end = _header_end(data)
     if end is None:
         raise RelmapError(f"{shown(file)}: no header of a cloud, expected a PCD or PLY file")
     try:
-        header = [line.split() for line in data[: end.end()].decode("ascii").splitlines()]
+        header = [line.split() for line in data[:end].decode("ascii").splitlines()]
         layout = (_ply if header[0] == ["ply"] else _pcd)([line for line in header if line])
-        points = _points(layout, data, end.end())
+        points = _points(layout, data, end)
     except (ValueError, KeyError, IndexError) as error:
         raise RelmapError(
             f"{shown(file)}: damaged: {quoted(str(error))}; expected a whole PCD or PLY file"
@@ -124,6 +124,12 @@ def _unpacked(file: Path, most: int) -> bytes:
     if len(data) > MAX_BYTES:
         raise RelmapError(f"{shown(file)}: more than {MAX_BYTES} bytes, expected at most that")
     return data
+
+
+def _header_end(data: bytes) -> int | None:
+    """Return where the header ends; None where there is none."""
+    end = _END.search(data, 0, _HEADER_BYTES) if _MAGIC.match(data) else None
+    return end and end.end()
 
 
 def _pcd(header: list[list[str]]) -> _Layout:
