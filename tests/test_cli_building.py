@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.collections import LineCollection
 
 from relmap.cli import main
 from relmap.datasets import open_scans
 from relmap.files import read_tum
+from relmap.plots.building import plot_building
 from relmap.simulation import simulate_building
 from tests.commands import Check, names, snapshot, table
 
@@ -83,3 +85,18 @@ def test_bad_options_leave_everything_as_it_was(refused: Check) -> None:
         ("--sampling", "sonar", "'surface', 'rays', 'laser'"),
     ):
         assert expected in refused("simulate", "building", "-o", "new", option, value)
+
+
+def test_the_picture_shows_every_wall_and_the_whole_path() -> None:
+    run = simulate_building(points=50, iterations=40, seed=3)
+    axes = plot_building(run).axes[0]
+    (walls,) = axes.collections
+    assert isinstance(walls, LineCollection)
+    drawn = np.array([path.vertices for path in walls.get_paths()])
+    np.testing.assert_allclose(drawn.reshape(-1, 4), run.walls[:, :4])
+    lines = {str(line.get_label()): np.array(line.get_xydata()) for line in axes.lines}
+    np.testing.assert_allclose(lines["path of the robot"], run.trajectory[:, :2, 3])
+    ends = np.concatenate([drawn.reshape(-1, 2), run.trajectory[:, :2, 3]])
+    low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
+    assert (ends > low).all()
+    assert (ends < high).all()

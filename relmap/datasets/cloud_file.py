@@ -28,6 +28,8 @@ MAX_BYTES = 1 << 30
 
 _XZ_MAGIC = b"\xfd7zXZ\x00"
 _HEADER_BYTES = 1 << 16
+_MOST_NUMBERS = 10_000
+"""No field of a point has more numbers."""
 _END = re.compile(rb"^(?:DATA[^\n]*|end_header[ \t\r]*)\n", re.MULTILINE)
 _MAGIC = re.compile(rb"ply\r?\n|# \.PCD|VERSION|FIELDS")
 _PCD_TYPES = {
@@ -136,6 +138,8 @@ def _pcd(header: list[list[str]]) -> _Layout:
     """Read a header of PCD; ValueError, KeyError or IndexError where it is none."""
     entries = {line[0]: line[1:] for line in header if not line[0].startswith("#")}
     counts = [int(text) for text in entries.get("COUNT", ["1"] * len(entries["FIELDS"]))]
+    if not all(0 < count <= _MOST_NUMBERS for count in counts):
+        raise ValueError(f"COUNT {' '.join(map(str, counts))}")
     names, types = [], []
     fields = zip(entries["FIELDS"], entries["TYPE"], entries["SIZE"], counts, strict=True)
     for name, kind, size, count in fields:

@@ -28,6 +28,17 @@ MAX_BYTES = 1 << 32
 """A log unpacks to at most 4 GiB: some 130 million points."""
 
 _MAGIC = b"PK\x03\x04"
+_DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What reading a damaged zip file raises."""
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 
 
@@ -112,8 +123,8 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
             arrays = {name: content[name] for name in _KINDS}
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise unreadable(file, error) from error
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        reason = quoted(str(error))
+    except _DAMAGE as error:
+        reason = quoted(str(error) or type(error).__name__)
         raise RelmapError(
             f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
         ) from error

@@ -100,6 +100,55 @@ class Building:
         return counts
 
 
+@dataclass(frozen=True)
+class _Look:
+    """How every scan is made; the fields are the arguments of `simulate_building`."""
+
+    points: int
+    sigma: float
+    noise: Noise
+    sampling: Sampling
+    sensor: Sensor
+    sample_ends: bool
+
+    def validate(self) -> None:
+        """Raise a RelmapError where a field is out of its range."""
+        _require(
+            (
+                1 <= self.points <= 10**7,
+                f"points is {self.points}; it must lie in [1, 10000000]",
+            ),
+            (0 <= self.sigma < 1e3, f"sigma is {self.sigma}; it must lie in [0, 1000) metres"),
+            (
+                self.noise in get_args(Noise),
+                f"noise is {self.noise!r}; it must be gaussian or uniform",
+            ),
+            (
+                self.sampling in get_args(Sampling),
+                f"sampling is {self.sampling!r}; it must be surface, rays or laser",
+            ),
+            (
+                0 < self.sensor.range_m < np.inf,
+                f"the range of the sensor is {self.sensor.range_m}; it must be positive, metres",
+            ),
+            (
+                0 < self.sensor.view_rad <= np.pi and 0 < self.sensor.vertical_view_rad < np.pi,
+                "the field of view must lie in (0, pi] radians, the vertical one in (0, pi)",
+            ),
+        )
+
+    def sample(
+        self, seen: SeenWalls, z_robot: NDArray[np.float64], rng: np.random.Generator
+    ) -> Sample:
+        """Measure the visible stretches of walls."""
+        count, noise, sigma = self.points, self.noise, self.sigma
+        if self.sampling == "surface":
+            return sample_surface(seen, z_robot, count, noise, sigma, rng, self.sample_ends)
+        if self.sampling == "rays":
+            return cast_rays(seen, z_robot, self.sensor, count, noise, sigma, rng)
+        return scan_laser(seen, self.sensor, count, noise, sigma, rng)
+
+
 def simulate_building(
     points: int = 2000,
     sigma: float = 0.05,
@@ -144,16 +193,13 @@ def simulate_building(
     RelmapError
         Where an argument is out of its range.
     """
-    sensor = sensor or _default_sensor(sampling)
-    _validate(points, sigma, noise, sampling, seed, sensor)
-    _validate_run(iterations, world, loops)
+    look = _Look(points, sigma, noise, sampling, sensor or _default_sensor(sampling), sample_ends)
+    look.validate()
+    _validate_run(iterations, seed, world, loops)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, rng)
-    scans = [
-        _scan(plan, pose, sensor, points, sigma, noise, sampling, sample_ends, rng)
-        for pose in trajectory
-    ]
+    scans = [_scan(plan, pose, look, rng) for pose in trajectory]
     walls = plan.walls - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
     stamps_s = STEP_S * np.arange(len(trajectory), dtype=np.float64)
     return Building(walls, trajectory, stamps_s, scans)
@@ -178,12 +224,12 @@ def building_scene(
     RelmapError
         Where an argument is out of its range.
     """
-    sensor = sensor or _default_sensor(sampling)
-    _validate(points, sigma, noise, sampling, seed, sensor)
+    look = _Look(points, sigma, noise, sampling, sensor or _default_sensor(sampling), sample_ends)
+    look.validate()
+    _validate_run(None, seed, "building", 1)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan("building", rng)
-    pose = _random_pose(plan, rng)
-    return _scan(plan, pose, sensor, points, sigma, noise, sampling, sample_ends, rng)
+    return _scan(plan, _random_pose(plan, rng), look, rng)
 
 
 def _default_sensor(sampling: str) -> Sensor:
@@ -207,56 +253,20 @@ def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> NDArray[np.float6
 
 
 def _scan(
-    plan: FloorPlan,
-    T_map_robot: NDArray[np.float64],
-    sensor: Sensor,
-    points: int,
-    sigma: float,
-    noise: Noise,
-    sampling: Sampling,
-    sample_ends: bool,
-    rng: np.random.Generator,
+    plan: FloorPlan, T_map_robot: NDArray[np.float64], look: _Look, rng: np.random.Generator
 ) -> BuildingScan:
     ends_map = plan.walls[:, :4].reshape(-1, 2, 2)
     ends_robot = (ends_map - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
-    seen = seen_walls(ends_robot, sensor.range_m, sensor.view_rad / 2)
+    seen = seen_walls(ends_robot, look.sensor.range_m, look.sensor.view_rad / 2)
     z_robot = plan.walls[0, 4:] - SENSOR_HEIGHT_M
-    sample: Sample
-    if sampling == "surface":
-        sample = sample_surface(seen, z_robot, points, noise, sigma, rng, sample_ends)
-    elif sampling == "rays":
-        sample = cast_rays(seen, z_robot, sensor, points, noise, sigma, rng)
-    else:
-        sample = scan_laser(seen, sensor, points, noise, sigma, rng)
+    sample = look.sample(seen, z_robot, rng)
     wall = seen.wall[sample.stretch]
     return BuildingScan(sample.points, wall, seen, sample.stretch, sample.ranges_m)
 
 
-def _validate(
-    points: int, sigma: float, noise: str, sampling: str, seed: int, sensor: Sensor
-) -> None:
+def _validate_run(iterations: int | None, seed: int, world: str, loops: int) -> None:
     _require(
-        (1 <= points <= 10**7, f"points is {points}; it must lie in [1, 10000000]"),
-        (0 <= sigma < 1e3, f"sigma is {sigma}; it must lie in [0, 1000) metres"),
-        (noise in get_args(Noise), f"noise is {noise!r}; it must be gaussian or uniform"),
-        (
-            sampling in get_args(Sampling),
-            f"sampling is {sampling!r}; it must be surface, rays or laser",
-        ),
         (seed >= 0, f"seed is {seed}; it must not be negative"),
-        (
-            0 < sensor.range_m < np.inf,
-            f"the range of the sensor is {sensor.range_m}; it must be positive, metres",
-        ),
-        (
-            0 < sensor.view_rad <= np.pi and 0 < sensor.vertical_view_rad < np.pi,
-            "the field of view must lie in (0, pi] radians, the vertical one in (0, pi)",
-        ),
-    )
-
-
-def _validate_run(iterations: int | None, world: str, loops: int) -> None:
-    _require(
         (
             iterations is None or 1 <= iterations <= 10**6,
             f"iterations is {iterations}; it must lie in [1, 1000000]",

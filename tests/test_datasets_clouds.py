@@ -1,0 +1,125 @@
+"""Folders of point clouds: PCD and PLY files, plain and packed."""
+
+from __future__ import annotations
+
+import lzma
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap.datasets import open_scans
+from tests.logs import put
+from tests.scanlogs import CLOUD, failure, pcd, ply, points_of
+
+
+@pytest.mark.parametrize("write", [pcd, ply])
+@pytest.mark.parametrize("packed", [False, True])
+def test_clouds_in_the_order_of_their_numbers(
+    tmp_path: Path, write: Callable[[NDArray[np.float64]], bytes], packed: bool
+) -> None:
+    for number in (2, 10, 9):
+        data = write(CLOUD * number)
+        name = f"scan{number}.{write.__name__}" + ".xz" * packed
+        (tmp_path / name).write_bytes(lzma.compress(data) if packed else data)
+    log = open_scans(tmp_path)
+    assert log.dimension == 3
+    assert log.stamps_s.tolist() == [0, 1, 2]
+    expected = CLOUD[[0, 1, 3]]
+    assert points_of(log) == [(expected * k).tolist() for k in (2, 9, 10)]
+    assert points_of(open_scans(tmp_path / name)) == [(expected * 9).tolist()]
+    part = log.between(1, 3)
+    assert [scan.iteration for scan in part.scans()] == [1, 2]
+    assert points_of(part) == points_of(log)[1:]
+
+
+def test_poses_beside_the_clouds(tmp_path: Path) -> None:
+    rows = []
+    for number in range(3):
+        matrix = np.eye(4)
+        matrix[:3, 3], matrix[3, 3] = [number, 5, 6], 100 + number
+        rows += [",".join(map(str, row)) + "," for row in matrix.tolist()]
+    put(tmp_path, "\n".join(rows) + "\n", "alidarPose.csv")
+    for number in (1, 2):
+        (tmp_path / f"full{number}.pcd").write_bytes(pcd(CLOUD))
+    log = open_scans(tmp_path)
+    assert log.stamps_s.tolist() == [101, 102]
+    assert log.poses is not None
+    assert log.poses[:, :3, 3].tolist() == [[1, 5, 6], [2, 5, 6]]
+    assert log.poses[:, 3].tolist() == [[0, 0, 0, 1]] * 2
+    put(tmp_path, "\n".join(rows[:9]), "alidarPose.csv")
+    assert "alidarPose.csv: no rows for full2.pcd" in failure(tmp_path)
+    put(tmp_path, "\n".join(rows).replace("6.0,", "six,", 1), "alidarPose.csv")
+    assert "alidarPose.csv: line 3" in failure(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        pytest.param(pcd(CLOUD)[:-5], "3 of 4 points", id="pcd cut"),
+        pytest.param(pcd(CLOUD, 9), "4 of 9 points", id="pcd too short"),
+        pytest.param(ply(CLOUD, 9), "4 of 9 points", id="ply too short"),
+        pytest.param(ply(CLOUD)[:-3].rstrip(b"89. "), "number of columns changed", id="ply cut"),
+        pytest.param(ply(CLOUD[:0], 2) + b"\n\n", "0 of 2 points", id="ply blank"),
+        pytest.param(ply(CLOUD).replace(b"5.0", b"five"), "'five'", id="text for a number"),
+        pytest.param(ply(CLOUD).replace(b"5.0", b"\xff"), "ascii", id="bytes for a number"),
+        pytest.param(ply(CLOUD).replace(b"vertex 4", b"vertex -"), "damaged", id="no count"),
+        pytest.param(ply(CLOUD).replace(b"float x", b"list x"), "'list'", id="no type"),
+        pytest.param(ply(CLOUD).replace(b"vertex", b"face"), "element face 4", id="no vertices"),
+        pytest.param(pcd(CLOUD)[:60], "no header of a cloud", id="pcd header cut"),
+        pytest.param(pcd(CLOUD).replace(b" x y z", b" a b c"), "'x' is not in list", id="no x"),
+        pytest.param(pcd(CLOUD).replace(b"SIZE 4", b"SIZE"), "damaged", id="sizes too few"),
+        pytest.param(pcd(CLOUD).replace(b"TYPE F", b"TYPE S"), "'S 4'", id="no such type"),
+        pytest.param(pcd(CLOUD).replace(b"SIZE 4", b"SIZE 3"), "damaged", id="no such size"),
+        pytest.param(
+            pcd(CLOUD).replace(b"binary", b"binary_compressed"), "only ascii", id="packed"
+        ),
+        pytest.param(pcd(CLOUD[2:3]), "holds no point", id="only NaN"),
+        pytest.param(pcd(CLOUD[:0]), "holds no point", id="empty cloud"),
+        pytest.param(pcd(CLOUD * 1e20), "a point is out of range", id="far away"),
+        pytest.param(pcd(np.full((1, 3), np.inf)), "a point is out of range", id="infinite"),
+        pytest.param(b"", "no header of a cloud", id="empty file"),
+        pytest.param(b"hello\n", "no header of a cloud", id="foreign"),
+        pytest.param(lzma.compress(pcd(CLOUD))[:-9], "damaged xz", id="xz cut"),
+        pytest.param(b"\xfd7zXZ\x00rubbish", "damaged xz", id="xz rubbish"),
+    ],
+)
+def test_damaged_clouds(tmp_path: Path, data: bytes, expected: str) -> None:
+    (tmp_path / "scan1.pcd").write_bytes(data)
+    message = failure(tmp_path)
+    assert expected in message
+    assert "scan1.pcd: " in message
+
+
+def test_all_forms_of_a_cloud_hold_the_same_points(tmp_path: Path) -> None:
+    """Every form that another program writes of one cloud, with fields that are passed over."""
+    open3d = pytest.importorskip("open3d", exc_type=ImportError)
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.normals = open3d.utility.Vector3dVector(points[:, ::-1])
+    cloud.colors = open3d.utility.Vector3dVector(np.abs(points) / 10)
+    for kind in ("pcd", "ply"):
+        for text in (True, False):
+            file = tmp_path / f"cloud.{kind}"
+            open3d.io.write_point_cloud(str(file), cloud, write_ascii=text)
+            read = open_scans(file).points_of(0)
+            theirs = np.asarray(open3d.io.read_point_cloud(str(file)).points)
+            np.testing.assert_allclose(read, theirs, rtol=1e-12)
+            np.testing.assert_allclose(read, points, atol=1e-5)
+
+
+def test_a_cloud_in_the_other_order_of_bytes(tmp_path: Path) -> None:
+    header, _ = ply(CLOUD[:2]).replace(b"ascii", b"binary_big_endian").split(b"end_header\n")
+    path = tmp_path / "a.ply"
+    path.write_bytes(header + b"end_header\n" + CLOUD[:2].astype(">f4").tobytes() + b"faces")
+    assert points_of(open_scans(path)) == [CLOUD[:2].tolist()]
+
+
+def test_a_result_of_a_run_is_no_log(tmp_path: Path) -> None:
+    (tmp_path / "map.ply").write_bytes(ply(CLOUD))
+    put(tmp_path, "{}", "summary.json")
+    assert "the folder holds no log of point scans" in failure(tmp_path)
+    (tmp_path / "map.ply").unlink()
+    assert "holds no cloud" in failure(tmp_path, "point-clouds")
