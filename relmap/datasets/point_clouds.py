@@ -82,6 +82,21 @@ def _order(path: Path) -> tuple[list[int], str]:
 
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
+    rows = _matrix_rows(file)
+    numbers = [_order(cloud)[0] for cloud in clouds]
+    for cloud, name in zip(clouds, numbers, strict=True):
+        if len(name) != 1 or 4 * name[0] + 4 > len(rows):
+            problem = f"no rows for {shown(cloud.name)}, expected 4 for each number from 0"
+            raise RelmapError(f"{shown(file)}: {problem}")
+    first = 4 * np.array(numbers)
+    matrices = rows[first + np.arange(4)]
+    stamps_s = matrices[:, 3, 3].copy()
+    matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
+    return checked_stamps(file, stamps_s, lambda k: f"line {first[k, 0] + 4}"), matrices
+
+
+def _matrix_rows(file: Path) -> NDArray[np.float64]:
+    """Return the rows (r, 4) of all matrices."""
     rows = []
     with open_text(file) as stream:
         for number, line in enumerate(stream, 1):
@@ -96,13 +111,4 @@ def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], ND
                 problem = f"{quoted(line)}, expected 4 numbers: a row of a 4 x 4 matrix"
                 raise RelmapError(f"{shown(file)}: line {number}: {problem}")
             rows.append(row)
-    numbers = [_order(cloud)[0] for cloud in clouds]
-    for cloud, name in zip(clouds, numbers, strict=True):
-        if len(name) != 1 or 4 * name[0] + 4 > len(rows):
-            problem = f"no rows for {shown(cloud.name)}, expected 4 for each number from 0"
-            raise RelmapError(f"{shown(file)}: {problem}")
-    first = 4 * np.array(numbers)
-    matrices = np.array(rows)[first + np.arange(4)]
-    stamps_s = matrices[:, 3, 3].copy()
-    matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
-    return checked_stamps(file, stamps_s, lambda k: f"line {first[k, 0] + 4}"), matrices
+    return np.array(rows, dtype=np.float64).reshape(-1, 4)
