@@ -79,17 +79,24 @@ class MapBuilder:
         self.levels.merge(new, old)
         self.dynamics.merge(new, old)
 
-    def last_pass(self, gone: NDArray[np.int64], fixes: int) -> None:
+    def last_pass(self, gone: NDArray[np.int64], fixes: int) -> NDArray[np.int64]:
         """Group landmarks that have left the view over their whole intervals, at level 3.
 
         What little is left of an interval that was cut while it lasted needs no group of its own.
+
+        Returns
+        -------
+        (n,) int64
+            All landmarks placed.
         """
+        placed = [np.empty(0, dtype=np.int64)]
         for seed in gone.tolist():
             enough = FEWEST if self.map.weights[seed] == 0 else self._schedule.group_after
             waits = self._schedule.is_gone[seed] and self._schedule.counts[seed] >= enough
             if waits and not self.dynamics.dynamic[seed]:
-                self.group(seed, 3, fixes)
+                placed.append(self.group(seed, 3, fixes))
         self._close(gone[self._schedule.is_gone[gone]])
+        return np.unique(np.concatenate(placed))
 
     def group(self, seed: int, level: int, fixes: int) -> NDArray[np.int64]:
         """Grow a group around a landmark and align it to the map.

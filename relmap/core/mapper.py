@@ -125,7 +125,7 @@ class RelativeMapper(ABC):
             if self._builder.map.weights[seed] == 0:
                 self._group_or_found(seed, 1)
         self._schedule.end()
-        self._builder.last_pass(self._schedule.gone, self._min_shared())
+        self._last_pass(self._schedule.gone)
 
     def refine(self) -> None:
         """Bring all landmarks to where all observations agree best, by joint least squares.
@@ -171,9 +171,9 @@ class RelativeMapper(ABC):
         for seed, level in self._schedule.due(seen):
             if self._schedule.level_due(np.array([seed]))[0] == level:
                 self._group_or_found(seed, level)
-        self._builder.last_pass(
-            self._schedule.leaving(self._store.n_iterations), self._min_shared()
-        )
+        gone = self._schedule.leaving(self._store.n_iterations)
+        if len(gone):
+            self._last_pass(gone)
         self._merger.leave(left)
         self._builder.forget(self._segments)
 
@@ -187,11 +187,17 @@ class RelativeMapper(ABC):
         elif self._builder.map.weights[seed] == 0:
             self._builder.found_piece(seed, level, fixes)
 
+    def _last_pass(self, gone: NDArray[np.int64]) -> None:
+        """Group landmarks over their whole intervals, and look for a last time who they are."""
+        self._merge_seen_again(self._builder.last_pass(gone, self._min_shared()))
+        self._merger.leave(gone)
+
     def _merge_seen_again(self, placed: NDArray[np.int64]) -> None:
         """Merge landmarks in view with those that they are, seen before and lost (section III)."""
         if isinstance(self._registration, KnownAssociation):
             return
-        for new, old in self._merger.find(placed, self._builder.noise.sigma_m).tolist():
+        levels, noise_m = self._builder.levels.highest[placed], self._builder.noise.sigma_m
+        for new, old in self._merger.find(placed, levels, noise_m).tolist():
             self._store.relabel(new, old)
             for state in (
                 self._identity,

@@ -46,7 +46,7 @@ class Merger:
         self._sightings = sightings
         self._mature = mature
         self._index: SpatialIndex | None = None
-        self._asked: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self._asked: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._old_near: dict[int, list[int]] = {}
 
     def leave(self, landmarks: NDArray[np.int64]) -> None:
@@ -64,21 +64,27 @@ class Merger:
             landmarks = landmarks[self._map.weights[landmarks] > 0]
             self._index.add(landmarks, self._map.positions[landmarks])
 
-    def find(self, landmarks: NDArray[np.int64], noise_m: float) -> NDArray[np.int64]:
-        """Return pairs (k, 2) of landmarks: one in view, and the old one that it is.
+    def find(
+        self, landmarks: NDArray[np.int64], levels: NDArray[np.int64], noise_m: float
+    ) -> NDArray[np.int64]:
+        """Return pairs (k, 2) of landmarks: a new one, and the old one that it is.
 
         Parameters
         ----------
         landmarks : (n,) int64
-            Landmarks in view that a group has just placed.
+            Landmarks that a group has just placed.
+        levels : (n,) int64
+            Grouping level of each: at a higher one its place is better, and it is asked again.
         noise_m : float
             Standard deviation of an observed coordinate.
         """
         if self._index is None:
             self._index = self._begun(landmarks)
-        self._asked.resize(len(self._map.weights), False)
-        weights = self._map.weights[landmarks]
-        for new in landmarks[(weights >= self._mature) & ~self._asked.values[landmarks]].tolist():
+        self._asked.resize(len(self._map.weights), 0)
+        mature = self._map.weights[landmarks] >= self._mature
+        ask = landmarks[mature & (levels > self._asked.values[landmarks])]
+        self._asked.values[landmarks] = np.maximum(self._asked.values[landmarks], levels * mature)
+        for new in ask.tolist():
             self._ask(new)
         pairs = [
             (new, old)
@@ -94,7 +100,7 @@ class Merger:
     def merge(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
         self._old_near.pop(new, None)
-        self._asked.values[old] = True
+        self._asked.values[old] = self._asked.values[new]
         for others in self._old_near.values():
             if old in others:
                 others.remove(old)
@@ -107,19 +113,16 @@ class Merger:
         return SpatialIndex(REACH * spacing, positions.shape[1]) if spacing > 0 else None
 
     def _ask(self, new: int) -> None:
-        """Look once for old landmarks near a new one."""
-        self._asked.values[new] = True
+        """Look for old landmarks near a new one."""
         if self._index is None:
             return
-        position = self._map.positions[new]
-        near = [
-            old
-            for old in self._index.near(position)
-            if self._may_be(new, old)
-            and np.linalg.norm(self._map.positions[old] - position) <= self._index.cell_m
-        ]
-        if near:
-            self._old_near[new] = sorted(set(near))
+        near = self._index.near(self._map.positions[new])
+        if len(near):
+            apart = np.linalg.norm(self._map.positions[near] - self._map.positions[new], axis=1)
+            near = near[apart <= self._index.cell_m]
+            may_be = [old for old in near.tolist() if self._may_be(new, old)]
+            if may_be:
+                self._old_near[new] = sorted(may_be)
 
     def _may_be(self, new: int, old: int) -> bool:
         """Tell whether a landmark may be an older one: of its piece, and never seen with it."""

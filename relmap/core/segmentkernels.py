@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.kernels import compiled, fit_rows
+from relmap.core.kernels import compiled
+from relmap.core.kernels.fitting import fit_rows
 
 LEVERAGE = 20.0
 """How many times as far as what ties an iteration to its segment its other points may lie."""

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
-from collections import defaultdict
-
 import numpy as np
 from numpy.typing import NDArray
+
+from relmap.core.growing import GrowingArray
+
+NONE = -1
+"""In place of a landmark: the end of a cell's list.  In place of a cell: the landmark is in none."""
+SIDE = 2**20
+"""Cells along each axis that have keys of their own; beyond, far ones share a list, no more."""
 
 
 class SpatialIndex:
     """Landmarks by the cell of a grid that they lie in; the cost of asking is that of a few cells.
+
+    The landmarks of a cell are a linked list in plain arrays: millions of small objects would make
+    Python's garbage collector stop the mapping now and then.
 
     Parameters
     ----------
@@ -21,30 +28,59 @@ class SpatialIndex:
 
     def __init__(self, cell_m: float, dimension: int) -> None:
         self.cell_m = cell_m
-        self._members: defaultdict[tuple[int, ...], list[int]] = defaultdict(list)
-        self._cell: dict[int, tuple[int, ...]] = {}
-        self._around = np.array(list(itertools.product((-1, 0, 1), repeat=dimension)))
+        self._first: dict[int, int] = {}
+        self._next: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._key: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._strides = SIDE ** np.arange(dimension)
+        self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
 
     def add(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
         """Enter landmarks (k,) at positions (k, d), in place of where they were before."""
-        cells = map(tuple, self._cell_of(positions).tolist())
-        for landmark, cell in zip(landmarks.tolist(), cells, strict=True):
-            before = self._cell.get(landmark)
-            if before != cell:
-                if before is not None:
-                    self._members[before].remove(landmark)
-                self._members[cell].append(landmark)
-                self._cell[landmark] = cell
+        size = int(landmarks.max(initial=-1)) + 1
+        self._next.resize(size, NONE)
+        self._key.resize(size, NONE)
+        for landmark, key in zip(
+            landmarks.tolist(), self._keys(self._cells(positions)), strict=True
+        ):
+            before = int(self._key.values[landmark])
+            if before != key:
+                if before != NONE:
+                    self._remove(landmark, before)
+                self._next.values[landmark] = self._first.get(key, NONE)
+                self._first[key] = landmark
+                self._key.values[landmark] = key
 
-    def near(self, position: NDArray[np.float64]) -> list[int]:
+    def near(self, position: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the landmarks within a cell's side of the position (d,), and some more."""
-        cells = (self._cell_of(position[None])[0] + self._around).tolist()
-        return [landmark for cell in cells for landmark in self._members.get(tuple(cell), ())]
+        found = []
+        for key in self._keys(self._cells(position) + self._around):
+            landmark = self._first.get(key, NONE)
+            while landmark != NONE:
+                found.append(landmark)
+                landmark = int(self._next.values[landmark])
+        return np.array(found, dtype=np.int64)
 
     @property
     def landmarks(self) -> NDArray[np.int64]:
         """All landmarks entered; (n,)."""
-        return np.array(list(self._cell), dtype=np.int64)
+        return np.flatnonzero(self._key.values != NONE)
 
-    def _cell_of(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _remove(self, landmark: int, key: int) -> None:
+        after = int(self._next.values[landmark])
+        other = self._first[key]
+        if other == landmark and after == NONE:
+            del self._first[key]
+        elif other == landmark:
+            self._first[key] = after
+        else:
+            while self._next.values[other] != landmark:
+                other = int(self._next.values[other])
+            self._next.values[other] = after
+
+    def _cells(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.floor(positions / self.cell_m).astype(np.int64)
+
+    def _keys(self, cells: NDArray[np.int64]) -> list[int]:
+        """Return a number for each cell (k, d), never negative."""
+        keys: list[int] = (cells % SIDE @ self._strides).tolist()
+        return keys
