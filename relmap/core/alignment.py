@@ -131,7 +131,9 @@ def fixes_rotation(points: NDArray[np.float64]) -> bool:
 
 def scatter_fixes_rotation(scatter: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell which scatter matrices (..., d, d) of centred points fix a rotation; (...,)."""
-    spread = np.linalg.eigvalsh(scatter)
-    widest = spread[..., -1]
-    across = widest if scatter.shape[-1] == 2 else spread[..., 1]
-    return np.asarray((widest > 0) & (across > DEGENERATE**2 * widest))
+    trace = np.trace(scatter, axis1=-2, axis2=-1)
+    if scatter.shape[-1] == 2:
+        return np.asarray(trace > 0)
+    # The sum of the principal minors is about the product of the two largest eigenvalues.
+    minors = (trace**2 - np.sum(scatter**2, axis=(-2, -1))) / 2
+    return np.asarray((trace > 0) & (minors > (DEGENERATE * trace) ** 2))

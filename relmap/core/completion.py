@@ -86,7 +86,7 @@ def complete(
     RelativeMap
         Of the landmarks seen in an iteration that the reference fixes.
     """
-    from relmap.core.kernels.fitting import place_iterations
+    from relmap.core.kernels.averaging import place_iterations
 
     seen = np.isfinite(block[:, :, 0])
     R, t, fixed, positions, squares, amplified = place_iterations(block, reference)

@@ -37,17 +37,9 @@ class NoiseEstimate:
         freedoms = (g - 1) * (n - 1)
         if freedoms == 0:
             return
-        # The centre is that of the steadier half: one that moves would take it along.
-        inner = np.ones(g, dtype=bool)
-        for _ in range(3):
-            h = inner.sum()
-            radius = np.linalg.norm(block - block[inner].mean(axis=0), axis=2)
-            # The centre holds 1/h of the noise of each of its own, with or against the member's.
-            scale = np.where(inner, h / (h - 1), h / (h + 1))
-            variance = radius.var(axis=1, ddof=1) * scale
-            inner = np.zeros(g, dtype=bool)
-            inner[np.argsort(variance, kind="stable")[: max(3, (g + 1) // 2)]] = True
-        typical = float(np.median(variance)) / _chi_square_median(n - 1)
+        from relmap.core.kernels.averaging import steady_variance
+
+        typical = steady_variance(block, _chi_square_median(n - 1))
         self._squares = FORGETTING * self._squares + typical * freedoms
         self._freedoms = FORGETTING * self._freedoms + freedoms
 

@@ -112,7 +112,7 @@ def _join(
                 rows = seen[:, at] & (counts > 0)
                 if rows.sum() < d:
                     continue
-                turn, shift, fixed, scatter = fit_rows(here, reference, rows)
+                turn, shift, fixed, scatter = fit_rows(here, reference, rows, np.eye(here.shape[1]))
                 if not fixed or not _is_tied(here, seen[:, at], rows, scatter):
                     continue
                 R[at], t[at] = turn, shift

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 
 NONE = -1
-"""In place of a landmark: the end of a cell's list.  In place of a cell: the landmark is in none."""
+"""In place of a landmark: the end of a cell's list.  In place of a cell: not in any."""
 SIDE = 2**20
 """Cells along each axis that have keys of their own; beyond, far ones share a list, no more."""
 
