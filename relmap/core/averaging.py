@@ -15,6 +15,8 @@ from relmap.core.noise import NoiseEstimate, guess_noise
 
 ROUNDS = 6
 """How often a relative map is fitted to again as it comes to hold more."""
+AMPLE = 1.5
+"""It is fitted to again where so many times as much of it is placed well enough."""
 SOLID = 1.0
 """Largest variance of a position that is fitted to, in units of an observation's."""
 FEW = 0.2
@@ -103,7 +105,7 @@ class Averaging:
             solid = (relative.n_used >= FEWEST) & rests(relative, self.noise.sigma_m)
             solid &= ~self.dynamics.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used
-            if solid.sum() <= n_members:
+            if solid.sum() <= AMPLE * n_members:
                 break
             n_members = int(solid.sum())
             reference = np.full_like(reference, np.nan)

@@ -65,13 +65,14 @@ class MapBuilder:
         self.levels.resize(n)
         self.dynamics.resize(n)
 
-    def forget(self, segments: CondensedSegments) -> None:
-        """Condense and drop the observations that no later group needs."""
+    def forget(self, segments: CondensedSegments) -> bool:
+        """Condense and drop some observations that no later group needs; tell if there are any."""
         end = self._store.n_iterations
         oldest = self._schedule.oldest_needed
         before = max(end if oldest is None else oldest, end - LONGEST_INTERVAL)
-        segments.condense(self._store, before, self.dynamics.dynamic)
+        condensed = segments.condense(self._store, before, self.dynamics.dynamic)
         self._store.forget(min(before, segments.end))
+        return condensed
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""
@@ -79,24 +80,23 @@ class MapBuilder:
         self.levels.merge(new, old)
         self.dynamics.merge(new, old)
 
-    def last_pass(self, gone: NDArray[np.int64], fixes: int) -> NDArray[np.int64]:
-        """Group landmarks that have left the view over their whole intervals, at level 3.
+    def last_pass(self, seed: int, fixes: int) -> NDArray[np.int64]:
+        """Group a landmark that has left the view over its whole interval, at level 3.
 
         What little is left of an interval that was cut while it lasted needs no group of its own.
 
         Returns
         -------
         (n,) int64
-            All landmarks placed.
+            The landmarks placed.
         """
-        placed = [np.empty(0, dtype=np.int64)]
-        for seed in gone.tolist():
-            enough = FEWEST if self.map.weights[seed] == 0 else self._schedule.group_after
-            waits = self._schedule.is_gone[seed] and self._schedule.counts[seed] >= enough
-            if waits and not self.dynamics.dynamic[seed]:
-                placed.append(self.group(seed, 3, fixes))
-        self._close(gone[self._schedule.is_gone[gone]])
-        return np.unique(np.concatenate(placed))
+        placed = np.empty(0, dtype=np.int64)
+        enough = FEWEST if self.map.weights[seed] == 0 else self._schedule.group_after
+        if self._schedule.counts[seed] >= enough and not self.dynamics.dynamic[seed]:
+            placed = self.group(seed, 3, fixes)
+        if self._schedule.is_gone[seed]:
+            self._close(np.array([seed]))
+        return placed
 
     def group(self, seed: int, level: int, fixes: int) -> NDArray[np.int64]:
         """Grow a group around a landmark and align it to the map.

@@ -104,8 +104,8 @@ class CondensedSegments:
             self._t.values,
         )
 
-    def condense(self, store: ObservationStore, before: int, dynamic: NDArray[np.bool_]) -> None:
-        """Condense all whole segments before an iteration.
+    def condense(self, store: ObservationStore, before: int, dynamic: NDArray[np.bool_]) -> bool:
+        """Condense the next segment, if it is whole before an iteration; tell whether it is.
 
         Parameters
         ----------
@@ -115,8 +115,10 @@ class CondensedSegments:
         dynamic : (m,) bool
             Landmarks known to move, which say nothing.
         """
-        while self.end + LENGTH <= before:
-            self._condense(store, self.end + LENGTH, dynamic)
+        if self.end + LENGTH > before:
+            return False
+        self._condense(store, self.end + LENGTH, dynamic)
+        return True
 
     def with_rest(self, store: ObservationStore, dynamic: NDArray[np.bool_]) -> SegmentRows:
         """Return the rows of all iterations seen, those still in the store included.

@@ -152,9 +152,8 @@ class Binning:
 
     def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
         self._block = block
-        seen = np.isfinite(block[:, :, 0])
-        self._n = int(np.sum(seen.sum(axis=1) >= FEWEST))
-        self._limit = LIMIT * 2 * max(noise_m, _exact(block[seen])) ** 2
+        self._n = int(np.sum(np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST))
+        self._limit = LIMIT * 2 * max(noise_m, _exact(block)) ** 2
 
     def sort(self, priority: NDArray[np.float64], allowed: float | None = None) -> Bins:
         """Sort landmarks into bins, until half of them, or of the priority, are in one.
@@ -186,5 +185,5 @@ def n_log_n(n: int) -> float:
 
 
 def _exact(points: NDArray[np.float64]) -> float:
-    """Return the deviation, metres, that rounding alone may bring to points (n, d)."""
-    return EXACT * float(np.sqrt(np.mean(points**2)))
+    """Return the deviation, metres, that rounding alone may bring to points (n, ..., d)."""
+    return EXACT * float(np.sqrt(points.shape[-1]) * np.nanmax(np.abs(points), initial=0.0))

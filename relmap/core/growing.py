@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -20,8 +21,11 @@ class GrowingArray(Generic[Scalar]):
     dtype : numpy dtype
     """
 
+    _sizes = itertools.cycle(range(16, 32))
+
     def __init__(self, dtype: DTypeLike, width: tuple[int, ...] = ()) -> None:
-        self._rows: NDArray[Any] = np.empty((16, *width), dtype=dtype)
+        # Of different sizes, so that arrays that grow together are not full in the same iteration.
+        self._rows: NDArray[Any] = np.empty((next(self._sizes), *width), dtype=dtype)
         self._begin = 0
         self._end = 0
 
@@ -36,17 +40,9 @@ class GrowingArray(Generic[Scalar]):
 
     def extend(self, rows: NDArray[Any]) -> None:
         """Append rows (k, *width)."""
-        end = self._end + len(rows)
-        if end > len(self._rows):
-            # Room is made at the front first: what was dropped there is no longer needed.
-            n = len(self)
-            enough = n + len(rows) <= len(self._rows) // 2
-            size = len(self._rows) if enough else max(n + len(rows), 2 * len(self._rows))
-            room = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
-            room[:n] = self.values
-            self._rows, self._begin, self._end, end = room, 0, n, n + len(rows)
-        self._rows[self._end : end] = rows
-        self._end = end
+        self._make_room(len(rows))
+        self._rows[self._end : self._end + len(rows)] = rows
+        self._end += len(rows)
 
     def drop(self, n: int) -> None:
         """Forget the first `n` rows."""
@@ -54,5 +50,19 @@ class GrowingArray(Generic[Scalar]):
 
     def resize(self, n: int, fill: Any) -> None:
         """Grow to `n` rows, the new ones filled with `fill`."""
-        if n > len(self):
-            self.extend(np.full((n - len(self), *self._rows.shape[1:]), fill, self._rows.dtype))
+        more = n - len(self)
+        if more > 0:
+            self._make_room(more)
+            self._rows[self._end : self._end + more] = fill
+            self._end += more
+
+    def _make_room(self, more: int) -> None:
+        end = self._end + more
+        if end > len(self._rows):
+            # Room is made at the front first: what was dropped there is no longer needed.
+            n = len(self)
+            enough = n + more <= len(self._rows) // 2
+            size = len(self._rows) if enough else max(n + more, 2 * len(self._rows))
+            room = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
+            room[:n] = self.values
+            self._rows, self._begin, self._end = room, 0, n

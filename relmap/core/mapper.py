@@ -104,7 +104,7 @@ class RelativeMapper(ABC):
         self._identity.resize(int(landmarks.max(initial=-1)) + 1)
         present = self._identity.of(landmarks[seen])
         left = self._observe(present, points_robot[seen])
-        self._group_due(present, left)
+        self._go_on(present, left)
         labels = landmarks.copy()
         labels[seen] = registration.labels_of(self._identity.of(landmarks[seen]))
         return labels
@@ -125,7 +125,9 @@ class RelativeMapper(ABC):
             if self._builder.map.weights[seed] == 0:
                 self._group_or_found(seed, 1)
         self._schedule.end()
-        self._last_pass(self._schedule.gone)
+        for seed in self._schedule.gone[np.argsort(-self._schedule.counts[self._schedule.gone])]:
+            if self._schedule.is_gone[seed]:
+                self._last_pass(int(seed))
 
     def refine(self) -> None:
         """Bring all landmarks to where all observations agree best, by joint least squares.
@@ -166,31 +168,49 @@ class RelativeMapper(ABC):
         self._builder.resize(int(landmarks.max(initial=-1)) + 1)
         return self._schedule.see(landmarks, iteration)
 
-    def _group_due(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
-        """Group whoever was seen often enough since the last time, or is seen no longer."""
-        for seed, level in self._schedule.due(seen):
-            if self._schedule.level_due(np.array([seed]))[0] == level:
-                self._group_or_found(seed, level)
-        gone = self._schedule.leaving(self._store.n_iterations)
-        if len(gone):
-            self._last_pass(gone)
+    def _go_on(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
+        """Group, group for the last time, or condense: one of them, in turns, to avoid stalls."""
+        self._schedule.note_due(seen)
         self._merger.leave(left)
-        self._builder.forget(self._segments)
+        steps = (self._group_next, self._last_pass_next, self._condense_next)
+        turn = self._store.n_iterations
+        for k in range(len(steps)):
+            if steps[(turn + k) % len(steps)]():
+                break
+
+    def _group_next(self) -> bool:
+        """Group whoever was seen often enough since the last time; tell whether somebody was."""
+        due = self._schedule.next_due()
+        if due is None or self._builder.dynamics.dynamic[due[0]]:
+            return False
+        self._group_or_found(*due)
+        return True
+
+    def _last_pass_next(self) -> bool:
+        """Group whoever is seen no longer over the whole interval; tell whether somebody was."""
+        seed = self._schedule.next_leaving(self._store.n_iterations)
+        if seed is not None:
+            self._last_pass(seed)
+        return seed is not None
+
+    def _condense_next(self) -> bool:
+        """Condense observations that are no longer needed; tell whether there were any."""
+        return self._builder.forget(self._segments)
 
     def _group_or_found(self, seed: int, level: int) -> None:
         fixes = self._min_shared()
-        if self._builder.dynamics.dynamic[seed]:
-            return
         placed = self._builder.group(seed, level, fixes)
         if len(placed):
             self._merge_seen_again(placed)
         elif self._builder.map.weights[seed] == 0:
             self._builder.found_piece(seed, level, fixes)
 
-    def _last_pass(self, gone: NDArray[np.int64]) -> None:
-        """Group landmarks over their whole intervals, and look for a last time who they are."""
-        self._merge_seen_again(self._builder.last_pass(gone, self._min_shared()))
-        self._merger.leave(gone)
+    def _last_pass(self, seed: int) -> None:
+        """Group a landmark over its whole interval, and look for a last time who it is."""
+        placed = self._builder.last_pass(seed, self._min_shared())
+        if len(placed):
+            self._merge_seen_again(placed)
+        self._merger.leave(np.array([seed]))
 
     def _merge_seen_again(self, placed: NDArray[np.int64]) -> None:
         """Merge landmarks in view with those that they are, seen before and lost (section III)."""

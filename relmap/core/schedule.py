@@ -15,6 +15,8 @@ PASSES = (1, 3, 6)
 The second pass needs enough to tell who moves.  The third waits for the end of the interval, but
 not longer than this: what stays in view has one interval after the other.
 """
+WAIT = 2
+"""How long level 3 waits for others to leave the view too, in units of level 1's observations."""
 RIPE = 0.75
 """Share of the longest interval from which one is whole when a neighbour's is."""
 
@@ -42,6 +44,7 @@ class GroupingSchedule:
     ) -> None:
         self.group_after = group_after
         self._max_missed = max_missed
+        self._wait = max_missed + WAIT * group_after
         self._sightings = sightings
         self._levels = levels
         self._thresholds = group_after * np.array(PASSES)
@@ -49,6 +52,7 @@ class GroupingSchedule:
         self._counts: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._is_gone: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._in_view = np.empty(0, dtype=np.int64)
+        self._due = np.empty(0, dtype=np.int64)
         self._gone = np.empty(0, dtype=np.int64)
 
     @property
@@ -101,33 +105,45 @@ class GroupingSchedule:
             self.is_gone[left] = True
         return left
 
-    def due(self, landmarks: NDArray[np.int64]) -> list[tuple[int, int]]:
-        """Return those of the landmarks in view that are due, and at which level.
+    def note_due(self, landmarks: NDArray[np.int64]) -> None:
+        """Queue those of the landmarks seen in this iteration that have become due.
+
+        One whose group fails for want of company is due again after as many more observations.
+        """
+        ready = landmarks[self.counts[landmarks] % self.group_after == 0]
+        ready = ready[self.level_due(ready) > 0]
+        self._due = np.concatenate([self._due, ready[~np.isin(ready, self._due)]])
+
+    def next_due(self) -> tuple[int, int] | None:
+        """Take a landmark off the queue that is still due, and its level.
 
         The lower levels come first, and then the ones seen longest.
         """
-        counts = self.counts[landmarks]
-        landmarks = landmarks[counts % self.group_after == 0]
-        level = self.level_due(landmarks)
-        ready, level = landmarks[level > 0], level[level > 0]
-        order = np.lexsort((self.begin[ready], -self.counts[ready], level))
-        return list(zip(ready[order].tolist(), level[order].tolist(), strict=True))
+        level = self.level_due(self._due)
+        self._due, level = self._due[level > 0], level[level > 0]
+        if not len(self._due):
+            return None
+        counts, begin = self.counts[self._due], self.begin[self._due]
+        first = np.lexsort((self._due, begin, -counts, level))[0]
+        seed = int(self._due[first])
+        self._due = np.delete(self._due, first)
+        return seed, int(level[first])
 
     def level_due(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the level (n,) that landmarks in view should have by now; 0 if they have it."""
         level = np.searchsorted(self._thresholds, self.counts[landmarks], side="right")
         return np.where(level > self._levels.present[landmarks], level, 0)
 
-    def leaving(self, iteration: int) -> NDArray[np.int64]:
-        """Return who is due at level 3 for having left: all, once one has waited long enough.
+    def next_leaving(self, iteration: int) -> int | None:
+        """Return who is due at level 3 for having left the view, once one has waited long enough.
 
-        Those seen longest come first: their groups are of use to most of the others.
+        Of these it is the one seen longest: its group is of use to most of the others.
         """
-        wait = self._max_missed + self.group_after
         gone = self.gone
-        if not len(gone) or iteration - self._sightings.last[gone[0]] < wait:
-            return gone[:0]
-        return gone[np.argsort(-self.counts[gone], kind="stable")]
+        if not len(gone) or iteration - self._sightings.last[gone[0]] < self._wait:
+            return None
+        gone = gone[iteration - self._sightings.last[gone] >= self._wait]
+        return int(gone[np.argmax(self.counts[gone])])
 
     def end(self) -> None:
         """Let everything in view have left it: nothing more is to come."""
@@ -153,6 +169,7 @@ class GroupingSchedule:
             column.values[old] = column.values[new]
         self.is_gone[new] = False
         self._in_view[self._in_view == new] = old
+        self._due[self._due == new] = old
         self._gone[self._gone == new] = old
 
     def begin_anew(self, landmarks: NDArray[np.int64], iteration: int) -> None:

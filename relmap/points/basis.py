@@ -52,15 +52,9 @@ def to_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np
     -------
     (g, i, d) float64, group frame, metres
     """
-    origin = block[basis[0]]
-    x = _unit(origin - block[basis[1]])
-    if len(basis) == 2:
-        axes = [x, np.stack([-x[:, 1], x[:, 0]], axis=1)]
-    else:
-        to_b2 = block[basis[2]] - origin
-        z = _unit(to_b2 - np.sum(to_b2 * x, axis=1, keepdims=True) * x)
-        axes = [x, np.cross(z, x), z]
-    return np.asarray(np.einsum("gid,iad->gia", block - origin, np.stack(axes, axis=1)))
+    from relmap.points.kernels import into_basis
+
+    return into_basis(block, basis)
 
 
 def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -78,10 +72,5 @@ def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
     basis = choose_basis(block[:, block.shape[1] // 2])
     if basis is None:
         return None
-    with np.errstate(invalid="ignore"):
-        mean = to_basis(block, basis).mean(axis=1)
+    mean = to_basis(block, basis).mean(axis=1)
     return mean if np.isfinite(mean).all() else None
-
-
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

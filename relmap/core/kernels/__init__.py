@@ -15,8 +15,11 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function on its first call, and cache the code where there is a place for it."""
+    """Compile a function on its first call, and cache the code where there is a place for it.
+
+    A division by zero gives infinity or NaN, as in numpy.
+    """
     try:
-        return cast("Function", numba.njit(cache=True)(function))
+        return cast("Function", numba.njit(cache=True, error_model="numpy")(function))
     except RuntimeError:  # neither beside the package nor in the user's cache folder
-        return cast("Function", numba.njit(function))
+        return cast("Function", numba.njit(error_model="numpy")(function))

@@ -17,9 +17,10 @@ def _amplification(
     """Return the variance (n,) of points placed by a fit to some rows, in units of the noise's."""
     n, d = points.shape
     centre, count = np.zeros(3), rows.sum()
-    for i in np.flatnonzero(rows):
-        for a in range(d):
-            centre[a] += points[i, a] / count
+    for i in range(n):
+        if rows[i]:
+            for a in range(d):
+                centre[a] += points[i, a] / count
     x, y, z = centre
     trace = np.trace(scatter)
     amplified = np.empty(n)
@@ -122,8 +123,9 @@ def steady_variance(block: NDArray[np.float64], freedoms_median: float) -> float
     for _ in range(3):
         h = inner.sum()
         centre[:] = 0.0
-        for k in np.flatnonzero(inner):
-            centre += block[k] / h
+        for k in range(g):
+            if inner[k]:
+                centre += block[k] / h
         for k in range(g):
             for i in range(m):
                 square = 0.0

@@ -99,19 +99,3 @@ def trimmed_fit_rows(
             break
         kept = near
     return R, t, (error <= tolerance_m).sum()
-
-
-@compiled
-def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> NDArray[np.bool_]:
-    """Of rows that want the same target, tell the nearest; see `nearest_claim`."""
-    winner = np.full(n + 1, -1)
-    for row in range(len(wanted)):
-        if np.isfinite(distance[row]):
-            best = winner[wanted[row]]
-            if best < 0 or distance[row] < distance[best]:
-                winner[wanted[row]] = row
-    won = np.zeros(len(wanted), dtype=np.bool_)
-    for target in range(n):
-        if winner[target] >= 0:
-            won[winner[target]] = True
-    return won

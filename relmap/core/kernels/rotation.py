@@ -40,7 +40,7 @@ def fixes(scatter: NDArray[np.float64]) -> bool:
 @compiled
 def _decomposed(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     U, _, Vt = np.linalg.svd(moment)
-    R = np.dot(U, Vt).T
+    R: NDArray[np.float64] = np.dot(U, Vt).T
     if np.linalg.det(R) < 0:  # Umeyama 1991: turn the axis of the smallest singular value
         Vt[-1] = -Vt[-1]
         R = np.dot(U, Vt).T
@@ -74,7 +74,8 @@ def best_rotation(moment: NDArray[np.float64], guess: NDArray[np.float64]) -> ND
     if len(moment) == 2:
         c, s = moment[0, 0] + moment[1, 1], moment[0, 1] - moment[1, 0]
         length = np.hypot(c, s)
-        return np.array([[c, -s], [s, c]]) / length if length > 0 else np.eye(2)
+        c, s = (c / length, s / length) if length > 0 else (1.0, 0.0)
+        return np.array([[c, -s], [s, c]])
     R, A, H, turn = guess, np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
     for _ in range(STEPS):
         for i in range(3):

@@ -68,6 +68,6 @@ def nearest_claim(
 
     Rows at infinite distance want nothing.
     """
-    from relmap.core.kernels.fitting import claims
+    from relmap.core.kernels.matching import claims
 
     return claims(wanted, distance, n)

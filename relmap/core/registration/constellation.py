@@ -93,18 +93,17 @@ class Constellation:
         self, points_robot: NDArray[np.float64], landmarks: NDArray[np.int64]
     ) -> LiveTracks | None:
         """Enter the landmark of each point that continues a track; return the tracks, carried."""
-        scan = cKDTree(points_robot)
         for tracks in (self._tracks, self._stray):
             if tracks is None:
                 continue
-            placement = self._placement(tracks, scan)
+            placement = self._placement(tracks, points_robot)
             if placement is None:
-                placement = self._placement_of_unknown_noise(tracks, scan)
+                placement = self._placement_of_unknown_noise(tracks, points_robot)
             if placement is not None:
                 carried = tracks.carried(
                     placement.apply(tracks.expected), placement.apply(tracks.latest)
                 )
-                rows, found, strayed = self._links(carried, scan)
+                rows, found, strayed = self._links(carried, points_robot)
                 landmarks[found] = tracks.landmarks[rows]
                 self._learn(carried.expected[rows[~strayed]], points_robot[found[~strayed]])
                 carried.see(rows, points_robot[found], strayed)
@@ -125,32 +124,34 @@ class Constellation:
             if self._noise_m is not None and len(begun) >= ENOUGH:  # was it learnt too small?
                 self._noise_m = max(self._noise_m, FAINT * self._spacing_m)
 
-    def _placement(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
+    def _placement(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
         """Find the placement of the tracks' frame in the scan's on which most matches agree."""
+        from relmap.core.kernels.matching import two_nearest
+
+        n, d = points.shape
         latest = np.flatnonzero(tracks.missed == tracks.missed.min())
-        possible = min(len(latest), scan.n)
+        possible = min(len(latest), n)
         if possible < 2:
             return None
         sample = latest[:: -(-len(latest) // SAMPLE)]
-        distances, targets = nearest(scan, tracks.expected[sample], 2)
+        distances, target = two_nearest(points, tracks.expected[sample])
         spacing_m = middle(distances[:, 1])
         if np.isfinite(self._spacing_m):
             spacing_m = self._spacing_m + SLOWNESS * (spacing_m - self._spacing_m)
         self._spacing_m = spacing_m
-        distance, target = distances[:, 0], targets[:, 0]
-        distance[distance > self._spacing_m] = np.inf
-        claimed = nearest_claim(target, distance, scan.n)
-        rows, points = sample[claimed], np.asarray(scan.data)
+        distance = np.where(distances[:, 0] > self._spacing_m, np.inf, distances[:, 0])
+        claimed = nearest_claim(target, distance, n)
+        rows = sample[claimed]
         near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._tolerance_m)
         enough = ENOUGH + int(tracks.missed.min())
         if near is not None:
             if near.n_agreeing >= max(enough, SHARE * len(rows)):
                 return near
-            alone = near.n_agreeing == len(rows) == scan.m == 2
+            alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
                 return near
-        far = self._search(tracks, scan)
-        if scan.m == 3:  # any three points in space can be turned onto their mirror image
+        far = self._search(tracks, points)
+        if d == 3:  # any three points in space can be turned onto their mirror image
             enough += 1
         needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
         return far if far is not None and far.n_agreeing >= needed else None
@@ -162,27 +163,28 @@ class Constellation:
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
         return bool(known and distance.max() <= NEARBY * self._spacing_m)
 
-    def _placement_of_unknown_noise(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
+    def _placement_of_unknown_noise(
+        self, tracks: LiveTracks, points: NDArray[np.float64]
+    ) -> Placement | None:
         """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
         learnt, self._noise_m = self._noise_m, None
-        possible = min(np.sum(tracks.missed == tracks.missed.min()), scan.n)
+        possible = min(np.sum(tracks.missed == tracks.missed.min()), len(points))
         if learnt is not None and possible >= PLENTY:
-            placement = self._placement(tracks, scan)
+            placement = self._placement(tracks, points)
             if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
                 return placement
         self._noise_m = learnt
         return None
 
-    def _search(self, tracks: LiveTracks, scan: cKDTree) -> Placement | None:
+    def _search(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
         """Look for a constellation that moved farther than its landmarks are apart."""
         recent = np.flatnonzero(tracks.missed <= tracks.missed.min() + 1)
         known = recent[np.argsort(-tracks.seen[recent], kind="stable")[:SEARCH]]
-        distance, target = nearest(scan, tracks.expected[known], NEIGHBOURS)
+        distance, target = nearest(cKDTree(points), tracks.expected[known], NEIGHBOURS)
         row, column = np.nonzero(distance <= REACH * self._spacing_m)
         if len(row) < ENOUGH:
             return None
         pairs = np.column_stack([known[row], target[row, column]])
-        points = np.asarray(scan.data)
         agreeing = pairs[agreeing_pairs(tracks.expected, points, pairs, 1.5 * self._tolerance_m)]
         if len(agreeing) < ENOUGH:
             return None
@@ -192,7 +194,7 @@ class Constellation:
         return placement if placement is not None and placement.n_agreeing >= ENOUGH else None
 
     def _links(
-        self, carried: LiveTracks, scan: cKDTree
+        self, carried: LiveTracks, points: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
         """Link tracks, carried along, to what is found where they are expected.
 
@@ -203,13 +205,14 @@ class Constellation:
         strayed : (k,) bool
             Where the track moves against the others: it is followed by continuity.
         """
-        distances, targets = nearest(scan, carried.expected)
-        distance, target = distances[:, 0], targets[:, 0]
-        linked = nearest_claim(target, np.where(distance <= self._gate_m, distance, np.inf), scan.n)
-        taken = np.zeros(scan.n + 1, dtype=bool)
+        from relmap.core.kernels.matching import nearest_within
+
+        distance, target = nearest_within(points, carried.expected, self._gate_m)
+        linked = nearest_claim(target, distance, len(points))
+        taken = np.zeros(len(points) + 1, dtype=bool)
         taken[target[linked]] = True
         free = np.flatnonzero(~linked & (carried.missed == 0))
-        followed, found = self._follow(carried, free, scan, taken)
+        followed, found = self._follow(carried, free, points, taken)
         rows = np.concatenate([np.flatnonzero(linked), followed])
         strayed = np.arange(len(rows)) >= linked.sum()
         return rows, np.concatenate([target[linked], found]), strayed
@@ -218,7 +221,7 @@ class Constellation:
         self,
         carried: LiveTracks,
         free: NDArray[np.int64],
-        scan: cKDTree,
+        points: NDArray[np.float64],
         taken: NDArray[np.bool_],
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Follow tracks that are not where they would be at rest, from where they were last.
@@ -228,12 +231,13 @@ class Constellation:
         """
         if not len(free):
             return free, free
-        distances, targets = nearest(scan, carried.latest[free])
-        distance, target = distances[:, 0], targets[:, 0]
+        from relmap.core.kernels.matching import nearest_within
+
         may_move = (carried.restless[free] > 0) | (carried.seen[free] < YOUNG)
         reach = np.where(may_move, max(CONTINUITY * self._spacing_m, self._gate_m), self._gate_m)
+        distance, target = nearest_within(points, carried.latest[free], float(reach.max()))
         near = np.where((distance <= reach) & ~taken[target], distance, np.inf)
-        followed = nearest_claim(target, near, scan.n)
+        followed = nearest_claim(target, near, len(points))
         return free[followed], target[followed]
 
     @property

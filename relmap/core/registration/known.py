@@ -8,12 +8,15 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 from relmap.core.registration.base import UNIDENTIFIED
 
+PARTS = 64
+"""Dictionaries that the ids are spread over: a single large one would stall when it grows."""
+
 
 class KnownAssociation:
     """Takes the landmarks' ids as given."""
 
     def __init__(self) -> None:
-        self._landmark_of: dict[int, int] = {}
+        self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -25,9 +28,12 @@ class KnownAssociation:
     ) -> NDArray[np.int64]:
         """Return the landmark of each id (n,); negative ids are of none."""
         known = np.empty(0, dtype=np.int64) if ids is None else ids
-        new = [i for i in known.tolist() if i >= 0 and i not in self._landmark_of]
-        for number, label in enumerate(new, start=len(self._labels)):
-            self._landmark_of[label] = number
-        self._labels.extend(np.array(new, dtype=np.int64))
-        found = (self._landmark_of.get(i, UNIDENTIFIED) for i in known.tolist())
-        return np.fromiter(found, dtype=np.int64, count=len(known))
+        found = [self._parts[i % PARTS].get(i, UNIDENTIFIED) for i in known.tolist()]
+        landmarks = np.array(found, dtype=np.int64)
+        new = (landmarks == UNIDENTIFIED) & (known >= 0)
+        if new.any():
+            landmarks[new] = np.arange(len(self._labels), len(self._labels) + new.sum())
+            for label, number in zip(known[new].tolist(), landmarks[new].tolist(), strict=True):
+                self._parts[label % PARTS][label] = number
+            self._labels.extend(known[new])
+        return landmarks

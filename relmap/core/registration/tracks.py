@@ -52,15 +52,11 @@ class LiveTracks:
     def see(
         self, rows: NDArray[np.int64], points: NDArray[np.float64], strayed: NDArray[np.bool_]
     ) -> None:
-        """Note where some tracks were found, which of them strayed, and that others were missed."""
-        self.missed = self.missed + 1
-        self.missed[rows] = 0
-        self.seen = self.seen + np.bincount(rows, minlength=len(self))
-        self.restless = np.maximum(self.restless - (self.missed == 0), 0)
-        self.restless[rows[strayed]] = CAREFUL
-        share = np.where(self.restless > 0, 1.0, 1 / np.minimum(self.seen, MEMORY))[rows, None]
-        self.expected[rows] += share * (points - self.expected[rows])
-        self.latest[rows] = points
+        """Note in place where some tracks were found, which strayed, and who was missed."""
+        from relmap.core.kernels.matching import see_tracks
+
+        counts = (self.missed, self.seen, self.restless)
+        see_tracks(self.expected, self.latest, counts, rows, points, strayed, MEMORY, CAREFUL)
 
     def carried(self, expected: NDArray[np.float64], latest: NDArray[np.float64]) -> LiveTracks:
         """Return the tracks with their places in the next iteration."""
