@@ -47,7 +47,8 @@ def batch_of(world: Walk) -> Batch:
 
 def refined(world: Walk, start: Points) -> Refined:
     m = len(world.landmarks)
-    found = refine(condensed(world), start, np.ones(m, dtype=bool), np.arange(m))
+    everyone, nobody = np.ones(m, dtype=bool), np.zeros(m, dtype=bool)
+    found = refine(condensed(world), start, everyone, np.arange(m), nobody, nobody)
     assert found is not None
     assert found.landmarks.tolist() == list(range(m))
     return found

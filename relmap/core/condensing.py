@@ -41,7 +41,10 @@ class SegmentRows:
         Bit k: seen in iteration ``first_iteration + k`` of its segment.
     first_iteration : (s,) int64
     squares : (s,) float64, square metres
-        Sum of the squared deviations of a segment's observations from its points.
+        Sum of the squared deviations of a segment's observations from its points; of landmarks that
+        were known to move it is not in there.
+    freedoms : (s,) int64
+        Observed coordinates in this sum, less what was fitted to them.
     iteration_segment : (i,) int64
         Segment of each iteration, or `NOWHERE`.
     R : (i, d, d) float64
@@ -55,6 +58,7 @@ class SegmentRows:
     visible: NDArray[np.uint8]
     first_iteration: NDArray[np.int64]
     squares: NDArray[np.float64]
+    freedoms: NDArray[np.int64]
     iteration_segment: NDArray[np.int64]
     R: NDArray[np.float64]
     t: NDArray[np.float64]
@@ -80,6 +84,7 @@ class CondensedSegments:
         self._visible: GrowingArray[np.uint8] = GrowingArray(np.uint8)
         self._first_iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._squares: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._freedoms: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._iteration_segment: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._R: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
         self._t: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
@@ -99,6 +104,7 @@ class CondensedSegments:
             self._visible.values,
             self._first_iteration.values,
             self._squares.values,
+            self._freedoms.values,
             self._iteration_segment.values,
             self._R.values,
             self._t.values,
@@ -113,7 +119,7 @@ class CondensedSegments:
             Holds the iterations from `end` on.
         before : int
         dynamic : (m,) bool
-            Landmarks known to move, which say nothing.
+            Landmarks known to move.  They have no say in where the iterations lie.
         """
         if self.end + LENGTH > before:
             return False
@@ -136,24 +142,40 @@ class CondensedSegments:
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
         landmarks, iterations = store.seen(begin, end)
-        steady = ~dynamic[landmarks]
-        present, row = np.unique(landmarks[steady], return_inverse=True)
+        present, row = np.unique(landmarks, return_inverse=True)
         block = np.full((len(present), k, d), np.nan)
-        block[row, iterations[steady] - begin] = store.points(begin, end)[steady]
-        free = np.isfinite(block[:, :, :1]).sum(axis=(0, 2)) >= 2
+        block[row, iterations - begin] = store.points(begin, end)
+        steady = ~dynamic[present]
+        free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
-            joined, R, t, points, visible, squares = condense_block(block, free)
+            joined, R, t, points, visible, squares = condense_block(block[steady], free)
             free &= ~joined
-            at = begin + np.flatnonzero(joined)
-            self._iteration_segment.values[at] = len(self._squares)
-            self._R.values[at], self._t.values[at] = R[joined], t[joined]
-            there = visible > 0
-            self._landmark.extend(present[there])
-            self._segment.extend(np.full(there.sum(), len(self._squares)))
-            self._points.extend(points[there])
-            self._visible.extend(visible[there])
-            self._first_iteration.extend(np.array([begin]))
+            fitted = 3 * d - 3
+            n_seen, n_points = _BITS[visible].sum(), (visible > 0).sum()
             self._squares.extend(np.array([squares]))
+            self._freedoms.extend(np.array([d * (n_seen - n_points) - fitted * (joined.sum() - 1)]))
+            at = begin + np.flatnonzero(joined)
+            self._iteration_segment.values[at] = len(self._squares) - 1
+            self._R.values[at], self._t.values[at] = R[joined], t[joined]
+            self._enter(begin, present[steady], points, visible)
+            if not steady.all():
+                self._enter(begin, present[~steady], *_means(block[~steady], joined, R, t))
+
+    def _enter(
+        self,
+        begin: int,
+        landmarks: NDArray[np.int64],
+        points: NDArray[np.float64],
+        visible: NDArray[np.uint8],
+    ) -> None:
+        """Enter rows of the latest segment."""
+        there = visible > 0
+        self._landmark.extend(landmarks[there])
+        self._segment.extend(np.full(there.sum(), len(self._squares) - 1))
+        self._points.extend(points[there])
+        self._visible.extend(visible[there])
+        if len(self._first_iteration) < len(self._squares):
+            self._first_iteration.extend(np.array([begin]))
 
     def _make_room(self, k: int, d: int) -> None:
         """Make room for k more iterations, in d dimensions from now on."""
@@ -163,3 +185,17 @@ class CondensedSegments:
         self._iteration_segment.resize(self.end + k, NOWHERE)
         self._R.resize(self.end, np.nan)
         self._t.resize(self.end, np.nan)
+
+
+def _means(
+    block: NDArray[np.float64],
+    joined: NDArray[np.bool_],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return mean places (n, d) and visibility (n,) of landmarks that nothing is fitted to."""
+    seen = np.isfinite(block[:, :, 0]) & joined
+    placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
+    means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
+    bits = (seen * (1 << np.arange(seen.shape[1]))).sum(axis=1)
+    return means, bits.astype(np.uint8)

@@ -138,9 +138,11 @@ class RelativeMapper(ABC):
         """
         positions, pieces = self._builder.map.positions, self._builder.map.pieces
         rows, of = self._rows, self._identity.of(np.arange(len(pieces)))
+        moving = self._builder.dynamics.dynamic
+        others = (pieces == UNMAPPED) & ~moving
         self._refined = []
         for piece in np.unique(pieces[pieces != UNMAPPED]):
-            refined = refine(rows, positions, pieces == piece, of)
+            refined = refine(rows, positions, pieces == piece, of, others, moving)
             if refined is not None:
                 self._builder.map.move(refined.landmarks, refined.positions)
                 self._refined.append(refined)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid, fit_rigid_each, fixes_rotation
+from relmap.core.alignment import fit_rigid, fit_rigid_each, fixes_rotation, sums_each
 from relmap.core.condensing import LENGTH, SegmentRows
 from relmap.core.jointequations import Equations, JointRows, equations
 from relmap.core.tridiagonal import Factor
@@ -25,6 +25,8 @@ SETTLED = 1e-7
 SLOW = 0.1
 """A step that leaves a larger share of the one before asks for a new factor."""
 
+STEADY = 3.0
+"""Median deviation up to which a landmark keeps its place, in units of what is usual."""
 SURELY = 3.0
 """Standard deviations by which a variance must be larger to be taken for larger."""
 
@@ -61,6 +63,8 @@ def refine(
     positions: NDArray[np.float64],
     chosen: NDArray[np.bool_],
     of: NDArray[np.int64],
+    others: NDArray[np.bool_],
+    suspects: NDArray[np.bool_],
 ) -> Refined | None:
     """Return where landmarks of one piece of the map lie by all observations.
 
@@ -73,44 +77,119 @@ def refine(
         The landmarks of the piece.
     of : (m,) int64
         The landmark that each number stands for, after merging.
+    others : (m,) bool
+        Landmarks at rest that are not mapped; they tie what was seen together with them.
+    suspects : (m,) bool
+        Landmarks taken for moving.  Those that keep their place in the refined map as well as
+        others do were taken for it because of outliers, and tie as well.
 
     Returns
     -------
     Refined or None
         None where nothing is fixed.
     """
-    joint = _joint_rows(rows, positions, chosen, of)
+    landmark = of[rows.landmark]
+    found = _solved(rows, positions, chosen, landmark, others)
+    if found is None or not suspects.any():
+        return found
+    better = positions.copy()
+    better[found.landmarks] = found.positions
+    cleared = _cleared(rows, better, chosen, landmark, suspects)
+    if not cleared.any():
+        return found
+    return _solved(rows, better, chosen, landmark, others | cleared)
+
+
+def _solved(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+    others: NDArray[np.bool_],
+) -> Refined | None:
+    joint, start = _joint_rows(rows, positions, chosen, landmark, others)
     anchor = _anchor(joint)
     if anchor is None:
         return None
     system = equations(joint, anchor)
     weight = np.ones(len(joint.points))
-    refined, factor = _settled(system, joint, positions[joint.landmarks], weight)
+    refined, factor = _settled(system, joint, start[joint.landmarks], weight)
     placed = _placed(joint, refined, weight)
     noise_m = _noise(rows, joint, system)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
     R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
     R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
+    mapped = chosen[joint.landmarks]
 
     def spread() -> NDArray[np.float64]:
-        return np.asarray(noise_m**2 * R.T @ system.covariances(factor, placed, weight) @ R)
+        covariances = system.covariances(factor, placed, weight)[mapped]
+        return np.asarray(noise_m**2 * R.T @ covariances @ R)
 
-    return Refined(joint.landmarks, (refined - t) @ R, iteration, noise_m, spread)
+    landmarks = joint.landmarks[mapped]
+    return Refined(landmarks, (refined[mapped] - t) @ R, iteration, noise_m, spread)
+
+
+def _cleared(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+    suspects: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Tell which suspects (m,) keep their place, from segment to segment, as others do."""
+    placed, fixed = _laid_on(rows, positions, chosen[landmark], landmark)
+    kept = np.flatnonzero(fixed & chosen[landmark])
+    usual = np.median(_norm(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
+    cleared = np.zeros(len(positions), dtype=bool)
+    rows_of_suspects = np.flatnonzero(fixed & suspects[landmark])
+    for suspect in np.unique(landmark[rows_of_suspects]):
+        places = placed[rows_of_suspects[landmark[rows_of_suspects] == suspect]]
+        apart = np.median(_norm(places - np.median(places, axis=0)))
+        cleared[suspect] = len(places) > 1 and apart <= STEADY * usual
+    return cleared
+
+
+def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
+
+
+def _laid_on(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    kept: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return all rows (n, d) with their segments fitted to some; and whether these fix it (n,)."""
+    at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
+    there = positions[landmark[kept]]
+    R, t, fixed = fit_rigid_each(rows.points[kept], there, n_seen, at, rows.n_segments)
+    placed = np.einsum("nij,nj->ni", R[rows.segment], rows.points) + t[rows.segment]
+    return placed, fixed[rows.segment]
 
 
 def _joint_rows(
     rows: SegmentRows,
     positions: NDArray[np.float64],
     chosen: NDArray[np.bool_],
-    of: NDArray[np.int64],
-) -> JointRows:
-    """Return the rows of the chosen landmarks, without segments that these do not fix."""
-    landmark = of[rows.landmark]
-    kept = np.flatnonzero(chosen[landmark])
-    points, there, segment = rows.points[kept], positions[landmark[kept]], rows.segment[kept]
-    _, _, fixed = fit_rigid_each(points, there, np.ones(len(kept)), segment, rows.n_segments)
-    return JointRows.of_landmarks(rows, landmark, kept[fixed[segment]])
+    landmark: NDArray[np.int64],
+    others: NDArray[np.bool_],
+) -> tuple[JointRows, NDArray[np.float64]]:
+    """Return the rows of a piece, and of others seen with it; and where all of these may be.
+
+    Segments that are not fixed by the piece are left out.
+    """
+    mapped = chosen[landmark]
+    placed, fixed = _laid_on(rows, positions, mapped, landmark)
+    known = fixed & (mapped | others[landmark])
+    n_seen = np.bincount(landmark[known], weights=rows.n_seen[known], minlength=len(positions))
+    known &= n_seen[landmark] > 1
+    loose = known & ~mapped
+    count = np.bincount(landmark[loose], minlength=len(positions))
+    start = sums_each(placed[loose], landmark[loose], len(positions))
+    start /= np.maximum(count, 1)[:, None]
+    start[chosen] = positions[chosen]
+    return JointRows.of_landmarks(rows, landmark, np.flatnonzero(known)), start
 
 
 def _anchor(rows: JointRows) -> tuple[int, int] | None:
@@ -168,9 +247,7 @@ def _noise(rows: SegmentRows, joint: JointRows, system: Equations) -> float:
     """
     d = joint.points.shape[1]
     q = 3 * d - 3
-    inside = np.isin(rows.segment, joint.segments)
-    placed = np.isin(rows.iteration_segment, joint.segments).sum()
-    within = d * (rows.n_seen[inside] - 1).sum() - q * (placed - len(joint.segments))
+    within = rows.freedoms[joint.segments].sum()
     between = d * (len(joint.points) - len(joint.landmarks)) - q * (len(joint.segments) - 1)
     squares, cost = rows.squares[joint.segments].sum(), system.cost.sum()
     variance = (squares + cost) / max(within + between, 1)

@@ -14,7 +14,7 @@ ROUNDS = 3
 """Gauss-Newton steps within a segment; each leaves about a hundredth of the error before it."""
 TRIMS = 3
 """How often outliers are looked for."""
-OUTLIER = 5.0
+OUTLIER = 10.0
 """Deviation of an observation, in medians of its segment, above which it is left out."""
 EXACT = 1e-9
 """Deviation, as a share of the extent, that is taken for rounding."""
