@@ -332,29 +332,28 @@ def spread_of_landmarks(
     d = points.shape[1]
     q = 3 if d == 2 else 6
     found = np.zeros((len(entry_begin) - 1, d, d))
-    J, K = np.empty((d, q)), np.empty((d, q))
-    block = np.empty((q, q))
+    J = np.empty((d, q))
     for i in range(len(found)):
         rows = entry[entry_begin[i] : entry_begin[i + 1]]
         total = weight[rows].sum()
-        for k in rows:
-            derivative(points[k], J)
-            for other in rows:
-                derivative(points[other], K)
-                swap = level[placement[k]] < level[placement[other]]
-                row = placement[other] if swap else placement[k]
-                column = placement[k] if swap else placement[other]
+        pull = np.empty((d, q * len(rows)))
+        joint = np.empty((q * len(rows), q * len(rows)))
+        for k in range(len(rows)):
+            derivative(points[rows[k]], J)
+            pull[:, q * k : q * (k + 1)] = weight[rows[k]] / total * J
+            row = placement[rows[k]]
+            for m in range(len(rows)):
+                column = placement[rows[m]]
+                if level[row] < level[column]:
+                    continue
                 same = level[row] == level[column]
                 start = offset[level[column], 0 if same else 1] + place[column]
                 for a in range(q):
                     at = start + (place[row] + a) * width[level[column]]
                     for b in range(q):
-                        if swap:
-                            block[b, a] = inverse[at + b]
-                        else:
-                            block[a, b] = inverse[at + b]
-                share = weight[k] * weight[other] / total**2
-                found[i] += share * np.dot(np.dot(J, block), K.T)
+                        joint[q * k + a, q * m + b] = inverse[at + b]
+                        joint[q * m + b, q * k + a] = inverse[at + b]
+        found[i] = np.dot(np.dot(pull, joint), pull.T)
         for a in range(d):
             found[i, a, a] += 1 / total
     return found

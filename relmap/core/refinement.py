@@ -20,8 +20,10 @@ from relmap.core.jointequations import Equations, JointRows, equations
 from relmap.core.tridiagonal import Factor
 
 ROUNDS = 30
-SETTLED = 1e-7
-"""Step, as a share of the size of the map, at which the solution has settled."""
+SETTLED = 1e-3
+"""Next step to be expected, as a share of what is left, at which the solution has settled."""
+ROUNDING = 1e-13
+"""The same, as a share of the map's size, where nothing is left."""
 SLOW = 0.1
 """A step that leaves a larger share of the one before asks for a new factor."""
 
@@ -229,12 +231,15 @@ def _settled(
             factor = Factor(system.levels, matrix)
         moved = system.moved(positions, placed, weight, factor.solve(right))
         step = np.abs(moved - positions).max()
+        shrinks = step / before if np.isfinite(before) else 1.0
+        residual = np.sqrt(np.mean((placed - positions[rows.landmark]) ** 2))
         positions = moved
-        if step <= SETTLED * size:
+        if step * shrinks <= max(SETTLED * residual, ROUNDING * size):
             break
-        if step > SLOW * before:
-            factor, step = None, np.inf
-        before = step
+        if shrinks > SLOW and np.isfinite(before):
+            factor, before = None, np.inf
+        else:
+            before = step
     assert factor is not None
     return positions, factor
 
