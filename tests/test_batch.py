@@ -149,6 +149,34 @@ def test_batch_names_a_pose_that_is_not_fixed() -> None:
         )
 
 
+@both_dimensions
+def test_batch_of_one_pose_is_what_it_saw(d: int) -> None:
+    batch, world, _ = observations(d, 0, 0.1, poses=1)
+    found = batch_least_squares(batch, world)
+    assert aligned_rmse(found, batch.points_robot) < 1e-12
+    twice = Batch(
+        np.concatenate([batch.points_robot, batch.points_robot]),
+        np.concatenate([batch.pose, batch.pose]),
+        np.concatenate([batch.landmark, batch.landmark]),
+    )
+    np.testing.assert_allclose(batch_least_squares(twice, world), found)
+
+
+def test_batch_says_what_it_cannot_solve() -> None:
+    batch, world, _ = observations(2, 0, 0.1)
+    with pytest.raises(RelmapError, match="landmark 9 is not seen"):
+        batch_least_squares(batch, np.vstack([world, [[0.0, 0.0]]]))
+    first, second = observations(2, 1, 0.0)[0], observations(2, 2, 0.0)[0]
+    apart = Batch(
+        np.concatenate([first.points_robot, second.points_robot]),
+        np.concatenate([first.pose, second.pose + 5]),
+        np.concatenate([first.landmark, second.landmark + 9]),
+    )
+    worlds = np.vstack([observations(2, 1, 0.0)[1], observations(2, 2, 0.0)[1]])
+    with pytest.raises(RelmapError, match="do not hold together"):
+        batch_least_squares(apart, worlds)
+
+
 def test_batch_says_where_it_does_not_settle() -> None:
     batch, world, _ = observations(2, 0, 0.1)
     with pytest.raises(RelmapError, match="did not settle in 1 iterations"):

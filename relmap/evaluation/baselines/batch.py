@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
@@ -54,10 +55,14 @@ def batch_least_squares(
     Raises
     ------
     RelmapError
-        Where a pose is not fixed by what it sees, or the solution does not settle.
+        Where a pose is not fixed by what it sees, a landmark is not seen, the observations do not
+        hold together as one map, or the solution does not settle.
     """
     landmarks = start_map.copy()
+    _require_one_map(observations, len(landmarks))
     R, t = _poses(observations, landmarks)
+    if len(R) == 1:
+        return _mean_of_one_pose(observations, R[0], t[0], len(landmarks))
     for _ in range(iterations):
         turn, shift, step = _gauss_newton(observations, R, t, landmarks)
         R, t = turn @ R, t + shift
@@ -65,6 +70,27 @@ def batch_least_squares(
         if np.abs(step).max() < CONVERGED_M * (1 + np.abs(landmarks).max()):
             return landmarks
     raise RelmapError(f"batch least squares did not settle in {iterations} iterations")
+
+
+def _require_one_map(observations: Batch, m: int) -> None:
+    unseen = np.flatnonzero(np.bincount(observations.landmark, minlength=m) == 0)
+    if len(unseen):
+        raise RelmapError(f"batch least squares: landmark {unseen[0]} is not seen from any pose")
+    size = m + int(observations.pose.max()) + 1
+    ties = np.ones(len(observations.pose)), (observations.landmark, m + observations.pose)
+    parts = connected_components(sparse.coo_array(ties, shape=(size, size)), directed=False)[1]
+    if parts[:m].max() != parts[:m].min():
+        raise RelmapError("batch least squares: the observations do not hold together as one map")
+
+
+def _mean_of_one_pose(
+    observations: Batch, R: NDArray[np.float64], t: NDArray[np.float64], m: int
+) -> NDArray[np.float64]:
+    """Return the landmarks (m, d) as one pose sees them: there is nothing to solve."""
+    sums, counts = np.zeros((m, len(t))), np.zeros(m)
+    np.add.at(sums, observations.landmark, observations.points_robot @ R.T + t)
+    np.add.at(counts, observations.landmark, 1)
+    return np.asarray(sums / counts[:, None])
 
 
 def _poses(
