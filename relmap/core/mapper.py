@@ -254,6 +254,15 @@ class RelativeMapper(ABC):
         return [replace(group, landmarks=labels[of(group.landmarks)]) for group in groups]
 
     @property
+    def refined(self) -> list[Refined]:
+        """The pieces of the map as refined, in ascending order; none after a later update.
+
+        They tell how well each segment of the run, and each merge, fits the map.  Landmarks go by
+        their numbers there, in order of first sight.
+        """
+        return list(self._refined)
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         positions = positions_in_largest_piece(self._builder.map)

@@ -17,6 +17,12 @@ from numpy.typing import NDArray
 from relmap.core.alignment import fit_rigid, fit_rigid_each, fixes_rotation, sums_each
 from relmap.core.condensing import LENGTH, SegmentRows
 from relmap.core.jointequations import Equations, JointRows, equations
+from relmap.core.residuals import (
+    MergeResiduals,
+    SegmentResiduals,
+    merge_residuals,
+    segment_residuals,
+)
 from relmap.core.tridiagonal import Factor
 
 ROUNDS = 30
@@ -46,12 +52,16 @@ class Refined:
         The first iteration that saw enough of the landmarks to be fixed by them.
     noise_m : float
         Standard deviation of an observed coordinate, from what is left.
+    segments : SegmentResiduals
+    merges : MergeResiduals
     """
 
     landmarks: NDArray[np.int64]
     positions: NDArray[np.float64]
     anchor_iteration: int
     noise_m: float
+    segments: SegmentResiduals
+    merges: MergeResiduals
     _spread: Callable[[], NDArray[np.float64]]
 
     @cached_property
@@ -128,8 +138,10 @@ def _solved(
         covariances = system.covariances(factor, placed, weight)[mapped]
         return np.asarray(noise_m**2 * R.T @ covariances @ R)
 
-    landmarks = joint.landmarks[mapped]
-    return Refined(landmarks, (refined[mapped] - t) @ R, iteration, noise_m, spread)
+    segments = segment_residuals(rows, joint, (placed - t) @ R, system.cost, noise_m)
+    merges = merge_residuals(rows, joint, placed, refined, noise_m)
+    landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R
+    return Refined(landmarks, refined, iteration, noise_m, segments, merges, spread)
 
 
 def _cleared(

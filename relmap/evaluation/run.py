@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 import relmap
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Piece
+from relmap.core.refinement import Refined
 from relmap.datasets.base import ObservationLog, Scan
+from relmap.evaluation.weakness import weakness
 from relmap.results import Result, Tracks, shifted
 
 Association = Literal["nearest", "known"]
@@ -66,6 +68,11 @@ class Mapper(Protocol):
     @property
     def pieces(self) -> Sequence[Piece]:
         """The pieces of the map, the largest first."""
+        ...
+
+    @property
+    def refined(self) -> Sequence[Refined]:
+        """The pieces as refined, with what their segments and merges are apart; or none."""
         ...
 
     @property
@@ -136,6 +143,7 @@ def run_mapper(
         "association": association,
         **_summary(log, table, poses, len(groups), pieces),
         "refined": refine,
+        "refinement": weakness(mapper.refined, log.first_iteration),
         "timing": timing(durations_s) | {"refine_ms": 1e3 * refine_s},
     }
     table, tracks = shifted(table, log.first_iteration), _tracks(log, label)

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 PATH = "#1f4e9e"
 TRUTH = "#c0392b"
 GROUP = "#7f7f7f"
+WEAK_COLOUR = "#e67e22"
+WEAK = 2.0
+"""Residual, in units of what the noise explains, above which a place is ringed."""
 MOST_LINKS = 6000
 """So many links between groups and members are drawn; of more groups only a part is shown."""
 
@@ -74,6 +77,7 @@ def plot_run(
         if truth is not None:
             _draw_truth(axes, truth, pair)
         _draw_path(axes, result, pair)
+        _draw_weak_places(axes, result, pair)
         dots = _draw_landmarks(axes, result, pair)
     if dots is not None:
         sheet.add_colours(dots, "standard deviation of a landmark [m]")
@@ -149,6 +153,22 @@ def _draw_groups(
         label = "group, from its middle to its members"
         label += f" (one of {every} shown)" if every > 1 else ""
         axes.plot([], [], color=GROUP, linewidth=0.8, label=label)
+
+
+def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
+    """Ring the segments and merges that fit the refined map much worse than noise explains."""
+    told = result.summary.get("refinement") or {}
+    segments = [place for place in told.get("weakest_segments", ()) if place["residual"] > WEAK]
+    place_of = dict(zip(result.landmarks.landmark.tolist(), result.landmarks.position, strict=True))
+    merges = [merge for merge in told.get("weakest_merges", ()) if merge["residual"] > WEAK]
+    for label, marker, places in (
+        ("stretch that fits badly", "o", [[*place["middle"], 0.0][:3] for place in segments]),
+        ("doubtful merge", "D", [place_of[merge["landmark"]] for merge in merges]),
+    ):
+        if places:
+            x, y = np.array(places)[:, pair].T
+            style: dict[str, Any] = {"s": 130, "facecolors": "none", "edgecolors": WEAK_COLOUR}
+            axes.scatter(x, y, marker=marker, linewidths=1.4, zorder=7, label=label, **style)
 
 
 def _draw_truth(axes: Axes, truth: Overlay, pair: list[int]) -> None:
