@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relmap.core.tridiagonal import Factor, Levels
+from relmap.core.tridiagonal import Levels, factor
 
 
 @settings(max_examples=30, deadline=None)
@@ -24,13 +24,13 @@ def test_levels_solve_and_invert_as_dense_matrices_do(seed: int, q: int, depth: 
     for (diagonal, below), a, w in zip(levels.blocks(buffer), begin, levels.widths, strict=True):
         diagonal[:] = ordered[a : a + w, a : a + w]
         below[:] = ordered[a + w : a + w + len(below), a : a + w]
-    factor, right = Factor(levels, buffer), rng.normal(size=(len(level), q))
-    np.testing.assert_allclose(factor.solve(right).ravel(), np.linalg.solve(dense, right.ravel()))
+    found, right = factor(levels, buffer), rng.normal(size=(len(level), q))
+    np.testing.assert_allclose(found.solve(right).ravel(), np.linalg.solve(dense, right.ravel()))
     inverse = np.linalg.inv(dense)
     own = [inverse[i * q : (i + 1) * q, i * q : (i + 1) * q] for i in range(len(level))]
-    np.testing.assert_allclose(levels.diagonal(factor.inverse()), own, atol=1e-12)
+    np.testing.assert_allclose(levels.diagonal(found.inverse()), own, atol=1e-12)
     ordered = inverse[np.ix_(unknowns, unknowns)]
-    for (_, below), a, w in zip(levels.blocks(factor.inverse()), begin, levels.widths, strict=True):
+    for (_, below), a, w in zip(levels.blocks(found.inverse()), begin, levels.widths, strict=True):
         np.testing.assert_allclose(
             below, ordered[a + w : a + w + len(below), a : a + w], atol=1e-12
         )
@@ -39,4 +39,4 @@ def test_levels_solve_and_invert_as_dense_matrices_do(seed: int, q: int, depth: 
 def test_a_matrix_that_is_not_positive_is_refused() -> None:
     levels = Levels(np.zeros(2, dtype=np.int64), 1)
     with pytest.raises(np.linalg.LinAlgError):
-        Factor(levels, np.array([1.0, 0.0, 0.0, -1.0]))
+        factor(levels, np.array([1.0, 0.0, 0.0, -1.0]))

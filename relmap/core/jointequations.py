@@ -312,7 +312,7 @@ class PlacementEquations:
         """Return the positions after a step; see `Equations`."""
         d = placed.shape[1]
         step[-1] = step[self._anchor[0]]
-        turn, shift = _rotations(step[:, :-d]), step[:, -d:]
+        turn, shift = rotations(step[:, :-d]), step[:, -d:]
         centred, centre = self._centred(placed), self._centres(placed)[self._placement]
         moved = np.einsum("nij,nj->ni", turn[self._placement], centred) + centre
         return self._weighted_means(moved + shift[self._placement], weight)
@@ -358,7 +358,8 @@ class PlacementEquations:
         return np.asarray(placed[self._row] - self._centres(placed)[self._placement])
 
 
-def _rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotations (n, d, d) by angles (n, 1) or rotation vectors (n, 3)."""
     if turns.shape[1] == 3:
         return np.asarray(Rotation.from_rotvec(turns).as_matrix())
     cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])

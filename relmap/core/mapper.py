@@ -16,6 +16,7 @@ from relmap.core.globalmap import UNMAPPED
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.levels import GroupLevels
+from relmap.core.live import LiveRefinement
 from relmap.core.merging import Merger
 from relmap.core.pose import trajectory
 from relmap.core.readout import (
@@ -60,6 +61,7 @@ class RelativeMapper(ABC):
             self.config.group_after, self.config.max_missed, self._sightings, levels
         )
         self._builder = MapBuilder(self._store, self._schedule, levels, self._relative_map)
+        self._live = LiveRefinement(self._segments, self._builder.map)
         self._merger = Merger(self._builder.map, self._sightings, self.config.group_after)
 
     @abstractmethod
@@ -179,6 +181,8 @@ class RelativeMapper(ABC):
         for k in range(len(steps)):
             if steps[(turn + k) % len(steps)]():
                 break
+        if self._live.advance(self._identity.of):
+            self._merger.look_again()
 
     def _group_next(self) -> bool:
         """Group whoever was seen often enough since the last time; tell whether somebody was."""
@@ -227,6 +231,7 @@ class RelativeMapper(ABC):
                 self._schedule,
                 self._builder,
                 self._merger,
+                self._live,
             ):
                 state.merge(new, old)
 

@@ -23,7 +23,7 @@ from relmap.core.residuals import (
     merge_residuals,
     segment_residuals,
 )
-from relmap.core.tridiagonal import Factor
+from relmap.core.tridiagonal import Factor, factor
 
 ROUNDS = 30
 SETTLED = 1e-3
@@ -125,7 +125,7 @@ def _solved(
         return None
     system = equations(joint, anchor)
     weight = np.ones(len(joint.points))
-    refined, factor = _settled(system, joint, start[joint.landmarks], weight)
+    refined, solved = _settled(system, joint, start[joint.landmarks], weight)
     placed = _placed(joint, refined, weight)
     noise_m = _noise(rows, joint, system)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
@@ -135,7 +135,7 @@ def _solved(
     mapped = chosen[joint.landmarks]
 
     def spread() -> NDArray[np.float64]:
-        covariances = system.covariances(factor, placed, weight)[mapped]
+        covariances = system.covariances(solved, placed, weight)[mapped]
         return np.asarray(noise_m**2 * R.T @ covariances @ R)
 
     segments = segment_residuals(rows, joint, (placed - t) @ R, system.cost, noise_m)
@@ -235,13 +235,13 @@ def _settled(
 ) -> tuple[NDArray[np.float64], Factor]:
     """Return the positions of the least sum of squares, and the factor of the last matrix."""
     size = np.abs(positions - positions.mean(axis=0)).max()
-    factor, before = None, np.inf
+    found, before = None, np.inf
     for _ in range(ROUNDS):
         placed = _placed(rows, positions, weight)
-        right, matrix = system.normal(positions, placed, weight, with_matrix=factor is None)
-        if factor is None:
-            factor = Factor(system.levels, matrix)
-        moved = system.moved(positions, placed, weight, factor.solve(right))
+        right, matrix = system.normal(positions, placed, weight, with_matrix=found is None)
+        if found is None:
+            found = factor(system.levels, matrix)
+        moved = system.moved(positions, placed, weight, found.solve(right))
         step = np.abs(moved - positions).max()
         shrinks = step / before if np.isfinite(before) else 1.0
         residual = np.sqrt(np.mean((placed - positions[rows.landmark]) ** 2))
@@ -249,11 +249,11 @@ def _settled(
         if step * shrinks <= max(SETTLED * residual, ROUNDING * size):
             break
         if shrinks > SLOW and np.isfinite(before):
-            factor, before = None, np.inf
+            found, before = None, np.inf
         else:
             before = step
-    assert factor is not None
-    return positions, factor
+    assert found is not None
+    return positions, found
 
 
 def _noise(rows: SegmentRows, joint: JointRows, system: Equations) -> float:

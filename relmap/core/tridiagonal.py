@@ -8,6 +8,8 @@ Fagan and Chin, 1973), which is where the covariances are.
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
@@ -88,32 +90,23 @@ class Levels:
 
 
 class Factor:
-    """Cholesky factor of a symmetric positive definite matrix in levels.
+    """Cholesky factor of a symmetric positive definite matrix in levels; see `factor`.
 
     Parameters
     ----------
     levels : Levels
-    buffer : (levels.size,) float64
-        The matrix, of whose diagonal blocks the lower triangles are read; overwritten.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        Where it is not positive definite.
+    lower : list of (w, w) float64
+        Of each level.
+    below : list of (v, w) float64
+        Between each level and the next.
     """
 
-    def __init__(self, levels: Levels, buffer: NDArray[np.float64]) -> None:
+    def __init__(
+        self, levels: Levels, lower: list[NDArray[np.float64]], below: list[NDArray[np.float64]]
+    ) -> None:
         self.levels = levels
-        self._lower: list[NDArray[np.float64]] = []
-        self._below: list[NDArray[np.float64]] = []
-        carried: NDArray[np.float64] | None = None
-        for diagonal, below in levels.blocks(buffer):
-            if carried is not None:
-                diagonal -= carried @ carried.T
-            L = cholesky(diagonal, lower=True, check_finite=False)
-            carried = solve_triangular(L, below.T, lower=True, check_finite=False).T
-            self._lower.append(L)
-            self._below.append(carried)
+        self._lower = lower
+        self._below = below
 
     def solve(self, right: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the solution (n, q) for a right side (n, q)."""
@@ -144,3 +137,40 @@ class Factor:
             diagonal[:] = own + np.tril(own, -1).T - pull @ below
             later = diagonal
         return buffer
+
+
+def factored(levels: Levels, buffer: NDArray[np.float64]) -> Generator[None, None, Factor]:
+    """Factor a matrix level by level, with a pause after each; return the factor.
+
+    Parameters
+    ----------
+    levels : Levels
+    buffer : (levels.size,) float64
+        The matrix, of whose diagonal blocks the lower triangles are read; overwritten.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where it is not positive definite.
+    """
+    lower: list[NDArray[np.float64]] = []
+    between: list[NDArray[np.float64]] = []
+    for diagonal, below in levels.blocks(buffer):
+        if between:
+            diagonal -= between[-1] @ between[-1].T
+        L = cholesky(diagonal, lower=True, check_finite=False)
+        lower.append(L)
+        between.append(solve_triangular(L, below.T, lower=True, check_finite=False).T)
+        yield
+    return Factor(levels, lower, between)
+
+
+def factor(levels: Levels, buffer: NDArray[np.float64]) -> Factor:
+    """Factor a matrix at once; see `factored`."""
+    steps = factored(levels, buffer)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            found: Factor = done.value
+            return found

@@ -1,0 +1,251 @@
+"""Refinement while the map is being built, in small slices at a constant amortised cost.
+
+A chain of groups is nearly as good as can be until landmarks are seen again after a long time; then
+the map has drifted on the way, and the drift must be spread over all of it.  So every so often one
+Gauss-Newton step is taken for the whole map, with one placement for each segment; see `refinement`.
+Each update does a slice of it.  As a step costs the more the longer the run, the next is taken the
+later: when the run has become longer by a share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.alignment import fit_rigid_each, sums_each
+from relmap.core.condensing import CondensedSegments, SegmentRows
+from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.growing import GrowingArray
+from relmap.core.jointequations import rotations
+from relmap.core.tridiagonal import Levels, factored
+
+GROWTH = 1.25
+"""How many times as long a run must be as when the last step was begun."""
+LOOP_GROWTH = 1.1
+"""The same where landmarks came back into view that had been out of sight for long."""
+LEAST = 16
+"""Segments before the first step, and for which a landmark that closes a loop was out of sight."""
+SLICE = 1500
+"""Rows that an update takes care of."""
+MOST_FLOPS = 1e4
+"""What the solution may cost for each observation; of a map seen again and again it would more."""
+LOOSE = 1e-9
+"""What holds a placement that hangs by too little, as a share of what holds it otherwise."""
+
+Points = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class LiveRefinement:
+    """Keeps the live map near the best that was seen so far.
+
+    Parameters
+    ----------
+    segments : CondensedSegments
+    global_map : GlobalMap
+    """
+
+    def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
+        self._segments = segments
+        self._map = global_map
+        self._work: Iterator[None] | None = None
+        self._begun = LEAST
+        self._noted = 0
+        self._back = 0
+        self._last: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    def advance(self, of: Callable[[Indices], Indices]) -> bool:
+        """Do a slice of work, if there is any; tell whether it has moved the map.
+
+        Parameters
+        ----------
+        of : callable
+            The landmark that each number stands for, after merging.
+        """
+        self._note(of)
+        if self._work is None:
+            n = self._segments.rows.n_segments
+            growth = LOOP_GROWTH if self._back > self._segments.rows.points.shape[1] else GROWTH
+            if n <= growth * self._begun:
+                return False
+            self._begun, self._back = n, 0
+            self._work = self._step(of)
+        try:
+            next(self._work)
+        except StopIteration:
+            self._work = None
+            return True
+        return False
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the step that is under way: a copy takes its own."""
+        return self.__dict__ | {"_work": None}
+
+    def merge(self, new: int, old: int) -> None:
+        """Note that a landmark in view is an old one."""
+        self._back += 1
+
+    def _note(self, of: Callable[[Indices], Indices]) -> None:
+        """Note which landmarks came back into view after a long time."""
+        rows = self._segments.rows
+        if rows.n_segments == self._noted:
+            return
+        first = int(np.searchsorted(rows.segment, self._noted))
+        self._noted = rows.n_segments
+        self._last.resize(len(self._map.pieces), rows.n_segments)
+        landmark, at = of(rows.landmark[first:]), rows.segment[first:]
+        self._back += int((self._last.values[landmark] < at - LEAST).sum())
+        self._last.values[landmark] = at
+
+    def _step(self, of: Callable[[Indices], Indices]) -> Iterator[None]:
+        """Take a Gauss-Newton step for the piece that is in view, slice by slice."""
+        rows = self._segments.rows
+        piece = self._piece_in_view(rows, of)
+        if piece == UNMAPPED:
+            return
+        member = int(np.argmax(self._map.pieces == piece))
+        parts = []
+        for part in self._laid_on(rows, of, piece):
+            parts.append(part)
+            yield
+        placed, landmark, segment, seen = (
+            np.concatenate(each) for each in zip(*parts, strict=True)
+        )
+        if not len(placed):
+            return
+        members, at = np.unique(landmark, return_inverse=True)
+        placement = np.unique(segment, return_inverse=True)[1]
+        step = _StepInSlices(placed, at, placement, seen)
+        yield
+        yield from step.run()
+        if step.turns is None or self._map.pieces[member] != piece:
+            return
+        self._apply(piece, members, step)
+
+    def _piece_in_view(self, rows: SegmentRows, of: Callable[[Indices], Indices]) -> int:
+        pieces = self._map.pieces[of(rows.landmark[-SLICE:])]
+        mapped = pieces[pieces != UNMAPPED]
+        return int(mapped[-1]) if len(mapped) else UNMAPPED
+
+    def _laid_on(
+        self, rows: SegmentRows, of: Callable[[Indices], Indices], piece: int
+    ) -> Iterator[tuple[Points, Indices, Indices, Points]]:
+        """Lay segments on the map, some at a time; give places, landmarks, segments and weights."""
+        first = 0
+        while first < len(rows.segment):
+            last = rows.segment[min(first + SLICE, len(rows.segment)) - 1]
+            end = int(np.searchsorted(rows.segment, last, side="right"))
+            landmark = of(rows.landmark[first:end])
+            kept = self._map.pieces[landmark] == piece
+            landmark, segment = landmark[kept], rows.segment[first:end][kept]
+            points = rows.points[first:end][kept]
+            seen = rows.n_seen[first:end][kept].astype(np.float64)
+            base = rows.segment[first]
+            there = self._map.positions[landmark]
+            R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)
+            placed = np.einsum("nij,nj->ni", R[segment - base], points) + t[segment - base]
+            on = fixed[segment - base]
+            yield placed[on], landmark[on], segment[on], seen[on]
+            first = end
+
+    def _apply(self, piece: int, members: Indices, step: _StepInSlices) -> None:
+        """Move the landmarks, and what was mapped meanwhile along with the latest segment."""
+        positions = self._map.positions
+        others = self._map.pieces == piece
+        others[members] = False
+        turn, shift, centre = step.latest
+        positions[others] = (positions[others] - centre) @ turn.T + centre + shift
+        positions[members] += step.moves
+
+
+class _StepInSlices:
+    """One Gauss-Newton step of placements that lay landmarks somewhere; the first stays.
+
+    Parameters
+    ----------
+    placed : (n, d) float64, map frame, metres
+    landmark, placement : (n,) int64
+    weight : (n,) float64
+    """
+
+    def __init__(
+        self, placed: Points, landmark: Indices, placement: Indices, weight: Points
+    ) -> None:
+        self._placed, self._landmark = placed, landmark
+        self._placement, self._weight = placement, weight
+        m, p = int(landmark.max()) + 1, int(placement.max()) + 1
+        self._entry = np.argsort(landmark, kind="stable")
+        self._begin = np.concatenate([[0], np.cumsum(np.bincount(landmark, minlength=m))])
+        counts = np.bincount(placement, minlength=p)
+        self._centre = sums_each(placed, placement, p) / counts[:, None]
+        self._means = self._mean(placed)
+        self.turns: Points | None = None
+        self.shifts: Points | None = None
+
+    def run(self) -> Iterator[None]:
+        """Solve for the turns and shifts of the placements, slice by slice."""
+        from relmap.core.jointkernels import breadth_first, placement_equations
+
+        placed, placement, weight = self._placed, self._placement, self._weight
+        d, p = placed.shape[1], len(self._centre)
+        by_placement = np.searchsorted(placement, np.arange(p + 1))
+        level = breadth_first(0, by_placement, self._landmark, self._begin, placement[self._entry])[
+            1
+        ]
+        levels = Levels(level, 3 * d - 3)
+        if levels.flops > MOST_FLOPS * weight.sum():
+            return
+        gradient, buffer = np.zeros((p, levels.q)), np.zeros(levels.size)
+        centred, residual = placed - self._centre[placement], placed - self._means[self._landmark]
+        yield
+        first = 0
+        while first < len(self._means):
+            end = int(np.searchsorted(self._begin, self._begin[first] + SLICE, side="right"))
+            end = max(min(end, len(self._begin)) - 1, first + 1)
+            placement_equations(
+                self._begin[first : end + 1],
+                self._entry,
+                placement,
+                centred,
+                residual,
+                weight,
+                gradient,
+                buffer,
+                *levels.layout,
+            )
+            first = end
+            yield
+        for diagonal, _ in levels.blocks(buffer):
+            diagonal[np.diag_indices(len(diagonal))] *= 1 + LOOSE
+        own = levels.place[0] + np.arange(levels.q)
+        levels.blocks(buffer)[level[0]][0][own, own] *= 1 / LOOSE
+        gradient[0] = 0.0
+        factor = yield from factored(levels, buffer)
+        step = factor.solve(-gradient)
+        self.turns, self.shifts = rotations(step[:, :-d]), step[:, -d:]
+        yield
+
+    @property
+    def latest(self) -> tuple[Points, Points, Points]:
+        """Turn, shift and centre of the last placement."""
+        assert self.turns is not None
+        assert self.shifts is not None
+        return self.turns[-1], self.shifts[-1], self._centre[-1]
+
+    @property
+    def moves(self) -> Points:
+        """How far the landmarks move (m, d)."""
+        assert self.turns is not None
+        assert self.shifts is not None
+        at = self._placement
+        centred = self._placed - self._centre[at]
+        moved = np.einsum("nij,nj->ni", self.turns[at], centred) + self._centre[at]
+        return self._mean(moved + self.shifts[at]) - self._means
+
+    def _mean(self, values: Points) -> Points:
+        m = len(self._begin) - 1
+        total = np.bincount(self._landmark, weights=self._weight, minlength=m)
+        sums = sums_each(values * self._weight[:, None], self._landmark, m)
+        return np.asarray(sums / total[:, None])
