@@ -19,10 +19,6 @@ from relmap.core.alignment import sums_each
 from relmap.core.condensing import LENGTH, SegmentRows
 from relmap.core.tridiagonal import Factor, Levels
 
-LOOSE = 1e-9
-"""What holds an unknown that hangs by too little, as a share of what holds others."""
-STIFF = 1e9
-"""What holds the placement that is not free, as a multiple of what its observations do."""
 FLOPS_PER_OBSERVATION = 1e4
 """What may be spent to have one placement for each iteration: about a quarter microsecond."""
 
@@ -65,8 +61,8 @@ class JointRows:
         kept: NDArray[np.int64],
     ) -> JointRows:
         """Return chosen rows `kept` (n,), where all rows are of landmarks (k,)."""
-        landmarks, compact = _numbered(landmark[kept])
-        segments, segment = _numbered(rows.segment[kept])
+        landmarks, compact = numbered(landmark[kept])
+        segments, segment = numbered(rows.segment[kept])
         return cls(
             rows.points[kept],
             rows.visible[kept],
@@ -211,8 +207,8 @@ class LandmarkEquations:
             buffer,
             *levels.layout,
         )
-        for diagonal, _ in levels.blocks(buffer) if with_matrix else ():
-            diagonal[np.diag_indices(len(diagonal))] += LOOSE
+        if with_matrix:
+            levels.hold(buffer)
         return gradient, buffer
 
     def moved(
@@ -295,11 +291,8 @@ class PlacementEquations:
         gradient[self._anchor[0]] += gradient[fixed]
         gradient[fixed] = 0.0
         if with_matrix:
-            for diagonal, _ in levels.blocks(buffer):
-                diagonal[np.diag_indices(len(diagonal))] *= 1 + LOOSE
-            diagonal = levels.blocks(buffer)[levels.level[fixed]][0]
-            of_anchor = levels.place[fixed] + np.arange(levels.q)
-            diagonal[of_anchor, of_anchor] *= STIFF
+            levels.hold(buffer)
+            levels.fix(buffer, fixed)
         return -gradient, buffer
 
     def moved(
@@ -366,7 +359,7 @@ def rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
 
 
-def _numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return what is among values (k,), ascending, and the place of each in that."""
     there = np.zeros(int(values.max(initial=-1)) + 1, dtype=bool)
     there[values] = True

@@ -14,26 +14,19 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid_each, sums_each
+from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import CondensedSegments, SegmentRows
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
-from relmap.core.jointequations import rotations
-from relmap.core.tridiagonal import Levels, factored
+from relmap.core.jointequations import numbered
+from relmap.core.slices import SLICE, StepInSlices
 
-GROWTH = 1.25
+GROWTH = 1.4
 """How many times as long a run must be as when the last step was begun."""
-LOOP_GROWTH = 1.1
+LOOP_GROWTH = 1.15
 """The same where landmarks came back into view that had been out of sight for long."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
-SLICE = 1500
-"""Rows that an update takes care of."""
-MOST_FLOPS = 1e4
-"""What the solution may cost for each observation; of a map seen again and again it would more."""
-LOOSE = 1e-9
-"""What holds a placement that hangs by too little, as a share of what holds it otherwise."""
-
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -115,14 +108,13 @@ class LiveRefinement:
         )
         if not len(placed):
             return
-        members, at = np.unique(landmark, return_inverse=True)
-        placement = np.unique(segment, return_inverse=True)[1]
-        step = _StepInSlices(placed, at, placement, seen)
+        yield
+        members, at = numbered(landmark)
+        step = StepInSlices(placed, at, numbered(segment)[1], seen)
         yield
         yield from step.run()
-        if step.turns is None or self._map.pieces[member] != piece:
-            return
-        self._apply(piece, members, step)
+        if self._map.pieces[member] == piece:
+            self._apply(piece, members, step)
 
     def _piece_in_view(self, rows: SegmentRows, of: Callable[[Indices], Indices]) -> int:
         pieces = self._map.pieces[of(rows.landmark[-SLICE:])]
@@ -150,7 +142,7 @@ class LiveRefinement:
             yield placed[on], landmark[on], segment[on], seen[on]
             first = end
 
-    def _apply(self, piece: int, members: Indices, step: _StepInSlices) -> None:
+    def _apply(self, piece: int, members: Indices, step: StepInSlices) -> None:
         """Move the landmarks, and what was mapped meanwhile along with the latest segment."""
         positions = self._map.positions
         others = self._map.pieces == piece
@@ -158,94 +150,3 @@ class LiveRefinement:
         turn, shift, centre = step.latest
         positions[others] = (positions[others] - centre) @ turn.T + centre + shift
         positions[members] += step.moves
-
-
-class _StepInSlices:
-    """One Gauss-Newton step of placements that lay landmarks somewhere; the first stays.
-
-    Parameters
-    ----------
-    placed : (n, d) float64, map frame, metres
-    landmark, placement : (n,) int64
-    weight : (n,) float64
-    """
-
-    def __init__(
-        self, placed: Points, landmark: Indices, placement: Indices, weight: Points
-    ) -> None:
-        self._placed, self._landmark = placed, landmark
-        self._placement, self._weight = placement, weight
-        m, p = int(landmark.max()) + 1, int(placement.max()) + 1
-        self._entry = np.argsort(landmark, kind="stable")
-        self._begin = np.concatenate([[0], np.cumsum(np.bincount(landmark, minlength=m))])
-        counts = np.bincount(placement, minlength=p)
-        self._centre = sums_each(placed, placement, p) / counts[:, None]
-        self._means = self._mean(placed)
-        self.turns: Points | None = None
-        self.shifts: Points | None = None
-
-    def run(self) -> Iterator[None]:
-        """Solve for the turns and shifts of the placements, slice by slice."""
-        from relmap.core.jointkernels import breadth_first, placement_equations
-
-        placed, placement, weight = self._placed, self._placement, self._weight
-        d, p = placed.shape[1], len(self._centre)
-        by_placement = np.searchsorted(placement, np.arange(p + 1))
-        level = breadth_first(0, by_placement, self._landmark, self._begin, placement[self._entry])[
-            1
-        ]
-        levels = Levels(level, 3 * d - 3)
-        if levels.flops > MOST_FLOPS * weight.sum():
-            return
-        gradient, buffer = np.zeros((p, levels.q)), np.zeros(levels.size)
-        centred, residual = placed - self._centre[placement], placed - self._means[self._landmark]
-        yield
-        first = 0
-        while first < len(self._means):
-            end = int(np.searchsorted(self._begin, self._begin[first] + SLICE, side="right"))
-            end = max(min(end, len(self._begin)) - 1, first + 1)
-            placement_equations(
-                self._begin[first : end + 1],
-                self._entry,
-                placement,
-                centred,
-                residual,
-                weight,
-                gradient,
-                buffer,
-                *levels.layout,
-            )
-            first = end
-            yield
-        for diagonal, _ in levels.blocks(buffer):
-            diagonal[np.diag_indices(len(diagonal))] *= 1 + LOOSE
-        own = levels.place[0] + np.arange(levels.q)
-        levels.blocks(buffer)[level[0]][0][own, own] *= 1 / LOOSE
-        gradient[0] = 0.0
-        factor = yield from factored(levels, buffer)
-        step = factor.solve(-gradient)
-        self.turns, self.shifts = rotations(step[:, :-d]), step[:, -d:]
-        yield
-
-    @property
-    def latest(self) -> tuple[Points, Points, Points]:
-        """Turn, shift and centre of the last placement."""
-        assert self.turns is not None
-        assert self.shifts is not None
-        return self.turns[-1], self.shifts[-1], self._centre[-1]
-
-    @property
-    def moves(self) -> Points:
-        """How far the landmarks move (m, d)."""
-        assert self.turns is not None
-        assert self.shifts is not None
-        at = self._placement
-        centred = self._placed - self._centre[at]
-        moved = np.einsum("nij,nj->ni", self.turns[at], centred) + self._centre[at]
-        return self._mean(moved + self.shifts[at]) - self._means
-
-    def _mean(self, values: Points) -> Points:
-        m = len(self._begin) - 1
-        total = np.bincount(self._landmark, weights=self._weight, minlength=m)
-        sums = sums_each(values * self._weight[:, None], self._landmark, m)
-        return np.asarray(sums / total[:, None])

@@ -11,9 +11,17 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
+
+LOOSE = 1e-9
+"""What holds an unknown that hangs by too little, as a share of what holds others."""
+STIFF = 1e9
+"""What holds an unknown that is not free, as a multiple of what holds others."""
+HOLDS = (0.0, 1e-8, 1e-6, 1e-4)
+"""What is added where a matrix is not positive definite, as a share of its largest entry."""
 
 
 class Levels:
@@ -46,6 +54,13 @@ class Levels:
         self.size = int(ends[-1, -1])
 
     @property
+    def most_flops(self) -> float:
+        """About how many operations a single level takes."""
+        w = self.widths.astype(np.float64)
+        below = np.append(w[1:], 0)
+        return float(np.max(w**3 / 3 + w**2 * below + w * below**2))
+
+    @property
     def flops(self) -> float:
         """About how many operations a factorisation takes."""
         w = self.widths.astype(np.float64)
@@ -76,6 +91,22 @@ class Levels:
         start = self.offsets[self.level, 0] + self.place * (width + 1)
         row, column = np.mgrid[: self.q, : self.q]
         return np.asarray(buffer[start[:, None, None] + row * width[:, None, None] + column])
+
+    def hold(self, buffer: NDArray[np.float64]) -> None:
+        """Give unknowns that hang by too little, or by nothing, a little hold where they are.
+
+        Of the unit in which matrices come, the weight of an observation, a little as well.
+        """
+        diagonals = [np.einsum("ii->i", diagonal) for diagonal, _ in self.blocks(buffer)]
+        largest = max(float(diagonal.max()) for diagonal in diagonals)
+        for diagonal in diagonals:
+            diagonal += LOOSE * (np.abs(diagonal) + max(largest, 1.0))
+
+    def fix(self, buffer: NDArray[np.float64], node: int) -> None:
+        """Let a node's unknowns stay where they are."""
+        diagonal = np.einsum("ii->i", self.blocks(buffer)[self.level[node]][0])
+        own = slice(self.place[node], self.place[node] + self.q)
+        diagonal[own] += STIFF * max(float(diagonal.max()), 1.0)
 
     def split(self, values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         """Return values (n, q) level by level."""
@@ -139,6 +170,19 @@ class Factor:
         return buffer
 
 
+def _root(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lower Cholesky factor (w, w); what rounding leaves without hold gets a little."""
+    largest = max(float(np.diag(matrix).max()), 1.0)
+    for hold in HOLDS:
+        held = matrix + hold * largest * np.eye(len(matrix)) if hold else matrix
+        try:
+            return np.asarray(cholesky(held, lower=True, check_finite=False))
+        except LinAlgError:
+            if hold == HOLDS[-1]:
+                raise
+    raise AssertionError
+
+
 def factored(levels: Levels, buffer: NDArray[np.float64]) -> Generator[None, None, Factor]:
     """Factor a matrix level by level, with a pause after each; return the factor.
 
@@ -158,7 +202,7 @@ def factored(levels: Levels, buffer: NDArray[np.float64]) -> Generator[None, Non
     for diagonal, below in levels.blocks(buffer):
         if between:
             diagonal -= between[-1] @ between[-1].T
-        L = cholesky(diagonal, lower=True, check_finite=False)
+        L = _root(diagonal)
         lower.append(L)
         between.append(solve_triangular(L, below.T, lower=True, check_finite=False).T)
         yield

@@ -1,0 +1,111 @@
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.core import live, slices
+from relmap.core.tridiagonal import Levels
+from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.simulation import FigureEight, simulate_figure_eight
+from tests.worlds import aligned_rmse, mapped, walk
+
+
+def driven(world: FigureEight, end: int) -> PointMapper:
+    mapper = PointMapper()
+    for scan in world.log.between(0, end).scans():
+        mapper.update(scan.points_robot, scan.ids)
+    return mapper
+
+
+def live_error(mapper: PointMapper, world: FigureEight) -> float:
+    found = mapper.map
+    return aligned_rmse(found.positions, world.landmarks_map[found.landmark_ids])
+
+
+def test_a_closed_loop_is_spread_over_the_live_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    spread, limits = [], []
+    worlds = [simulate_figure_eight(seed=seed) for seed in (30, 31, 32)]
+    for world in worlds:
+        spread.append(live_error(driven(world, 900), world))
+        assert world.log.ids is not None
+        batch = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
+        limits.append(
+            aligned_rmse(batch_least_squares(batch, world.landmarks_map), world.landmarks_map)
+        )
+    monkeypatch.setattr(live.LiveRefinement, "advance", lambda *_: False)
+    chained = [live_error(driven(world, 900), world) for world in worlds]
+    assert np.median(spread) < 0.6 * np.median(chained)
+    assert np.median(spread) < 1.3 * np.median(limits)
+
+
+def test_what_a_level_costs_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels: list[float] = []
+    found = slices.StepInSlices._levels
+
+    def noted(self: slices.StepInSlices) -> Levels:
+        of = found(self)
+        levels.append(of.most_flops)
+        return of
+
+    monkeypatch.setattr(slices.StepInSlices, "_levels", noted)
+    driven(simulate_figure_eight(density=100, iterations=1800, seed=3), 1800)
+    assert len(levels) >= 3
+    assert max(levels) <= slices.MOST_FLOPS
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_live_refinement_is_exact_without_noise(d: int) -> None:
+    world = walk(d, 4, iterations=400)
+    mapper = mapped(world.scans)
+    found = mapper.map
+    np.testing.assert_allclose(
+        found.positions[:, :d], world.landmarks[found.landmark_ids], atol=1e-9
+    )
+
+
+def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
+    world = simulate_figure_eight(seed=2)
+    mapper = PointMapper()
+    for scan in world.log.between(0, 300).scans():
+        mapper.update(scan.points_robot, scan.ids)
+        if mapper._live._work is not None:
+            break
+    assert mapper._live._work is not None
+    again: PointMapper = pickle.loads(pickle.dumps(mapper))
+    np.testing.assert_array_equal(again.map.positions, mapper.map.positions)
+
+
+def step(
+    placed: NDArray[np.float64], landmark: NDArray[np.int64], placement: NDArray[np.int64]
+) -> slices.StepInSlices:
+    found = slices.StepInSlices(placed, landmark, placement, np.ones(len(landmark)))
+    for _ in found.run():
+        pass
+    return found
+
+
+def test_a_step_brings_displaced_bodies_together() -> None:
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (40, 2))
+    landmark = np.concatenate([np.arange(10 * k, 10 * k + 20) % 40 for k in range(4)])
+    placement = np.repeat(np.arange(4), 20)
+    shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]])
+    placed = world[landmark] + shift[placement]
+    found = step(placed, landmark, placement)
+    means = np.stack([placed[landmark == i].mean(axis=0) for i in range(40)])
+    np.testing.assert_allclose(means + found.moves, world, atol=1e-6)
+
+
+def test_bodies_are_joined_where_a_step_would_cost_too_much(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slices, "MOST_FLOPS", 2000.0)
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (40, 2))
+    landmark = np.concatenate([np.arange(10 * k, 10 * k + 20) % 40 for k in range(4)])
+    found = step(world[landmark], landmark, np.repeat(np.arange(4), 20))
+    np.testing.assert_allclose(found.moves, 0.0, atol=1e-9)
