@@ -1,10 +1,10 @@
 """Refinement while the map is being built, in small slices at a constant amortised cost.
 
 A chain of groups is nearly as good as can be until landmarks are seen again after a long time; then
-the map has drifted on the way, and the drift must be spread over all of it.  So every so often one
-Gauss-Newton step is taken for the whole map, with one placement for each segment; see `refinement`.
-Each update does a slice of it.  As a step costs the more the longer the run, the next is taken the
-later: when the run has become longer by a share.
+the map has drifted on the way, and the drift must be spread over all of it.  So when enough of them
+came back one Gauss-Newton step is taken for the whole map, with one placement for each segment; see
+`refinement`.  Each update does a slice of it.  As a step costs the more the longer the run, the
+next is taken the later: when the run has become longer by a share.
 """
 
 from __future__ import annotations
@@ -21,10 +21,8 @@ from relmap.core.growing import GrowingArray
 from relmap.core.jointequations import numbered
 from relmap.core.slices import SLICE, StepInSlices
 
-GROWTH = 1.4
+GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
-LOOP_GROWTH = 1.15
-"""The same where landmarks came back into view that had been out of sight for long."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
 Points = NDArray[np.float64]
@@ -60,8 +58,7 @@ class LiveRefinement:
         self._note(of)
         if self._work is None:
             n = self._segments.rows.n_segments
-            growth = LOOP_GROWTH if self._back > self._segments.rows.points.shape[1] else GROWTH
-            if n <= growth * self._begun:
+            if self._back <= self._segments.rows.points.shape[1] or n <= GROWTH * self._begun:
                 return False
             self._begun, self._back = n, 0
             self._work = self._step(of)
@@ -71,6 +68,11 @@ class LiveRefinement:
             self._work = None
             return True
         return False
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a step is under way."""
+        return self._work is not None
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out the step that is under way: a copy takes its own."""

@@ -173,16 +173,15 @@ class RelativeMapper(ABC):
         return self._schedule.see(landmarks, iteration)
 
     def _go_on(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
-        """Group, group for the last time, or condense: one of them, in turns, to avoid stalls."""
+        """Group, group for the last time, condense or refine: one of them, in turns, not to stall."""
         self._schedule.note_due(seen)
         self._merger.leave(left)
-        steps = (self._group_next, self._last_pass_next, self._condense_next)
+        self._merger.go_on()
+        steps = (self._group_next, self._last_pass_next, self._condense_next, self._refine_next)
         turn = self._store.n_iterations
         for k in range(len(steps)):
             if steps[(turn + k) % len(steps)]():
                 break
-        if self._live.advance(self._identity.of):
-            self._merger.look_again()
 
     def _group_next(self) -> bool:
         """Group whoever was seen often enough since the last time; tell whether somebody was."""
@@ -202,6 +201,12 @@ class RelativeMapper(ABC):
     def _condense_next(self) -> bool:
         """Condense observations that are no longer needed; tell whether there were any."""
         return self._builder.forget(self._segments)
+
+    def _refine_next(self) -> bool:
+        """Do a slice of refining the live map; tell whether there was any to do."""
+        if self._live.advance(self._identity.of):
+            self._merger.look_again()
+        return self._live.is_busy
 
     def _group_or_found(self, seed: int, level: int) -> None:
         fixes = self._min_shared()

@@ -26,6 +26,10 @@ EXACT = 1e-3
 """Least tolerance, as a share of that reach, where there is no noise at all."""
 ENOUGH = 3
 """Landmarks that a constellation needs; one more in space, where three fit their mirror image."""
+SLICE = 500
+"""Landmarks that are entered anew at a time after the map has moved."""
+LAST = 2**62
+"""Beyond all landmarks."""
 CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
 
@@ -47,22 +51,31 @@ class Merger:
         self._mature = mature
         self._index: SpatialIndex | None = None
         self._asked: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._entered = LAST
         self._old_near: dict[int, list[int]] = {}
 
     def leave(self, landmarks: NDArray[np.int64]) -> None:
         """Note that landmarks have left the view: from now on they may be seen again."""
         for landmark in landmarks.tolist():
             self._old_near.pop(landmark, None)
+        self._enter(landmarks)
+
+    def look_again(self) -> None:
+        """Enter all landmarks anew, as the map has moved; `go_on` does it little by little."""
+        self._entered = 0
+
+    def go_on(self) -> None:
+        """Enter some more landmarks where they are now."""
+        if self._index is not None and self._entered < self._index.size:
+            end = min(self._entered + SLICE, self._index.size)
+            landmarks = np.arange(self._entered, end)
+            self._enter(landmarks[self._index.holds(landmarks)])
+            self._entered = end
+
+    def _enter(self, landmarks: NDArray[np.int64]) -> None:
         mapped = landmarks[self._map.weights[landmarks] > 0]
         if self._index is not None and len(mapped):
             self._index.add(mapped, self._map.positions[mapped])
-
-    def look_again(self) -> None:
-        """Enter all landmarks where they are now, after the map has moved."""
-        if self._index is not None:
-            landmarks = self._index.landmarks
-            landmarks = landmarks[self._map.weights[landmarks] > 0]
-            self._index.add(landmarks, self._map.positions[landmarks])
 
     def find(
         self, landmarks: NDArray[np.int64], levels: NDArray[np.int64], noise_m: float

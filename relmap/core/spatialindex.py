@@ -39,16 +39,15 @@ class SpatialIndex:
         size = int(landmarks.max(initial=-1)) + 1
         self._next.resize(size, NONE)
         self._key.resize(size, NONE)
-        for landmark, key in zip(
-            landmarks.tolist(), self._keys(self._cells(positions)), strict=True
-        ):
-            before = int(self._key.values[landmark])
-            if before != key:
-                if before != NONE:
-                    self._remove(landmark, before)
-                self._next.values[landmark] = self._first.get(key, NONE)
-                self._first[key] = landmark
-                self._key.values[landmark] = key
+        keys = np.array(self._keys(self._cells(positions)), dtype=np.int64)
+        before = self._key.values[landmarks]
+        for row in np.flatnonzero(keys != before).tolist():
+            landmark, key = int(landmarks[row]), int(keys[row])
+            if before[row] != NONE:
+                self._remove(landmark, int(before[row]))
+            self._next.values[landmark] = self._first.get(key, NONE)
+            self._first[key] = landmark
+            self._key.values[landmark] = key
 
     def near(self, position: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the landmarks within a cell's side of the position (d,), and some more."""
@@ -61,9 +60,13 @@ class SpatialIndex:
         return np.array(found, dtype=np.int64)
 
     @property
-    def landmarks(self) -> NDArray[np.int64]:
-        """All landmarks entered; (n,)."""
-        return np.flatnonzero(self._key.values != NONE)
+    def size(self) -> int:
+        """Landmarks from 0 to below this may have been entered."""
+        return len(self._key)
+
+    def holds(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which landmarks (k,), below `size`, were entered."""
+        return np.asarray(self._key.values[landmarks] != NONE)
 
     def _remove(self, landmark: int, key: int) -> None:
         after = int(self._next.values[landmark])
