@@ -23,7 +23,7 @@ FEWEST = 4
 ENOUGH = 8
 """Observations that tell one who moves from one who was seen badly now and then."""
 STRIKES = 2
-"""Groups in a row that must see a landmark move: real observations have outliers."""
+"""Groups in a row, each with observations of its own, that must see a landmark move."""
 STILL = 60
 """Iterations at rest, and in view, after which a landmark that moved is static again."""
 ALONE = -1
@@ -61,6 +61,7 @@ class DynamicStatus:
     def __init__(self) -> None:
         self._dynamic: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._strikes: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._struck_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._moved_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._tested_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._moving_bin: GrowingArray[np.int64] = GrowingArray(np.int64)
@@ -97,6 +98,7 @@ class DynamicStatus:
         """Make room for landmarks 0 to n - 1."""
         self._dynamic.resize(n, False)
         self._strikes.resize(n, 0)
+        self._struck_until.resize(n, -1)
         self._moved_until.resize(n, 0)
         self._tested_until.resize(n, 0)
         self._moving_bin.resize(n, ALONE)
@@ -105,6 +107,7 @@ class DynamicStatus:
         """Let an old landmark be as dynamic as the new one that turned out to be it."""
         self.dynamic[old] = self.dynamic[new]
         self._strikes.values[old] = self._strikes.values[new]
+        self._struck_until.values[old] = self._struck_until.values[new]
         self._moved_until.values[old] = self._moved_until.values[new]
         self._tested_until.values[old] = self._tested_until.values[new]
         self._moving_bin.values[old] = self._moving_bin.values[new]
@@ -119,8 +122,13 @@ class DynamicStatus:
         still = rests(relative, noise_m)
         tested = relative.n_used >= ENOUGH
         moves = tested & ~still
-        self._strikes.values[landmarks[tested & ~moves]] = 0
-        self._strikes.values[landmarks[moves]] += 1
+        # Neither way does it count twice what was seen by the last group that saw it move.
+        later = relative.iterations > self._struck_until.values[landmarks][:, None]
+        fresh = np.sum(relative.used & later, axis=1) >= FEWEST
+        struck = moves & fresh
+        self._strikes.values[landmarks[tested & ~moves & fresh]] = 0
+        self._strikes.values[landmarks[struck]] += 1
+        self._struck_until.values[landmarks[struck]] = relative.iterations[-1]
         self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
         begin, end = int(relative.iterations[0]), int(relative.iterations[-1])
         out_of_sight = np.maximum(begin - 1 - self._tested_until.values[landmarks], 0)
