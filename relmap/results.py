@@ -36,6 +36,7 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
     "level": "int",
     "status": "text",
     "piece": "int",
+    "moving_bin": "int",
 }
 PIECE_COLUMNS = ("piece", "landmark", "x", "y", "z")
 TRACK_COLUMNS: dict[str, Kind] = {"iteration": "int", "row": "int", "landmark": "int"}

@@ -53,6 +53,7 @@ def make_result() -> Result:
         level=np.ones(N, np.int64),
         status=np.full(N, "static"),
         piece=np.zeros(N, np.int64),
+        moving_bin=np.full(N, -1),
     )
     tracks = Tracks(log.iteration, log.rows, log.ids + 10)
     summary = {"scans": [0, K], "association": "nearest", "dimensions": 3}

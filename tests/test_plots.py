@@ -33,6 +33,7 @@ def make_result(n: int, planar: bool = False, dynamic: int = 0) -> Result:
         numbers + 1,
         status,
         np.zeros(n, np.int64),
+        np.full(n, -1),
     )
     poses = np.tile(np.eye(4), (20, 1, 1))
     poses[:, 0, 3] = np.linspace(-40, 40, 20)

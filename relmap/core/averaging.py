@@ -20,7 +20,7 @@ AMPLE = 1.5
 SOLID = 1.0
 """Largest variance of a position that is fitted to, in units of an observation's."""
 FEW = 0.2
-"""Share of a chart in the static bin below which the noise may have grown."""
+"""Share of a chart, and of what is known of it, in the static bin, below which it is doubted."""
 LONG = 20
 """Iterations that tell landmarks which move together from those that happen to."""
 
@@ -117,7 +117,8 @@ class Averaging:
         block, noise_m = chart.points_robot, self.noise.sigma_m
         bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
         self.n_comparisons += bins.n_comparisons
-        if len(bins.static) < FEW * len(block):
+        known = weights[bins.static].sum() / max(weights.sum(), 1.0)
+        if len(bins.static) < FEW * len(block) and known < FEW:
             guess_m = guess_noise(block)
             if not guess_m <= noise_m:
                 guessed = Binning(block, guess_m).sort(weights)

@@ -130,11 +130,12 @@ class DynamicStatus:
         self._strikes.values[landmarks[struck]] += 1
         self._struck_until.values[landmarks[struck]] = relative.iterations[-1]
         self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
-        begin, end = int(relative.iterations[0]), int(relative.iterations[-1])
+        begin = relative.iterations[np.argmax(relative.used, axis=1)]
+        end = relative.iterations[-1 - np.argmax(relative.used[:, ::-1], axis=1)]
         out_of_sight = np.maximum(begin - 1 - self._tested_until.values[landmarks], 0)
-        self._tested_until.values[landmarks] = end
+        self._tested_until.values[landmarks] = np.maximum(self._tested_until.values[landmarks], end)
         self._moved_until.values[landmarks] += out_of_sight
-        self._moved_until.values[landmarks[moves]] = end
+        self._moved_until.values[landmarks[moves]] = end[moves]
         settled = tested & ~moves & (end - self._moved_until.values[landmarks] > STILL)
         self.dynamic[landmarks[settled]] = False
         self.moving_bin[landmarks[settled]] = ALONE

@@ -80,6 +80,9 @@ class LandmarkTable:
     piece : (n,) int64
         Place of the landmark's piece in the order of their sizes: 0 for the map itself, above 0
         for pieces that nothing ties to it (those landmarks count as not mapped here), -1 for none.
+    moving_bin : (n,) int64
+        Of a dynamic landmark that keeps its distances from others, as the parts of a vehicle do,
+        the label of one of them, the same for all; -1 for every other landmark.
     """
 
     landmark: NDArray[np.int64]
@@ -91,6 +94,7 @@ class LandmarkTable:
     level: NDArray[np.int64]
     status: NDArray[np.str_]
     piece: NDArray[np.int64]
+    moving_bin: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

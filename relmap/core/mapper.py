@@ -173,7 +173,7 @@ class RelativeMapper(ABC):
         return self._schedule.see(landmarks, iteration)
 
     def _go_on(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
-        """Group, group for the last time, condense or refine: one of them, in turns, not to stall."""
+        """Group, group for the last time, condense or refine: one at a time, in turns."""
         self._schedule.note_due(seen)
         self._merger.leave(left)
         self._merger.go_on()

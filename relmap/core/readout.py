@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.building import MapBuilder
+from relmap.core.dynamics import ALONE
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece, in_space
 from relmap.core.refinement import Refined
@@ -81,7 +82,18 @@ def landmark_table(
         level=np.where(mapped, builder.levels.highest, 0)[order],
         status=status[order],
         piece=rank[order],
+        moving_bin=_moving_bins(builder, status, labels)[order],
     )
+
+
+def _moving_bins(
+    builder: MapBuilder, status: NDArray[np.str_], labels: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return which dynamic landmarks go together: the label (n,) of one of them, or `ALONE`."""
+    bins = np.where(status == "dynamic", builder.dynamics.moving_bin, ALONE)
+    sizes = np.bincount(bins[bins != ALONE], minlength=len(bins))
+    together = (bins != ALONE) & (sizes[bins] > 1)
+    return np.where(together, labels[bins], ALONE)
 
 
 def map_pieces(

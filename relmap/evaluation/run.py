@@ -225,6 +225,7 @@ def _counts(
         "mapped": int(np.isfinite(table.position).all(axis=1).sum()),
         "static": int((table.status == "static").sum()),
         "dynamic": int((table.status == "dynamic").sum()),
+        "moving_bins": len(np.unique(table.moving_bin[table.moving_bin >= 0])),
         "unmapped": int((table.status == "unmapped").sum()),
         "groups": groups,
         "iterations_without_observation": len(log) - len(np.unique(log.iteration)),
