@@ -19,6 +19,8 @@ from relmap.core.alignment import sums_each
 from relmap.core.condensing import LENGTH, SegmentRows
 from relmap.core.tridiagonal import Factor, Levels
 
+WEAKEST = 1e-6
+"""Least hold of a landmark, in observations: none moves far that hangs by nothing."""
 FLOPS_PER_OBSERVATION = 1e4
 """What may be spent to have one placement for each iteration: about a quarter microsecond."""
 
@@ -208,7 +210,7 @@ class LandmarkEquations:
             *levels.layout,
         )
         if with_matrix:
-            levels.hold(buffer)
+            levels.hold(buffer, WEAKEST)
         return gradient, buffer
 
     def moved(

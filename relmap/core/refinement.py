@@ -7,6 +7,7 @@ is estimated: what counts is where the landmarks come to lie relative to one ano
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,14 +26,29 @@ from relmap.core.residuals import (
 )
 from relmap.core.tridiagonal import Factor, factor
 
+logger = logging.getLogger(__name__)
+
 ROUNDS = 30
 SETTLED = 1e-3
 """Next step to be expected, as a share of what is left, at which the solution has settled."""
 ROUNDING = 1e-13
 """The same, as a share of the map's size, where nothing is left."""
+WORSE = 1.001
+"""A step after which more than so many times the least sum of squares is left was too long."""
+SHORTER = 0.25
+"""What is tried of such a step instead."""
 SLOW = 0.1
 """A step that leaves a larger share of the one before asks for a new factor."""
 
+HUBER = 5.0
+"""Standard deviations beyond which a landmark in a segment counts less: it is no noise."""
+CHI_MEDIAN = {2: 1.177, 3: 1.538}
+"""Median length of a standard normal vector."""
+EXACT = 1e-9
+"""Residual, as a share of the map's size, that is taken for rounding."""
+REWEIGHTED = 5
+SAME = 0.05
+"""Change of a weight that makes no difference."""
 STEADY = 3.0
 """Median deviation up to which a landmark keeps its place, in units of what is usual."""
 SURELY = 3.0
@@ -126,6 +142,11 @@ def _solved(
     system = equations(joint, anchor)
     weight = np.ones(len(joint.points))
     refined, solved = _settled(system, joint, start[joint.landmarks], weight)
+    for _ in range(REWEIGHTED):
+        before, weight = weight, _weights(joint, refined, weight)
+        if np.abs(weight - before).max() < SAME:
+            break
+        refined, solved = _settled(system, joint, refined, weight)
     placed = _placed(joint, refined, weight)
     noise_m = _noise(rows, joint, system)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
@@ -235,25 +256,49 @@ def _settled(
 ) -> tuple[NDArray[np.float64], Factor]:
     """Return the positions of the least sum of squares, and the factor of the last matrix."""
     size = np.abs(positions - positions.mean(axis=0)).max()
-    found, before = None, np.inf
+    rounding = len(rows.points) * (ROUNDING * size) ** 2
+    found, before, least = None, np.inf, np.inf
+    best, move = positions, np.zeros_like(positions)
     for _ in range(ROUNDS):
         placed = _placed(rows, positions, weight)
         right, matrix = system.normal(positions, placed, weight, with_matrix=found is None)
+        cost = system.cost.sum()
+        if not cost <= WORSE * least + rounding:
+            move = SHORTER * move
+            positions, found, before = best + move, None, np.inf
+            continue
+        best, least = positions, min(cost, least)
         if found is None:
             found = factor(system.levels, matrix)
-        moved = system.moved(positions, placed, weight, found.solve(right))
-        step = np.abs(moved - positions).max()
-        shrinks = step / before if np.isfinite(before) else 1.0
-        residual = np.sqrt(np.mean((placed - positions[rows.landmark]) ** 2))
-        positions = moved
-        if step * shrinks <= max(SETTLED * residual, ROUNDING * size):
-            break
-        if shrinks > SLOW and np.isfinite(before):
+        positions = system.moved(best, placed, weight, found.solve(right))
+        move = positions - best
+        step = np.abs(move).max()
+        shrinks = step / before if np.isfinite(before) else None
+        residual = np.sqrt(np.mean((placed - best[rows.landmark]) ** 2))
+        if step * (shrinks or 1.0) <= max(SETTLED * residual, ROUNDING * size):
+            return positions, found
+        before = step
+        if shrinks is not None and shrinks > SLOW:
             found, before = None, np.inf
-        else:
-            before = step
-    assert found is not None
-    return positions, found
+    logger.warning("refinement did not settle in %d rounds", ROUNDS)
+    placed = _placed(rows, best, weight)
+    return best, factor(system.levels, system.normal(best, placed, weight, True)[1])
+
+
+def _weights(
+    rows: JointRows, positions: NDArray[np.float64], weight: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return Huber's weights (n,) of the rows (Huber, 1964); all 1 where noise explains them.
+
+    The scale is the median of the residuals, each in units of what the number of its observations
+    makes it.
+    """
+    residual = _norm(_placed(rows, positions, weight) - positions[rows.landmark])
+    residual *= np.sqrt(rows.n_seen)
+    scale = np.median(residual) / CHI_MEDIAN[rows.points.shape[1]]
+    size = np.abs(positions - positions.mean(axis=0)).max()
+    limit = max(HUBER * scale, EXACT * size)
+    return np.asarray(limit / np.maximum(residual, limit))
 
 
 def _noise(rows: SegmentRows, joint: JointRows, system: Equations) -> float:

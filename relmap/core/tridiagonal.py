@@ -92,15 +92,19 @@ class Levels:
         row, column = np.mgrid[: self.q, : self.q]
         return np.asarray(buffer[start[:, None, None] + row * width[:, None, None] + column])
 
-    def hold(self, buffer: NDArray[np.float64]) -> None:
+    def hold(self, buffer: NDArray[np.float64], least: float = LOOSE) -> None:
         """Give unknowns that hang by too little, or by nothing, a little hold where they are.
 
-        Of the unit in which matrices come, the weight of an observation, a little as well.
+        Parameters
+        ----------
+        buffer : (size,) float64
+        least : float
+            In weights of an observation.
         """
         diagonals = [np.einsum("ii->i", diagonal) for diagonal, _ in self.blocks(buffer)]
         largest = max(float(diagonal.max()) for diagonal in diagonals)
         for diagonal in diagonals:
-            diagonal += LOOSE * (np.abs(diagonal) + max(largest, 1.0))
+            diagonal += LOOSE * (np.abs(diagonal) + largest) + least
 
     def fix(self, buffer: NDArray[np.float64], node: int) -> None:
         """Let a node's unknowns stay where they are."""
