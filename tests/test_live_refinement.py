@@ -77,6 +77,9 @@ def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
     assert mapper._live._work is not None
     again: PointMapper = pickle.loads(pickle.dumps(mapper))
     np.testing.assert_array_equal(again.map.positions, mapper.map.positions)
+    mapper.refine()
+    again = pickle.loads(pickle.dumps(mapper))
+    np.testing.assert_array_equal(again.map.covariances, mapper.map.covariances)
 
 
 def step(

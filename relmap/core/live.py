@@ -18,7 +18,7 @@ from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import CondensedSegments, SegmentRows
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
-from relmap.core.jointequations import numbered
+from relmap.core.jointrows import numbered
 from relmap.core.slices import SLICE, StepInSlices
 
 GROWTH = 1.15

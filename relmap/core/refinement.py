@@ -7,8 +7,6 @@ is estimated: what counts is where the landmarks come to lie relative to one ano
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,42 +15,37 @@ from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid, fit_rigid_each, fixes_rotation, sums_each
 from relmap.core.condensing import LENGTH, SegmentRows
-from relmap.core.jointequations import Equations, JointRows, equations
+from relmap.core.jointequations import Equations, equations
+from relmap.core.jointrows import JointRows
 from relmap.core.residuals import (
     MergeResiduals,
     SegmentResiduals,
     merge_residuals,
     segment_residuals,
 )
-from relmap.core.tridiagonal import Factor, factor
+from relmap.core.settling import lay_on, norm, settle
+from relmap.core.tridiagonal import Factor
 
-logger = logging.getLogger(__name__)
-
-ROUNDS = 30
-SETTLED = 1e-3
-"""Next step to be expected, as a share of what is left, at which the solution has settled."""
-ROUNDING = 1e-13
-"""The same, as a share of the map's size, where nothing is left."""
-WORSE = 1.001
-"""A step after which more than so many times the least sum of squares is left was too long."""
-SHORTER = 0.25
-"""What is tried of such a step instead."""
-SLOW = 0.1
-"""A step that leaves a larger share of the one before asks for a new factor."""
-
-HUBER = 5.0
-"""Standard deviations beyond which a landmark in a segment counts less: it is no noise."""
-CHI_MEDIAN = {2: 1.177, 3: 1.538}
-"""Median length of a standard normal vector."""
-EXACT = 1e-9
-"""Residual, as a share of the map's size, that is taken for rounding."""
-REWEIGHTED = 5
-SAME = 0.05
-"""Change of a weight that makes no difference."""
 STEADY = 3.0
 """Median deviation up to which a landmark keeps its place, in units of what is usual."""
 SURELY = 3.0
 """Standard deviations by which a variance must be larger to be taken for larger."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Spread:
+    """Works out the covariances of some landmarks, turned and scaled (d, d)."""
+
+    system: Equations
+    solved: Factor
+    placed: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    chosen: NDArray[np.bool_]
+    scale: NDArray[np.float64]
+
+    def __call__(self) -> NDArray[np.float64]:
+        of_unit_noise = self.system.covariances(self.solved, self.placed, self.weight)
+        return np.asarray(self.scale.T @ of_unit_noise[self.chosen] @ self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +71,7 @@ class Refined:
     noise_m: float
     segments: SegmentResiduals
     merges: MergeResiduals
-    _spread: Callable[[], NDArray[np.float64]]
+    _spread: _Spread
 
     @cached_property
     def covariances(self) -> NDArray[np.float64]:
@@ -140,14 +133,8 @@ def _solved(
     if anchor is None:
         return None
     system = equations(joint, anchor)
-    weight = np.ones(len(joint.points))
-    refined, solved = _settled(system, joint, start[joint.landmarks], weight)
-    for _ in range(REWEIGHTED):
-        before, weight = weight, _weights(joint, refined, weight)
-        if np.abs(weight - before).max() < SAME:
-            break
-        refined, solved = _settled(system, joint, refined, weight)
-    placed = _placed(joint, refined, weight)
+    refined, weight, solved = settle(system, joint, start[joint.landmarks])
+    placed = lay_on(joint, refined, weight)
     noise_m = _noise(rows, joint, system)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
@@ -155,10 +142,7 @@ def _solved(
     R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
     mapped = chosen[joint.landmarks]
 
-    def spread() -> NDArray[np.float64]:
-        covariances = system.covariances(solved, placed, weight)[mapped]
-        return np.asarray(noise_m**2 * R.T @ covariances @ R)
-
+    spread = _Spread(system, solved, placed, weight, mapped, noise_m * R)
     segments = segment_residuals(rows, joint, (placed - t) @ R, system.cost, noise_m)
     merges = merge_residuals(rows, joint, placed, refined, noise_m)
     landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R
@@ -175,18 +159,14 @@ def _cleared(
     """Tell which suspects (m,) keep their place, from segment to segment, as others do."""
     placed, fixed = _laid_on(rows, positions, chosen[landmark], landmark)
     kept = np.flatnonzero(fixed & chosen[landmark])
-    usual = np.median(_norm(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
+    usual = np.median(norm(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
     cleared = np.zeros(len(positions), dtype=bool)
     rows_of_suspects = np.flatnonzero(fixed & suspects[landmark])
     for suspect in np.unique(landmark[rows_of_suspects]):
         places = placed[rows_of_suspects[landmark[rows_of_suspects] == suspect]]
-        apart = np.median(_norm(places - np.median(places, axis=0)))
+        apart = np.median(norm(places - np.median(places, axis=0)))
         cleared[suspect] = len(places) > 1 and apart <= STEADY * usual
     return cleared
-
-
-def _norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def _laid_on(
@@ -235,70 +215,6 @@ def _anchor(rows: JointRows) -> tuple[int, int] | None:
             if fixes_rotation(rows.points[begin:end][seen]):
                 return segment, bit
     return None
-
-
-def _placed(
-    rows: JointRows, positions: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the rows (n, d), each segment laid on the positions as it fits best."""
-    there = positions[rows.landmark]
-    R, t, _ = fit_rigid_each(
-        rows.points, there, weight * rows.n_seen, rows.segment, len(rows.segments)
-    )
-    return np.asarray(np.einsum("nij,nj->ni", R[rows.segment], rows.points) + t[rows.segment])
-
-
-def _settled(
-    system: Equations,
-    rows: JointRows,
-    positions: NDArray[np.float64],
-    weight: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], Factor]:
-    """Return the positions of the least sum of squares, and the factor of the last matrix."""
-    size = np.abs(positions - positions.mean(axis=0)).max()
-    rounding = len(rows.points) * (ROUNDING * size) ** 2
-    found, before, least = None, np.inf, np.inf
-    best, move = positions, np.zeros_like(positions)
-    for _ in range(ROUNDS):
-        placed = _placed(rows, positions, weight)
-        right, matrix = system.normal(positions, placed, weight, with_matrix=found is None)
-        cost = system.cost.sum()
-        if not cost <= WORSE * least + rounding:
-            move = SHORTER * move
-            positions, found, before = best + move, None, np.inf
-            continue
-        best, least = positions, min(cost, least)
-        if found is None:
-            found = factor(system.levels, matrix)
-        positions = system.moved(best, placed, weight, found.solve(right))
-        move = positions - best
-        step = np.abs(move).max()
-        shrinks = step / before if np.isfinite(before) else None
-        residual = np.sqrt(np.mean((placed - best[rows.landmark]) ** 2))
-        if step * (shrinks or 1.0) <= max(SETTLED * residual, ROUNDING * size):
-            return positions, found
-        before = step
-        if shrinks is not None and shrinks > SLOW:
-            found, before = None, np.inf
-    logger.warning("refinement did not settle in %d rounds", ROUNDS)
-    placed = _placed(rows, best, weight)
-    return best, factor(system.levels, system.normal(best, placed, weight, True)[1])
-
-
-def _weights(
-    rows: JointRows, positions: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return Huber's weights (n,) of the rows (Huber, 1964); all 1 where noise explains them.
-
-    The scale is the median of the residuals, each in units of what the number of its observations
-    makes it.
-    """
-    residual = _norm(_placed(rows, positions, weight) - positions[rows.landmark])
-    residual *= np.sqrt(rows.n_seen)
-    scale = np.median(residual) / CHI_MEDIAN[rows.points.shape[1]]
-    size = np.abs(positions - positions.mean(axis=0)).max()
-    limit = max(HUBER * scale, EXACT * size)
-    return np.asarray(limit / np.maximum(residual, limit))
 
 
 def _noise(rows: SegmentRows, joint: JointRows, system: Equations) -> float:

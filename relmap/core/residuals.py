@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from relmap.core.alignment import sums_each
 from relmap.core.condensing import SegmentRows
-from relmap.core.jointequations import JointRows
+from relmap.core.jointrows import JointRows
 
 
 @dataclass(frozen=True, eq=False)
