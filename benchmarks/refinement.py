@@ -2,9 +2,10 @@
 
     python benchmarks/refinement.py [DATA]
 
-Prints the table of all bars as markdown.  DATA is a folder with the real data sets (mrpt-kf-slam,
-victoria-park); without it those rows are left out.  The limit is batch least squares over all
-observations with the true ids, written independently (relmap/evaluation/baselines/batch.py).
+Prints the table of all bars as markdown; times are processor times (set OMP_NUM_THREADS=1).  DATA
+is a folder with the real data sets (mrpt-kf-slam, victoria-park); without it those rows are left
+out.  The limit is batch least squares over all observations with the true ids, written
+independently (relmap/evaluation/baselines/batch.py).
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,16 +56,16 @@ def measured(log: ObservationLog, known: bool) -> Measured:
     """Map and refine a log, with its ids or without."""
     mapper, times, labels = PointMapper(), [], []
     for scan in log.scans():
-        began = perf_counter()
+        began = process_time()
         labels.append(mapper.update(scan.points_robot, scan.ids if known else None))
-        times.append(perf_counter() - began)
+        times.append(process_time() - began)
     mapper.finish()
     live = mapper.map.positions
-    began = perf_counter()
+    began = process_time()
     mapper.refine()
-    refined = perf_counter()
+    refined = process_time()
     found = mapper.map
-    ended = perf_counter()
+    ended = process_time()
     true = found.landmark_ids
     if not known:
         of = mapper.landmarks_of(np.concatenate(labels))
