@@ -60,7 +60,7 @@ def map_command(
         bool,
         typer.Option(
             "--refine/--no-refine",
-            help="At the end, fit all relative maps to one another by joint least squares.",
+            help="At the end, bring all landmarks to where all observations agree best.",
         ),
     ] = True,
     scans: Annotated[
