@@ -1,3 +1,8 @@
 """From the points of a scan to planes (section II)."""
 
 from __future__ import annotations
+
+from relmap.segmentation.planes import Planes
+from relmap.segmentation.segmenter import PlaneSegmenter
+
+__all__ = ["PlaneSegmenter", "Planes"]

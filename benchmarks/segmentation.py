@@ -1,0 +1,279 @@
+"""How well the planes of a scan are found: the figures of the README.
+
+    python benchmarks/segmentation.py [DATA] [-o DIR]
+
+Simulated scenes of a building, seeds 0 to 29, the sensor's limits known. A wall counts where at
+least 1 % of the scan's points lie on it; it is found where it and one plane share 80 % of the
+points of each. "Known walls" labels points by the true walls and the true noise, each by the
+likeliest: no method can be expected to do better. Times are the processor's. DATA is a folder with
+the real data sets: every scan of the laser logs and of the hall is segmented, and three scans of
+each are drawn into DIR.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap import PlaneSegmenter, RelmapError
+from relmap.datasets import open_scans
+from relmap.segmentation import Planes
+from relmap.segmentation.em import WallMixture, scan_area
+from relmap.simulation.building import BuildingScan, building_scene
+from relmap.simulation.sensor import DEPTH_SENSOR, LASER
+
+SIGMAS = (0.0, 0.05, 0.1, 0.2, 0.3)
+SIZES = {500: 30, 2000: 30, 50000: 10}
+"""Points of a scan, and how many scenes of that size."""
+METHODS = ("em", "mixture", "ransac", "ransac3d", "patches")
+OVERLAP = 0.8
+COUNTED = 0.01
+REAL = {
+    "mrpt-sim-laser2d": ("simul.scans.csv.gz", "scanlines", (100, 700, 1400)),
+    "carmen-laser2d": ("freiburg-079-corrected.log.gz", "scanlines", (300, 1500, 4000)),
+    "lidar3d-hall": (".", "patches", (0, 16, 33)),
+}
+"""Log, method, and the scans that are drawn."""
+
+
+@dataclass
+class Tally:
+    """What came of a number of scenes."""
+
+    correct: list[bool] = field(default_factory=list)
+    over: list[bool] = field(default_factory=list)
+    normal_deg: list[float] = field(default_factory=list)
+    corner_m: list[float] = field(default_factory=list)
+    outward_m: list[float] = field(default_factory=list)
+    types: list[tuple[str, str]] = field(default_factory=list)
+    ms: list[float] = field(default_factory=list)
+
+    def add(self, scan: BuildingScan, labels: NDArray[np.int64], planes: Planes | None) -> None:
+        """Judge one scan; without planes only its labels."""
+        for row in np.flatnonzero(np.bincount(scan.stretch) >= COUNTED * len(scan.points)):
+            plane, split = matched(scan.stretch == row, labels)
+            self.correct.append(plane >= 0)
+            self.over.append(split)
+            if plane >= 0 and planes is not None:
+                self._measure(scan, int(row), planes, plane)
+
+    def _measure(self, scan: BuildingScan, row: int, planes: Planes, plane: int) -> None:
+        ends, kinds = scan.seen.ends[row], scan.seen.end_type[row]
+        along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        nx, ny = planes.normal[plane]
+        turn = np.arctan2(-along[1] * ny - along[0] * nx, -along[1] * nx + along[0] * ny)
+        self.normal_deg.append(float(np.rad2deg(abs(turn))))
+        for side in (0, 1):
+            off = planes.ends[plane, side] - ends[side]
+            self.types.append((str(kinds[side]), str(planes.end_type[plane, side])))
+            if kinds[side] == "corner":
+                self.corner_m.append(float(np.linalg.norm(off)))
+                self.outward_m.append(float(off @ along) * (2 * side - 1))
+
+    def precision_recall(self) -> tuple[float, float]:
+        """Return both of the type `corner`, over the walls found."""
+        right = sum(true == found == "corner" for true, found in self.types)
+        claimed = sum(found == "corner" for _, found in self.types)
+        there = sum(true == "corner" for true, _ in self.types)
+        return right / max(claimed, 1), right / max(there, 1)
+
+
+def matched(own: NDArray[np.bool_], labels: NDArray[np.int64]) -> tuple[int, bool]:
+    """Return the plane that is a wall's, -1 for none, and whether several share the wall."""
+    n = int(labels.max(initial=-1)) + 1
+    inside = np.bincount(labels[own & (labels >= 0)], minlength=n)
+    whole = np.bincount(labels[labels >= 0], minlength=n)
+    for plane in np.flatnonzero((inside >= OVERLAP * whole) & (inside >= OVERLAP * own.sum())):
+        return int(plane), False
+    pieces = (inside > 0) & (inside >= OVERLAP * whole)
+    return -1, bool(pieces.sum() > 1 and inside[pieces].sum() >= OVERLAP * own.sum())
+
+
+def known_walls(scan: BuildingScan, sigma: float) -> NDArray[np.int64]:
+    """Return the likeliest true wall of each point."""
+    along = scan.seen.ends[:, 1] - scan.seen.ends[:, 0]
+    size = np.linalg.norm(along, axis=1)[:, None]
+    share = np.bincount(scan.stretch, minlength=len(size))[:, None] / len(scan.stretch)
+    walls = np.hstack([scan.seen.ends[:, 0], along / size, 0 * size, size, share])[share[:, 0] > 0]
+    xy = np.ascontiguousarray(scan.points[:, :2])
+    return WallMixture(walls, max(sigma, 1e-9), 1e-6, scan_area(xy, sigma)).labels(xy)
+
+
+def judge(
+    method: str, sigma: float, points: int, scenes: Iterable[int], **options: Any
+) -> Tally | None:
+    """Segment scenes of a building; None where the method does not run here."""
+    tally = Tally()
+    laser = options.get("sampling") == "laser"
+    sensor = LASER if laser else DEPTH_SENSOR
+    segmenter = PlaneSegmenter(
+        method if method != "known walls" else None,
+        view_rad=float(sensor.view_rad),
+        range_m=sensor.range_m,
+    )
+    for seed in scenes:
+        scan = building_scene(seed, points, sigma, **options)
+        if method == "known walls":
+            tally.add(scan, known_walls(scan, sigma), None)
+            continue
+        begin = process_time()
+        try:
+            segmenter.fit(scan.points[:, :2] if laser else scan.points)
+        except RelmapError:
+            return None
+        tally.ms.append(1e3 * (process_time() - begin))
+        tally.add(scan, segmenter.labels_, segmenter.planes_)
+    return tally
+
+
+def middle(values: list[float], form: str = ".3f") -> str:
+    """Return the median as text."""
+    return format(float(np.median(values)), form) if values else "-"
+
+
+def warm_up() -> None:
+    """Compile everything before the clock runs."""
+    for method in METHODS:
+        judge(method, 0.2, 500, [1000])
+    judge("scanlines", 0.01, 361, [1000], sampling="laser")
+
+
+def print_comparison() -> None:
+    """Print the table of all methods over noise and scan size."""
+    head = " | ".join(f"σ {sigma:g}" for sigma in SIGMAS)
+    print(f"| points | method | {head} | normal [°] | corner [m] | ms |")
+    print("|---|---|" + "---|" * (len(SIGMAS) + 3))
+    for points, scenes in SIZES.items():
+        for method in ("known walls", *METHODS):
+            tallies = [judge(method, sigma, points, range(scenes)) for sigma in SIGMAS]
+            done = [tally for tally in tallies if tally is not None]
+            if len(done) < len(tallies):
+                print(f"| {points} | {method} | does not run here |" + " |" * (len(SIGMAS) + 2))
+                continue
+            found = " | ".join(
+                f"{np.mean(tally.correct):.3f} / {np.mean(tally.over):.2f}" for tally in done
+            )
+            at = done[SIGMAS.index(0.1)]
+            print(
+                f"| {points} | {method} | {found} | {middle(at.normal_deg, '.2f')} | "
+                f"{middle(at.corner_m)} | {middle([ms for t in done for ms in t.ms], '.0f')} |",
+                flush=True,
+            )
+
+
+def print_default() -> None:
+    """Print what the default method does at 2000 points, in full."""
+    print(
+        "| scenes | found | over | normal [°] | corner [m] | bias [m] | precision | recall | ms |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    rows: list[tuple[str, float, dict[str, Any]]] = [
+        *((f"σ {sigma:g}", sigma, {}) for sigma in SIGMAS),
+        ("σ 0, ends sampled", 0.0, {"sample_ends": True}),
+        ("σ 0.1, uniform noise", 0.1, {"noise": "uniform"}),
+        ("σ 0.05, ray cast", 0.05, {"sampling": "rays"}),
+        ("σ 0.1, ray cast", 0.1, {"sampling": "rays"}),
+        ("σ 0.01, 361-beam laser", 0.01, {"sampling": "laser"}),
+    ]
+    for name, sigma, options in rows:
+        laser = options.get("sampling") == "laser"
+        method, points = ("scanlines", 361) if laser else ("em", 2000)
+        tally = judge(method, sigma, points, range(30), **options)
+        assert tally is not None
+        precision, recall = tally.precision_recall()
+        form = ".1e" if sigma == 0 else ".4f"
+        print(
+            f"| {name} | {np.mean(tally.correct):.3f} of {len(tally.correct)} | "
+            f"{np.mean(tally.over):.3f} | {middle(tally.normal_deg, form)} | "
+            f"{middle(tally.corner_m, form)} | {np.mean(tally.outward_m):.4f} | "
+            f"{precision:.3f} | {recall:.3f} | {middle(tally.ms, '.1f')} |",
+            flush=True,
+        )
+        if options.get("sample_ends"):
+            print(f"largest error there: corner {max(tally.corner_m):.1e} m")
+
+
+def run_real(data: Path, folder: Path) -> None:
+    """Segment every scan of the real logs; draw three of each."""
+    print("| log | scans | planes, median | noise, median [m] | ms, median | ms, largest |")
+    print("|---|---|---|---|---|---|")
+    for name, (file, method, drawn) in REAL.items():
+        log = open_scans(data / name / file)
+        segmenter = PlaneSegmenter(method)
+        found, noise, ms, shown = [], [], [], []
+        for index in range(len(log)):
+            points = log.points_of(index)
+            begin = process_time()
+            segmenter.fit(points)
+            ms.append(1e3 * (process_time() - begin))
+            found.append(float(len(segmenter.planes_)))
+            noise.append(float(np.median(segmenter.planes_.noise)) if found[-1] else np.nan)
+            if index in drawn:
+                shown.append((index, points, segmenter.labels_, segmenter.planes_))
+        print(
+            f"| {name} | {len(log)} | {middle(found, '.0f')} | {np.nanmedian(noise):.4f} | "
+            f"{middle(ms, '.1f')} | {max(ms[1:]):.0f} |",
+            flush=True,
+        )
+        draw(shown, name, folder / f"{name}.png")
+
+
+Shown = tuple[int, NDArray[np.float64], NDArray[np.int64], Planes]
+COLOURS = {"corner": "tab:red", "view": "tab:blue", "range": "tab:purple", "occluded": "tab:orange"}
+
+
+def draw(shown: list[Shown], name: str, path: Path) -> None:
+    """Draw scans from above: points by plane, planes, and their ends by type."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, len(shown), figsize=(7 * len(shown), 7), layout="constrained")
+    for axis, (index, points, labels, planes) in zip(axes, shown, strict=True):
+        none = labels < 0
+        axis.scatter(*points[none, :2].T, s=1, color="0.8", linewidths=0)
+        axis.scatter(*points[~none, :2].T, s=2, c=labels[~none] % 20, cmap="tab20", linewidths=0)
+        for ends in planes.ends:
+            axis.plot(*ends.T, color="black", linewidth=0.8)
+        for kind, colour in COLOURS.items():
+            at = planes.ends[planes.end_type == kind]
+            axis.plot(*at.T, "o", color=colour, markersize=3.5, label=kind)
+        axis.plot(0, 0, "k^", markersize=8)
+        axis.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        axis.set_title(f"{name}, scan {index}: {len(planes)} planes")
+    axes[0].legend(loc="best", fontsize="small")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+    print(f"drew {path}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Accuracy and time of plane segmentation.")
+    parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
+    parser.add_argument("-o", type=Path, default=Path("segmentation"), help="folder for pictures")
+    parser.add_argument("--only", choices=("comparison", "default", "real"), help="one part alone")
+    chosen = parser.parse_args()
+    warm_up()
+    parts: dict[str, Callable[[], None]] = {
+        "comparison": print_comparison,
+        "default": print_default,
+    }
+    if chosen.data is not None:
+        parts["real"] = lambda: run_real(chosen.data, chosen.o)
+    for name, part in parts.items():
+        if chosen.only in (None, name):
+            part()
+            print()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""Walls by expectation maximisation: the mixture whose component is the shape of a wall.
+
+Gaussian across the wall, along it the sensor's own density between two ends that the noise blurs,
+plus a uniform class of points of no wall.  A Gaussian mixture takes a wall apart, because a wall is
+not Gaussian along itself; this one does not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.noise import FLOOR_M
+
+PARAMETERS = 5
+"""Of a wall: two of its line, two ends, its share."""
+STRAY_AT_FIRST = 0.05
+STRAY_LEAST = 1e-4
+TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class WallMixture:
+    """Walls and what else a scan is made of.
+
+    Attributes
+    ----------
+    walls : (k, WALL) float64
+        See `relmap.segmentation.kernels`.
+    sigma : float
+        Noise, metres.
+    stray : float
+        Share of points of no wall.
+    area : float
+        What they are spread over, square metres.
+    rays : bool
+        Whether points are spread evenly over the sensor's beams, or over the walls.
+    repeat : float
+        Points at one bearing, which tell of the extent of a wall only once.
+    fixed_noise : bool
+        Whether the noise was given.
+    """
+
+    walls: NDArray[np.float64]
+    sigma: float
+    stray: float
+    area: float
+    rays: bool = False
+    repeat: float = 1.0
+    fixed_noise: bool = False
+
+    def density(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the density (k, n) of points (n, 2) under each wall, and of all together (n,)."""
+        from relmap.segmentation.kernels import expect
+
+        return expect(xy, self.walls, self.sigma, self.stray / self.area, self.rays)
+
+    def likelihood(self, xy: NDArray[np.float64]) -> float:
+        """Return the log likelihood of points (n, 2)."""
+        return float(np.log(self.density(xy)[1]).sum())
+
+    def evidence(self, xy: NDArray[np.float64]) -> float:
+        """Return the log likelihood of points (n, 2) less what the parameters cost (BIC)."""
+        return self.likelihood(xy) - len(self.walls) * wall_cost(len(xy))
+
+    def labels(self, xy: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the likeliest wall (n,) of each point (n, 2), -1 for none."""
+        density, _ = self.density(xy)
+        if len(density) == 0:
+            return np.full(len(xy), -1)
+        best = density.argmax(axis=0)
+        known = density[best, np.arange(len(xy))] > self.stray / self.area
+        return np.where(known, best, -1)
+
+    def only(self, rows: NDArray[np.bool_] | list[int]) -> WallMixture:
+        """Return the mixture of some of the walls."""
+        chosen = np.asarray(rows, dtype=np.int64) if isinstance(rows, list) else rows
+        return replace(self, walls=self.walls[chosen])
+
+    def with_walls(self, walls: NDArray[np.float64]) -> WallMixture:
+        """Return the mixture with other walls (k, WALL)."""
+        return replace(self, walls=walls)
+
+    def local(self, walls: list[NDArray[np.float64]], own: NDArray[np.float64]) -> WallMixture:
+        """Return the mixture of a few walls that share some points (m, 2) evenly."""
+        few = np.array(walls)
+        few[:, -1] = 1 / len(few)
+        return replace(self, walls=few, stray=STRAY_LEAST)
+
+
+def wall_cost(n: int) -> float:
+    """Return the log likelihood that a wall must bring among n points, by the Bayesian criterion.
+
+    Schwarz, "Estimating the dimension of a model", 1978.
+    """
+    return 0.5 * PARAMETERS * math.log(max(n, 2))
+
+
+def scan_area(xy: NDArray[np.float64], sigma: float) -> float:
+    """Return the area (square metres) of the box about points (n, 2), blurred by the noise."""
+    return float(np.prod(np.ptp(xy, axis=0) + 6 * sigma + 1e-3))
+
+
+def maximise(
+    mixture: WallMixture, xy: NDArray[np.float64], steps: int, held: bool = False
+) -> WallMixture:
+    """Return the mixture after some steps of EM, fewer where the likelihood rises no more.
+
+    With `held` the ends of the walls stay.
+    """
+    from relmap.segmentation.kernels import em_step
+
+    walls, sigma, stray = mixture.walls.copy(), mixture.sigma, mixture.stray
+    before = -np.inf
+    for _ in range(steps if len(walls) else 0):
+        likelihood, spread, loose = em_step(
+            xy, walls, sigma, stray / mixture.area, mixture.rays, held
+        )
+        if not mixture.fixed_noise:
+            sigma = min(max(spread, FLOOR_M), 1.5 * sigma)
+        stray = max(loose, STRAY_LEAST)
+        if abs(likelihood - before) < TOLERANCE * len(walls):
+            break
+        before = likelihood
+    return replace(mixture, walls=walls, sigma=sigma, stray=stray)

@@ -1,0 +1,113 @@
+"""Why each wall ends where it ends, from the geometry of one scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.planes import END_TYPES
+
+SURE = 2.5
+"""What lies within so many standard deviations of a limit is taken to be cut by it."""
+SLACK_RAD = 0.003
+SLACK_M = 0.01
+ALL_ROUND_RAD = np.deg2rad(170.0)
+"""Points beyond this bearing to a side: the view has no edge."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the sensor can see: half its field of view, centred ahead, and its range."""
+
+    half_view_rad: float
+    range_m: float
+
+
+def sensor_limits(
+    ends: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    joined: NDArray[np.bool_],
+    view_rad: float | None,
+    range_m: float | None,
+) -> Limits:
+    """Return the limits of the sensor; what is not given is estimated.
+
+    The edge of the view is the farthest bearing of an end (m, 2, 2), as the view is centred ahead.
+    The range shows only where two ends or more, in no corner, lie at one greatest distance.
+    """
+    if view_rad is None:
+        half = float(np.abs(bearings(ends)).max(initial=0.0))
+        half = np.inf if half > ALL_ROUND_RAD else half
+    else:
+        half = view_rad / 2 if view_rad < 2 * ALL_ROUND_RAD else np.inf
+    if range_m is None:
+        far = np.hypot(ends[..., 0], ends[..., 1])
+        top = far.max(initial=0.0)
+        cut = (far > top - SURE * spread - SLACK_M) & ~joined
+        range_m = float(top) if cut.sum() > 1 and not (joined & (far >= top)).any() else np.inf
+    return Limits(half, range_m)
+
+
+def bearings(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the bearings (...,) of points (..., 2), radians, positive to the left."""
+    return np.asarray(np.arctan2(points[..., 1], points[..., 0]))
+
+
+def type_ends(
+    ends: NDArray[np.float64],
+    spread: NDArray[np.float64],
+    joined: NDArray[np.bool_],
+    limits: Limits,
+) -> NDArray[np.str_]:
+    """Return why each of two ends (m, 2) is where it is, one of `END_TYPES`.
+
+    Parameters
+    ----------
+    ends : (m, 2, 2) float64, robot frame, metres
+        Right and left end of each wall.
+    spread : (m, 2) float64, metres
+        Standard deviation of each end along its wall.
+    joined : (m, 2) bool
+        Whether the end lies in a corner with another wall, so that nothing hides it.
+    limits : Limits
+    """
+    if len(ends) == 0:
+        return np.empty((0, 2), dtype="<U8")
+    far = np.hypot(ends[..., 0], ends[..., 1])
+    along = ends[:, 1] - ends[:, 0]
+    along /= np.hypot(along[:, 0], along[:, 1])[:, None]
+    radial = np.abs((ends * along[:, None]).sum(axis=2)) / np.maximum(far, 1e-9)
+    turn = SURE * spread * np.sqrt(np.clip(1 - radial**2, 0.05, 1)) / np.maximum(far, 1e-9)
+    turn += SLACK_RAD
+    bearing = bearings(ends)
+    side = np.array([-1.0, 1.0])
+    cut_by = {
+        "view": side * bearing > limits.half_view_rad - turn,
+        "range": far > limits.range_m - SURE * spread * np.maximum(radial, 0.1) - SLACK_M,
+        "occluded": _hidden(bearing, far, turn, spread) & ~joined,
+    }
+    kind = np.zeros(far.shape, dtype=np.int64)
+    for reason in ("occluded", "range", "view"):  # the first of the order is written last
+        kind[cut_by[reason]] = END_TYPES.index(reason)
+    return np.array(END_TYPES)[kind]
+
+
+def _hidden(
+    bearing: NDArray[np.float64],
+    far: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    spread: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Tell which ends (m, 2) lie beside the edge of a nearer wall that goes on beyond them."""
+    hidden = np.zeros(far.shape, dtype=np.bool_)
+    for end in (0, 1):
+        edge = 1 - end  # a wall beyond my right end shows its left end there
+        apart = np.abs(bearing[:, end, None] - bearing[None, :, edge])
+        close = apart < turn[:, end, None] + turn[None, :, edge]
+        margin = SURE * np.hypot(spread[:, end, None], spread[None, :, edge]) + 5 * SLACK_M
+        nearer = far[None, :, edge] < far[:, end, None] - margin
+        np.fill_diagonal(nearer, False)
+        hidden[:, end] = (close & nearer).any(axis=1)
+    return hidden

@@ -1,0 +1,278 @@
+"""How many walls there are: walls that explain nothing go, pieces of one wall join, gaps split.
+
+EM never changes the number of its components.  Each move here is judged by what the likelihood of
+the points concerned gains or loses by it, against the parameters it costs (as BIC does), except
+that touching pieces of one line are one wall whatever the density of points along it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.em import PARAMETERS, WallMixture, maximise, wall_cost
+
+BENT = 10.0
+"""Loss of log likelihood above which two walls do not lie on one line."""
+EMPTY = 6.0
+"""Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
+HIDDEN = 0.7
+"""Share of a wall's view before which there cannot be another wall."""
+FLUSH = 2.5
+"""Standard deviations within which a wall before another is the same one."""
+PARALLEL_SINE = 0.3
+MISSED = 1.6
+"""Beams missing in a gap, where they are known to be evenly spaced."""
+CURVED = 3.0
+"""Standard deviations of curvature from which on a wall is tried as two."""
+SETTLE = 6
+"""Steps of EM after a move."""
+TRIAL = 8
+"""Steps of EM to see what a move is worth."""
+
+
+def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixture:
+    """Take away walls that the rest explains about as well, weakest first."""
+    from relmap.segmentation.kernels import SHARE
+
+    penalty = wall_cost(len(xy))
+    while len(mixture.walls):
+        density, total = mixture.density(xy)
+        gain = -np.log1p(-np.minimum(density / total, 1 - 1e-12)).sum(axis=1)
+        weak = np.minimum(gain - penalty, mixture.walls[:, SHARE] * len(xy) - least)
+        worst = int(weak.argmin())
+        if weak[worst] >= 0:
+            break
+        keep = np.arange(len(mixture.walls)) != worst
+        mixture = maximise(mixture.only(keep), xy, SETTLE)
+    return mixture
+
+
+def merge(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+    """Join walls that are one: pieces of one line without a gap, and pairs not worth their cost."""
+    i = 0
+    while i < len(mixture.walls):
+        labels = mixture.labels(xy)
+        for j in range(len(mixture.walls)):
+            joined = _join(mixture, xy[(labels == i) | (labels == j)], i, j) if j != i else None
+            if joined is not None:
+                walls = mixture.walls.copy()
+                walls[i] = joined
+                mixture = mixture.with_walls(np.delete(walls, j, axis=0))
+                i = -1
+                break
+        i += 1
+    return mixture
+
+
+def _join(
+    mixture: WallMixture, own: NDArray[np.float64], i: int, j: int
+) -> NDArray[np.float64] | None:
+    """Return two walls as one, given the points (m, 2) of both; None where they are two."""
+    from relmap.segmentation.kernels import SHARE
+
+    w, v = mixture.walls[i], mixture.walls[j]
+    if len(own) < 3 or not _near(w, v, mixture.sigma):
+        return None
+    whole = wall_through(own, w)
+    whole[SHARE] = w[SHARE] + v[SHARE]
+    if _hangs_together(mixture, w, v, len(own) / whole[SHARE]):
+        across = (own - whole[:2]) @ (-whole[3], whole[2])
+        density, total = mixture.only([i, j]).density(own)
+        apart = 0.0
+        for k, wall in enumerate((w, v)):
+            d = (own - wall[:2]) @ (-wall[3], wall[2])
+            apart += float(density[k] / total @ d**2)
+        if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
+            return whole
+    if _one_hides_other(w, v) and _flush(w, v, mixture.sigma):
+        return whole
+    two = maximise(mixture.local([w, v], own), own, TRIAL)
+    one = maximise(mixture.local([whole], own), own, TRIAL)
+    if one.evidence(own) < two.evidence(own):
+        return None
+    one.walls[0, SHARE] = whole[SHARE]
+    return np.asarray(one.walls[0])
+
+
+def bend(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+    """Split walls that are two: bent ones halfway along, thick ones lengthwise."""
+    from relmap.segmentation.kernels import SHARE
+
+    labels, walls = mixture.labels(xy), []
+    for k, wall in enumerate(mixture.walls):
+        own = xy[labels == k]
+        suspect = len(own) > 2 * PARAMETERS and _suspect(mixture.sigma, own, wall)
+        pieces = _bent(mixture, own, wall) if suspect else None
+        if pieces is not None:
+            pieces[:, SHARE] *= wall[SHARE]
+        walls.append(wall[None] if pieces is None else pieces)
+    return mixture.with_walls(np.concatenate(walls)) if walls else mixture
+
+
+def _suspect(sigma: float, own: NDArray[np.float64], wall: NDArray[np.float64]) -> bool:
+    """Tell whether points (m, 2) look bent, or thicker than the noise, about their wall."""
+    offset = own - wall[:2]
+    t, d = offset @ wall[2:4], offset @ (-wall[3], wall[2])
+    z = (t - t.mean()) / max(t.std(), 1e-12)
+    curve = z * z - z * (z**3).mean() - 1
+    spread = max(float(d.std()), 1e-12)
+    bent = abs(d @ curve) / (spread * max(float(np.linalg.norm(curve)), 1e-12))
+    return bool(bent > CURVED or spread > sigma * (1 + 2 / np.sqrt(len(own))))
+
+
+def _bent(
+    mixture: WallMixture, own: NDArray[np.float64], wall: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Return the two walls that a wall's points are better explained by, if they are."""
+    one = maximise(mixture.local([wall], own), own, TRIAL)
+    best, pieces = one.evidence(own), None
+    offset = own - wall[:2]
+    for direction in (wall[2:4], np.array([-wall[3], wall[2]])):
+        t = offset @ direction
+        upper = t > np.median(t)
+        halves = [wall_through(own[side], wall) for side in (upper, ~upper)]
+        two = maximise(mixture.local(halves, own), own, 2 * TRIAL)
+        if two.evidence(own) > best and not _one_hides_other(*two.walls):
+            best, pieces = two.evidence(own), two.walls
+    return pieces
+
+
+def _flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+    """Tell whether the shorter of two walls lies along the longer one's line, within the noise."""
+    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
+        w, v = v, w
+    if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
+        return False
+    return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
+
+
+def _one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
+    """Tell whether two walls share most of the smaller one's view: the sensor sees only one."""
+    spans = []
+    for wall in (w, v):
+        ends = corners(wall)
+        middle = ends.mean(axis=0)
+        turned = ends @ np.array([[middle[0], -middle[1]], [middle[1], middle[0]]])
+        bearing = np.arctan2(turned[:, 1], turned[:, 0]) + np.arctan2(middle[1], middle[0])
+        spans.append((bearing.min(), bearing.max()))
+    (a, b), (c, d) = spans
+    shift = 2 * np.pi * round(((a + b) - (c + d)) / (4 * np.pi))
+    shared = min(b, d + shift) - max(a, c + shift)
+    return bool(shared > HIDDEN * min(b - a, d - c))
+
+
+def wall_through(own: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the wall through points (m, 2), which goes the way of another."""
+    from relmap.segmentation.kernels import BEGIN, END, EXACT_M, PX, UX, weighted_line
+
+    wall = like.copy()
+    weighted_line(own, np.ones(len(own)), wall)
+    t = (own - wall[PX : PX + 2]) @ wall[UX : UX + 2]
+    wall[BEGIN], wall[END] = t.min(), max(t.max(), t.min() + EXACT_M)
+    return wall
+
+
+def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the two ends (2, 2) of a wall."""
+    return wall[:2] + wall[4:6, None] * wall[2:4]
+
+
+def _near(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+    """Tell whether two walls come so close that they may be one."""
+    from relmap.segmentation.kernels import BEGIN, END
+
+    reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
+    for one, other in ((w, v), (v, w)):
+        offset = corners(other) - one[:2]
+        t, d = offset @ one[2:4], offset @ (-one[3], one[2])
+        beyond = np.maximum(np.maximum(one[BEGIN] - t, t - one[END]), 0)
+        if (np.hypot(beyond, d) < reach).any():
+            return True
+    return False
+
+
+def _hangs_together(
+    mixture: WallMixture, w: NDArray[np.float64], v: NDArray[np.float64], n: float
+) -> bool:
+    """Tell whether no gap shows between two walls along the longer one, among n points in all."""
+    from relmap.segmentation.kernels import BEGIN, END, SHARE, local_density
+
+    if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
+        w, v = v, w
+    t = (corners(v) - w[:2]) @ w[2:4]
+    gap = max(t.min() - w[END], w[BEGIN] - t.max())
+    edge = w[END] if t.mean() > 0.5 * (w[BEGIN] + w[END]) else w[BEGIN]
+    near = BEGIN if abs(t[0] - edge) < abs(t[1] - edge) else END
+    density = n * min(
+        w[SHARE] * local_density(w, edge, mixture.rays),
+        v[SHARE] * local_density(v, v[near], mixture.rays),
+    )
+    empty = EMPTY if mixture.repeat == 1 else MISSED * mixture.repeat
+    return bool(gap * density < empty + density * mixture.sigma)
+
+
+def split(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+    """Split walls at doors: stretches too empty to belong to an evenly filled wall."""
+    from relmap.segmentation.kernels import BEGIN, END, SHARE
+
+    labels, walls = mixture.labels(xy), []
+    for k, wall in enumerate(mixture.walls):
+        t = np.sort((xy[labels == k] - wall[:2]) @ wall[2:4])
+        hole = _hole(t, wall, mixture)
+        if hole is None:
+            walls.append(wall)
+            continue
+        part = float(np.mean(t < 0.5 * sum(hole)))
+        for begin, end, amount in ((wall[BEGIN], hole[0], part), (hole[1], wall[END], 1 - part)):
+            piece = wall.copy()
+            piece[BEGIN], piece[END], piece[SHARE] = begin, end, wall[SHARE] * amount
+            walls.append(piece)
+    return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
+
+
+def _hole(
+    t: NDArray[np.float64], wall: NDArray[np.float64], mixture: WallMixture
+) -> tuple[float, float] | None:
+    """Return the gap among sorted positions along a wall, in the measure that beams fill evenly."""
+    from relmap.segmentation.kernels import foot_and_height
+
+    if not mixture.rays:
+        return widest_gap(t, mixture.sigma, mixture.repeat)
+    foot, height = foot_and_height(wall)
+    hole = widest_gap(height * np.arctan((t - foot) / height), mixture.sigma, mixture.repeat)
+    if hole is None:
+        return None
+    first, last = (foot + height * np.tan(edge / height) for edge in hole)
+    return first, last
+
+
+def widest_gap(
+    t: NDArray[np.float64], sigma: float, repeat: float = 1.0
+) -> tuple[float, float] | None:
+    """Return the emptiest stretch of sorted positions (m,) along a wall, if it is a gap.
+
+    Of points at one bearing, `repeat` count as one.
+
+    The number of points in a stretch is compared, as Poisson counts, with what an even wall would
+    have there and with what the noise carries in from both sides of a gap (0.8 sigma of wall).
+    """
+    if len(t) < 6 * repeat:
+        return None
+    length = t[-1] - t[0]
+    width = max(0.5 * sigma, length / min(len(t) / repeat, 400), 1e-12)
+    edges = t[0] + width * np.arange(int(length / width) + 1)
+    below = np.searchsorted(t, edges)
+    inside = (below[None, :] - below[:, None]) / repeat
+    gap = edges[None, :] - edges[:, None]
+    outside = np.maximum(len(t) / repeat - inside, 1) / np.maximum(length - gap, width)
+    even, leaked = outside * gap, np.maximum(0.8 * sigma * outside, 0.2)
+    gain = even - leaked - inside * np.log(np.maximum(even, 1e-9) / leaked)
+    margin = 2 * sigma
+    possible = (gap > 2 * sigma) & (even > leaked) & (inside < even)
+    possible &= (edges[:, None] > t[0] + margin) & (edges[None, :] < t[-1] - margin)
+    gain = np.where(possible, gain, -np.inf)
+    i, j = np.unravel_index(int(gain.argmax()), gain.shape)
+    if gain[i, j] < (EMPTY + wall_cost(len(t)) if repeat == 1 else MISSED):
+        return None
+    return float(edges[i]), float(edges[j])

@@ -1,0 +1,91 @@
+"""The noise of a scan, before anything else is known of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+WINDOWS = 100
+LEVELS = 20
+NEIGHBOURS = 10
+COLUMN_RAD = 1e-5
+FLOOR_M = 1e-9
+"""Noise below this is taken for none."""
+SURE = 0.6
+"""Where so many windows show a wall, what they say of the noise needs no other trial."""
+FINER = (1.0, 1 / 1.6, 1 / 2.4)
+"""Else these multiples of it are tried: windows that hold a corner are too thick."""
+OF_EXTENT = 0.09
+"""Where no window shows a wall, this share of the scan's extent is the thickest trial."""
+
+
+def noise_candidates(xy: NDArray[np.float64], rng: np.random.Generator) -> list[float]:
+    """Return what the noise may be (metres, standard deviation across a wall), likeliest first.
+
+    Windows about random points are grown until they are elongated; the thickness of the thinner
+    ones is the noise.
+    """
+    from relmap.segmentation.windows import window_thickness
+
+    if points_per_beam(xy) > 1:
+        return [max(_column_noise(xy), FLOOR_M)]
+    extent = float(np.hypot(*np.ptp(xy, axis=0)))
+    at = rng.integers(0, len(xy), min(WINDOWS, 2 * len(xy)))
+    smallest = max(2 * neighbour_distance(xy), FLOOR_M)
+    radii = np.geomspace(smallest, max(extent, 2 * smallest), LEVELS)
+    thick = window_thickness(xy, at, radii)
+    seen = thick[np.isfinite(thick)]
+    if len(seen) == 0:
+        return [max(OF_EXTENT * extent * finer, FLOOR_M) for finer in FINER]
+    thin, middle = np.quantile(seen, [0.15, 0.6])
+    sure = len(seen) >= SURE * len(thick) and middle <= 1.3 * thin + FLOOR_M
+    return [max(float(thin) * finer, FLOOR_M) for finer in (FINER[:1] if sure else FINER)]
+
+
+def neighbour_distance(xy: NDArray[np.float64]) -> float:
+    """Return the median distance (metres) of a point to its tenth neighbour.
+
+    Of points at one bearing only one counts, and of the neighbours correspondingly fewer.
+    """
+    apart = xy[_distinct(xy)]
+    k = max(round(NEIGHBOURS * len(apart) / len(xy)), 2)
+    some = apart[:: max(len(apart) // 300, 1)]
+    distance, _ = cKDTree(apart).query(some, k=[min(k + 1, len(apart))])
+    return float(np.median(distance))
+
+
+def points_per_beam(xy: NDArray[np.float64]) -> float:
+    """Return how many points lie at one bearing: those of one column of a 3-D sensor's beams.
+
+    They say together where a wall is, but one at most says how far it reaches.
+    """
+    repeat = len(xy) / max(len(_distinct(xy)), 1)
+    return repeat if repeat > 1.5 else 1.0
+
+
+def beam_angle(xy: NDArray[np.float64]) -> float:
+    """Return the angle (radians) between neighbouring columns of beams; 0 where there are none."""
+    if points_per_beam(xy) == 1:
+        return 0.0
+    return float(np.median(np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))))
+
+
+def _column_noise(xy: NDArray[np.float64]) -> float:
+    """Return the noise (metres) of ranges: a column of beams meets one wall at one distance."""
+    _, column = np.unique(
+        np.round(np.arctan2(xy[:, 1], xy[:, 0]) / COLUMN_RAD), return_inverse=True
+    )
+    radius, count = np.hypot(xy[:, 0], xy[:, 1]), np.bincount(column)
+    mean = np.bincount(column, weights=radius) / count
+    squares = np.bincount(column, weights=(radius - mean[column]) ** 2)
+    several = count > 2
+    if not several.any():
+        return 0.0
+    return float(np.sqrt(np.median(squares[several] / (count[several] - 1))))
+
+
+def _distinct(xy: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the rows of one point at each bearing."""
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    return np.unique(np.round(bearing / COLUMN_RAD), return_index=True)[1]

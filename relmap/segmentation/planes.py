@@ -1,0 +1,97 @@
+"""What a segmenter hands out: the planes of one scan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+END_TYPES = ("corner", "view", "range", "occluded")
+"""Why a wall ends: the order in which the reasons are asked for; the first that holds is given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Vertical planes seen in one scan: robot frame, metres; m planes.
+
+    The two ends are the vertical edges, from right to left as the wall is seen from the sensor.
+
+    Attributes
+    ----------
+    midpoint : (m, 3) or (m, 2) float64
+        As wide as the points were.
+    normal : (m, 2) float64
+        Unit, horizontal, pointing to the sensor.
+    ends : (m, 2, 2) float64
+        x, y of the right and the left end.
+    size : (m,) float64
+        Distance between the ends.
+    z_extent : (m, 2) float64
+        Lowest and highest z; 0 where the points have none.
+    noise : (m,) float64
+        Root mean square distance of its points.
+    n_points : (m,) int64
+    end_type : (m, 2) str
+        One of `END_TYPES`: a true end, cut by the edge of the view, by the range, or hidden.
+    """
+
+    midpoint: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    size: NDArray[np.float64]
+    z_extent: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    n_points: NDArray[np.int64]
+    end_type: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        """Return the number of planes."""
+        return len(self.size)
+
+
+def make_planes(
+    points: NDArray[np.float64],
+    labels: NDArray[np.int64],
+    ends: NDArray[np.float64],
+    end_type: NDArray[np.str_],
+    sigma: float,
+) -> Planes:
+    """Measure planes.
+
+    Parameters
+    ----------
+    points : (n, 2) or (n, 3) float64, robot frame, metres
+    labels : (n,) int64
+        Plane of each point, -1 for none; every plane has points.
+    ends : (m, 2, 2) float64
+        x, y of the right and the left end of each.
+    end_type : (m, 2) str
+    sigma : float
+        Noise, metres.
+    """
+    m, own = len(ends), labels >= 0
+    along = ends[:, 1] - ends[:, 0]
+    size = np.hypot(along[:, 0], along[:, 1])
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / size[:, None]
+    middle, at = ends.mean(axis=1), labels[own]
+    across = ((points[own, :2] - middle[at]) * normal[at]).sum(axis=1)
+    n_points = np.bincount(at, minlength=m)
+    squares = np.bincount(at, weights=across**2, minlength=m)
+    z_extent = np.zeros((m, 2))
+    if points.shape[1] == 3:
+        z_extent = _heights(points[own, 2], at, m, sigma)
+        middle = np.column_stack([middle, z_extent.mean(axis=1)])
+    noise = np.sqrt(squares / np.maximum(n_points, 1))
+    return Planes(middle, normal, ends, size, z_extent, noise, n_points, end_type)
+
+
+def _heights(
+    z: NDArray[np.float64], at: NDArray[np.int64], m: int, sigma: float
+) -> NDArray[np.float64]:
+    """Return the extent in z (m, 2): the ends of a blurred box, as along the wall."""
+    from relmap.segmentation.boxes import box_extent
+
+    order = np.argsort(at, kind="stable")
+    parts = np.split(z[order], np.cumsum(np.bincount(at, minlength=m))[:-1]) if m else []
+    return np.array([box_extent(part, sigma) for part in parts]).reshape(m, 2)

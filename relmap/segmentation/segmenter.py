@@ -1,0 +1,218 @@
+"""`PlaneSegmenter`: the points of a scan to planes, in scikit-learn's manner."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.segmentation.corners import Sharpened, meet, sharpen
+from relmap.segmentation.em import WallMixture, scan_area
+from relmap.segmentation.end_types import sensor_limits, type_ends
+from relmap.segmentation.planes import Planes, make_planes
+
+METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
+LEAST = 8
+
+
+class PlaneSegmenter:
+    """Finds the vertical planes of a scan.
+
+    Parameters
+    ----------
+    method : str, optional
+        "em": EM of wall-shaped components started from lines, with the best corners;
+        "ransac": those lines alone, faster; "mixture": a Gaussian mixture started from them;
+        "ransac3d" and "patches": open3d's sequential RANSAC and its planar patches, which know
+        floors and ceilings from walls; "scanlines": 2-D laser scans whose points are in the order
+        of the beams. Where left out, "scanlines" for points (n, 2) and "em" for (n, 3).
+    noise : float, optional
+        Standard deviation of a point across its plane, metres; estimated from the scan where left
+        out.
+    random_state : int
+        Seed; the same scan and seed give bit-identical planes.
+    view_rad : float, optional
+        Horizontal field of view, radians, centred ahead. Where left out, the farthest bearing to
+        either side is taken for its edge.
+    range_m : float, optional
+        Horizontal range of the sensor, metres. Where left out, it is known only if several walls
+        end at one greatest distance.
+
+    Attributes
+    ----------
+    labels_ : (n,) int64
+        Row of `planes_` for each point, -1 for none.
+    planes_ : Planes
+    noise_ : float
+        Noise of the scan, metres, as given or estimated.
+    """
+
+    labels_: NDArray[np.int64]
+    planes_: Planes
+    noise_: float
+
+    def __init__(
+        self,
+        method: str | None = None,
+        *,
+        noise: float | None = None,
+        random_state: int = 0,
+        view_rad: float | None = None,
+        range_m: float | None = None,
+    ) -> None:
+        """Store the parameters; `fit` checks them."""
+        self.method = method
+        self.noise = noise
+        self.random_state = random_state
+        self.view_rad = view_rad
+        self.range_m = range_m
+
+    def fit(self, points: ArrayLike) -> Self:
+        """Segment one scan.
+
+        Parameters
+        ----------
+        points : (n, 3) or (n, 2) array_like, robot frame, metres
+            The sensor stands at the origin. A scan without points has no planes.
+
+        Raises
+        ------
+        RelmapError
+            Where a parameter or the shape is wrong, or a coordinate is not finite.
+        """
+        xyz = _as_points(points)
+        method = self._validated(xyz.shape[1])
+        xy = np.ascontiguousarray(xyz[:, :2])
+        if len(xy) < 2 or not np.ptp(xy, axis=0).any():
+            sharp = meet(_no_walls(xy, self.noise), max(len(xy), 1))
+            labels = np.full(len(xy), -1)
+        else:
+            sharp, labels = self._segment(method, xyz, xy)
+        self.labels_, self.planes_ = self._planes(xyz, sharp, labels)
+        self.noise_ = float(sharp.mixture.sigma)
+        return self
+
+    def _validated(self, d: int) -> str:
+        method = self.method or ("scanlines" if d == 2 else "em")
+        if method not in METHODS:
+            raise RelmapError(f"method is {self.method!r}; it must be one of {', '.join(METHODS)}")
+        if d == 2 and method in ("ransac3d", "patches"):
+            raise RelmapError(f"method {method} needs points (n, 3); these are (n, 2)")
+        for name, value in (
+            ("noise", self.noise),
+            ("view_rad", self.view_rad),
+            ("range_m", self.range_m),
+        ):
+            lowest_is_good = name == "noise"
+            if value is not None and not (
+                np.isfinite(value) and (value > 0 or (lowest_is_good and value == 0))
+            ):
+                least = "0 or more" if lowest_is_good else "positive"
+                raise RelmapError(f"{name} is {value!r}; it must be a finite number, {least}")
+        return method
+
+    def _segment(
+        self, method: str, xyz: NDArray[np.float64], xy: NDArray[np.float64]
+    ) -> tuple[Sharpened, NDArray[np.int64]]:
+        """Return accurate walls and the wall of each point."""
+        from relmap.segmentation import search
+        from relmap.segmentation.scanlines import extend_to_beams, scan_walls
+
+        rng = np.random.default_rng(self.random_state)
+        if method == "scanlines":
+            mixture, labels = scan_walls(xy, self.noise)
+            return meet(extend_to_beams(mixture, xy, labels), len(xy)), labels
+        if method == "em":
+            mixture = search.fit_walls(xy, self.noise, rng)
+            sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))
+            return sharp, sharp.mixture.labels(xy)
+        labels, sigma = self._hard_labels(method, xyz, xy, rng)
+        mixture = walls_of_labels(xy, labels, sigma)
+        return meet(mixture, len(xy)), labels
+
+    def _hard_labels(
+        self,
+        method: str,
+        xyz: NDArray[np.float64],
+        xy: NDArray[np.float64],
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.int64], float]:
+        """Return the plane of each point as found without the shape of a wall, and the noise."""
+        from relmap.segmentation.lines import find_lines
+        from relmap.segmentation.noise import noise_candidates
+        from relmap.segmentation.ransac3d import patch_labels, sequential_labels
+
+        if method == "patches":
+            return patch_labels(xyz), self.noise or 0.0
+        sigma = noise_candidates(xy, rng)[0] if self.noise is None else max(self.noise, 1e-9)
+        if method == "ransac3d":
+            return sequential_labels(xyz, sigma, LEAST, self.random_state), sigma
+        _, labels = find_lines(xy, sigma, LEAST, rng)
+        if method == "mixture":
+            from relmap.segmentation.mixture import gaussian_labels
+
+            labels = gaussian_labels(xy, labels, self.random_state)
+        return labels, sigma
+
+    def _planes(
+        self, xyz: NDArray[np.float64], sharp: Sharpened, labels: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], Planes]:
+        """Return labels without gaps in their numbers, and the planes."""
+        from relmap.segmentation.moves import corners
+
+        kept = np.flatnonzero(np.bincount(labels[labels >= 0], minlength=len(sharp.spread)))
+        number = np.full(len(sharp.spread) + 1, -1)
+        number[kept] = np.arange(len(kept))
+        labels = number[labels]
+        ends = np.array([corners(w) for w in sharp.mixture.walls[kept]]).reshape(-1, 2, 2)
+        spread, joined = sharp.spread[kept], sharp.joined[kept]
+        turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
+        for pair in (ends, spread, joined):
+            pair[turned] = pair[turned][:, ::-1]
+        limits = sensor_limits(ends, spread, joined, self.view_rad, self.range_m)
+        kind = type_ends(ends, spread, joined, limits)
+        return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)
+
+
+def walls_of_labels(
+    xy: NDArray[np.float64], labels: NDArray[np.int64], sigma: float
+) -> WallMixture:
+    """Return walls through labelled points (n, 2), with the ends of blurred boxes."""
+    from relmap.segmentation.boxes import box_extent
+    from relmap.segmentation.kernels import BEGIN, END, EXACT_M, SHARE, WALL
+    from relmap.segmentation.moves import wall_through
+
+    walls = np.zeros((int(labels.max(initial=-1)) + 1, WALL))
+    for k in np.unique(labels[labels >= 0]):
+        own = np.ascontiguousarray(xy[labels == k])
+        like = np.zeros(WALL)
+        like[:4] = *own[0], 1.0, 0.0
+        walls[k] = wall_through(own, like)
+        t = (own - walls[k, :2]) @ walls[k, 2:4]
+        low, high = box_extent(t, sigma)
+        walls[k, BEGIN], walls[k, END] = low, max(high, low + EXACT_M)
+        walls[k, SHARE] = len(own) / len(xy)
+    return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma))
+
+
+def _no_walls(xy: NDArray[np.float64], noise: float | None) -> WallMixture:
+    from relmap.segmentation.kernels import WALL
+
+    return WallMixture(np.zeros((0, WALL)), noise or 0.0, 1.0, 1.0)
+
+
+def _as_points(points: ArrayLike) -> NDArray[np.float64]:
+    """Return points as float64, (n, 2) or (n, 3)."""
+    try:
+        xyz = np.asarray(points, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RelmapError(f"points are not numbers: {error}") from error
+    if xyz.ndim != 2 or xyz.shape[1] not in (2, 3):
+        raise RelmapError(f"points have shape {xyz.shape}; it must be (n, 2) or (n, 3)")
+    bad = ~np.isfinite(xyz).all(axis=1)
+    if bad.any():
+        row = int(bad.argmax())
+        raise RelmapError(f"point {row} is {xyz[row].tolist()}; coordinates must be finite")
+    return xyz
