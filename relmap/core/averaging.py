@@ -148,5 +148,6 @@ class Averaging:
                 break
             together += [chart.landmarks[rest[members]] for members in bins.members]
             rest = np.delete(rest, np.concatenate(bins.members))
-        alone = chart.landmarks[rest] if self.n_comparisons < allowed else rest[:0]
+        compared = self.n_comparisons + len(rest) <= allowed  # none was left out for want of room
+        alone = chart.landmarks[rest] if compared else rest[:0]
         self.dynamics.go_together(together, alone)

@@ -15,11 +15,8 @@ from relmap.core.globalmap import GlobalMap
 from relmap.core.landmarks import MappedGroup
 from relmap.core.levels import GroupLevels
 from relmap.core.noise import NoiseEstimate
-from relmap.core.schedule import GroupingSchedule
+from relmap.core.schedule import LONGEST_INTERVAL, GroupingSchedule
 from relmap.core.store import ObservationStore
-
-LONGEST_INTERVAL = 128
-"""Iterations that are kept at most, however long a landmark has found no group."""
 
 
 class MapBuilder:
@@ -91,12 +88,32 @@ class MapBuilder:
             The landmarks placed.
         """
         placed = np.empty(0, dtype=np.int64)
-        enough = FEWEST if self.map.weights[seed] == 0 else self._schedule.group_after
-        if self._schedule.counts[seed] >= enough and not self.dynamics.dynamic[seed]:
+        if self._needs_last_pass(np.array([seed]))[0]:
             placed = self.group(seed, 3, fixes)
         if self._schedule.is_gone[seed]:
             self._close(np.array([seed]))
         return placed
+
+    def next_last_pass(self) -> int | None:
+        """Return who needs its last pass next; None where nobody does yet.
+
+        Those that need none are done with at once, so that they never make the others wait.
+        """
+        waited = self._schedule.waited(self._store.n_iterations)
+        needed = self._needs_last_pass(waited)
+        if not needed.all():
+            self._close(waited[~needed])
+        waited = waited[needed]
+        # The group of the one seen longest is of use to most of the others.
+        return int(waited[np.argmax(self._schedule.counts[waited])]) if len(waited) else None
+
+    def _needs_last_pass(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell whose interval holds enough for a group, does not move and is still stored; (n,)."""
+        mapped = self.map.weights[landmarks] > 0
+        enough = np.where(mapped, self._schedule.group_after, FEWEST)
+        needed = self._schedule.counts[landmarks] >= enough
+        needed &= self._schedule.last_seen(landmarks) >= self._store.first_iteration
+        return np.asarray(needed & ~self.dynamics.dynamic[landmarks])
 
     def group(self, seed: int, level: int, fixes: int) -> NDArray[np.int64]:
         """Grow a group around a landmark and align it to the map.
@@ -135,6 +152,8 @@ class MapBuilder:
         if mapped_in_view >= fixes or self.dynamics.dynamic[seed]:
             return
         chart = self._chart(seed)
+        if not len(chart.iterations):
+            return
         chart = chart.only(chart.visible[:, 0])
         averaged = self._average(chart, np.zeros(len(chart.landmarks)), fixes, 0)
         if averaged is None:
@@ -200,7 +219,7 @@ class MapBuilder:
         )
         self.levels.take(group, members, reached, n_averaged)
         self._close(members[reached == 3])
-        return landmarks
+        return landmarks[self.map.weights[landmarks] > 0]
 
     def _close(self, landmarks: NDArray[np.int64]) -> None:
         """End the interval of landmarks: where they are now is kept for good."""

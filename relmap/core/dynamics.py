@@ -65,6 +65,7 @@ class DynamicStatus:
         self._moved_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._tested_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._moving_bin: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._n_bins = 0
 
     @property
     def dynamic(self) -> NDArray[np.bool_]:
@@ -75,7 +76,7 @@ class DynamicStatus:
     def moving_bin(self) -> NDArray[np.int64]:
         """Bin of each dynamic landmark that moves together with others, or `ALONE`; (n,).
 
-        A bin goes by the number of a landmark in it.
+        Bins are numbered in the order in which they were first told apart.
         """
         return self._moving_bin.values
 
@@ -90,7 +91,8 @@ class DynamicStatus:
         taken = {ALONE}
         for members in bins:
             known = set(self.moving_bin[members].tolist()) - taken
-            number = min(known, default=int(members.min()))
+            number = min(known, default=self._n_bins)
+            self._n_bins = max(self._n_bins, number + 1)
             self.moving_bin[members] = number
             taken.add(number)
 

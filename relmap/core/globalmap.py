@@ -13,7 +13,7 @@ UNMAPPED = -1
 
 
 class GlobalMap:
-    """Positions of landmarks, each the average over the groups that placed it.
+    """Positions of landmarks, each that of the best group of every interval, averaged.
 
     Where a group shares too little with what is mapped, it founds a new piece of the map, with a
     frame of its own.  Two pieces become one when a group ties them.

@@ -16,9 +16,9 @@ class GrowingArray(Generic[Scalar]):
 
     Parameters
     ----------
+    dtype : numpy dtype
     width : tuple of int
         Shape of one row; ``()`` for a column of scalars.
-    dtype : numpy dtype
     """
 
     _sizes = itertools.cycle(range(16, 32))

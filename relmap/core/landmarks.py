@@ -107,7 +107,7 @@ class MappedGroup:
         Labels.
     relative_map : (n, d) float64, group frame, metres
     n_observations : (n,) int64
-        Observations behind each position that no earlier group used.
+        Observations behind each position.
     iterations : (i,) int64, ascending
         The common interval.
     fitted : (k,) int64, ascending

@@ -123,13 +123,14 @@ class RelativeMapper(ABC):
 
     def finish(self) -> None:
         """Group what is still in view and not mapped yet, and what has left for the last time."""
-        for seed in self._schedule.in_view:
+        for seed in self._schedule.in_view.tolist():
             if self._builder.map.weights[seed] == 0:
                 self._group_or_found(seed, 1)
         self._schedule.end()
-        for seed in self._schedule.gone[np.argsort(-self._schedule.counts[self._schedule.gone])]:
+        gone = self._schedule.gone
+        for seed in gone[np.argsort(-self._schedule.counts[gone], kind="stable")].tolist():
             if self._schedule.is_gone[seed]:
-                self._last_pass(int(seed))
+                self._last_pass(seed)
 
     def refine(self) -> None:
         """Bring all landmarks to where all observations agree best, by joint least squares.
@@ -193,7 +194,7 @@ class RelativeMapper(ABC):
 
     def _last_pass_next(self) -> bool:
         """Group whoever is seen no longer over the whole interval; tell whether somebody was."""
-        seed = self._schedule.next_leaving(self._store.n_iterations)
+        seed = self._builder.next_last_pass()
         if seed is not None:
             self._last_pass(seed)
         return seed is not None

@@ -156,7 +156,8 @@ class Merger:
         if shift is None or shift.n_agreeing < enough:
             return np.empty((0, 2), dtype=np.int64)
         there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
-        return np.asarray(pairs[agreeing[there <= tolerance_m]])
+        pairs = pairs[agreeing[there <= tolerance_m]]
+        return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
 
 
 def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -91,9 +91,11 @@ def _moving_bins(
 ) -> NDArray[np.int64]:
     """Return which dynamic landmarks go together: the label (n,) of one of them, or `ALONE`."""
     bins = np.where(status == "dynamic", builder.dynamics.moving_bin, ALONE)
-    sizes = np.bincount(bins[bins != ALONE], minlength=len(bins))
-    together = (bins != ALONE) & (sizes[bins] > 1)
-    return np.where(together, labels[bins], ALONE)
+    _, first, members, sizes = np.unique(
+        bins, return_index=True, return_inverse=True, return_counts=True
+    )
+    together = (bins != ALONE) & (sizes[members] > 1)
+    return np.where(together, labels[first[members]], ALONE)
 
 
 def map_pieces(

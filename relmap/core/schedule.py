@@ -17,6 +17,8 @@ not longer than this: what stays in view has one interval after the other.
 """
 WAIT = 2
 """How long level 3 waits for others to leave the view too, in units of level 1's observations."""
+LONGEST_INTERVAL = 128
+"""Iterations that are kept at most, however long a landmark has found no group."""
 RIPE = 0.75
 """Share of the longest interval from which one is whole when a neighbour's is."""
 
@@ -134,16 +136,16 @@ class GroupingSchedule:
         level = np.searchsorted(self._thresholds, self.counts[landmarks], side="right")
         return np.where(level > self._levels.present[landmarks], level, 0)
 
-    def next_leaving(self, iteration: int) -> int | None:
-        """Return who is due at level 3 for having left the view, once one has waited long enough.
-
-        Of these it is the one seen longest: its group is of use to most of the others.
-        """
+    def waited(self, iteration: int) -> NDArray[np.int64]:
+        """Return who is due at level 3 for having left the view so long ago; (k,)."""
         gone = self.gone
-        if not len(gone) or iteration - self._sightings.last[gone[0]] < self._wait:
-            return None
-        gone = gone[iteration - self._sightings.last[gone] >= self._wait]
-        return int(gone[np.argmax(self.counts[gone])])
+        if not len(gone) or iteration - self.last_seen(gone[:1])[0] < self._wait:
+            return gone[:0]
+        return gone[iteration - self.last_seen(gone) >= self._wait]
+
+    def last_seen(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the iteration in which landmarks (n,) were last seen."""
+        return self._sightings.last[landmarks]
 
     def end(self) -> None:
         """Let everything in view have left it: nothing more is to come."""
@@ -156,18 +158,19 @@ class GroupingSchedule:
         """Return the level (n,) that a group of some level gives to the landmarks it averaged.
 
         The third is for whole intervals only, and one that holds less than half of a landmark's
-        observations gives it no more than the first.
+        observations, as far as they are kept, gives it no more than the first.
         """
         counts = self.counts[landmarks]
         whole = self.is_gone[landmarks] | (counts >= RIPE * self._thresholds[-1])
         reached = np.where(whole, level, min(level, 2))
-        return np.where(2 * n_averaged >= counts, reached, 1)
+        return np.where(2 * n_averaged >= np.minimum(counts, LONGEST_INTERVAL), reached, 1)
 
     def merge(self, new: int, old: int) -> None:
         """Let an old landmark go on in place of a new one, which turned out to be it."""
         for column in (self._begin, self._counts, self._is_gone):
             column.values[old] = column.values[new]
         self.is_gone[new] = False
+        self._in_view = self._in_view[self._in_view != old]
         self._in_view[self._in_view == new] = old
         self._due[self._due == new] = old
         self._gone[self._gone == new] = old

@@ -114,8 +114,8 @@ def _bin_with(
 ) -> tuple[NDArray[np.int64], int]:
     """Return the other members of the bin that a pivot begins, and the number of comparisons."""
     near, n = _company(block, pivot, others, samples, budget, limit, fewest)
-    n_voters = min(VOTERS, (budget - n) // (len(near) - 1)) if len(near) > 1 else 0
-    if n_voters > 0:
+    n_voters = min(VOTERS, len(near), (budget - n) // max(len(near) - 1, 1))
+    if len(near) > 1 and n_voters > 0:
         stays, n_votes = _vote(block, near, n_voters, limit, fewest)
         return near[stays], n + n_votes
     return near, n
