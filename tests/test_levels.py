@@ -1,0 +1,150 @@
+"""Which group a landmark's position comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.core.landmarks import MappedGroup
+from relmap.core.levels import GroupLevels
+from relmap.simulation import simulate_figure_eight
+from tests.worlds import walk
+
+N = 6
+ints = st.integers
+offers = st.lists(
+    st.tuples(
+        st.sampled_from(["group", "group", "group", "leave", "close"]),
+        st.lists(st.tuples(ints(0, N - 1), ints(1, 3), ints(0, 5)), unique_by=lambda row: row[0]),
+    ),
+    max_size=25,
+)
+
+
+def empty_group(number: int) -> MappedGroup:
+    """Return a group that is known by its only iteration."""
+    nothing = np.empty(0)
+    none = np.empty(0, dtype=np.int64)
+    return MappedGroup(none, nothing, none, np.array([number]), none, nothing, nothing)
+
+
+def numbers(levels: GroupLevels) -> list[int]:
+    return [int(group.iterations[0]) for group in levels.groups]
+
+
+def offered(
+    levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]
+) -> NDArray[np.bool_]:
+    """Let a group offer positions, as the builder does; tell which were taken."""
+    landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T
+    best = levels.better(landmarks, reached, n_averaged)
+    levels.take(empty_group(number), landmarks[best], reached[best], n_averaged[best])
+    return best
+
+
+@settings(max_examples=100)
+@given(offers)
+def test_the_highest_level_wins_and_of_equal_ones_the_one_with_more(
+    steps: list[tuple[str, list[tuple[int, int, int]]]],
+) -> None:
+    levels = GroupLevels()
+    levels.resize(N)
+    present = dict.fromkeys(range(N), (0, 0))
+    group_of: dict[int, int] = {}
+    settled: set[int] = set()
+    highest = [0] * N
+    for number, (what, rows) in enumerate(steps):
+        landmarks = np.array([row[0] for row in rows], dtype=np.int64)
+        if what == "group":
+            taken = offered(levels, number, rows)
+            for (landmark, reached, n), wins in zip(rows, taken.tolist(), strict=True):
+                assert wins == (n > 0 and (reached, n) > present[landmark])
+                if wins:
+                    present[landmark], group_of[landmark] = (reached, n), number
+                    highest[landmark] = max(highest[landmark], reached)
+        else:
+            getattr(levels, what)(landmarks)
+            for landmark in landmarks.tolist():
+                group = group_of.pop(landmark, None)
+                if what == "close" and group is not None:
+                    settled.add(group)
+                if what == "leave":
+                    highest[landmark] = 0
+                present[landmark] = (0, 0)
+        assert levels.present.tolist() == [present[k][0] for k in range(N)]
+        assert levels.highest.tolist() == highest
+        assert numbers(levels) == sorted(settled | set(group_of.values()))
+
+
+def test_a_lower_group_goes_when_the_last_of_its_members_is_in_a_higher_one() -> None:
+    levels = GroupLevels()
+    levels.resize(3)
+    offered(levels, 0, [(0, 1, 4), (1, 1, 4), (2, 1, 4)])
+    offered(levels, 1, [(0, 2, 9), (1, 2, 9)])
+    assert numbers(levels) == [0, 1]
+    offered(levels, 2, [(2, 2, 3)])
+    assert numbers(levels) == [1, 2]
+
+
+def test_one_merged_into_another_goes_on_with_its_group() -> None:
+    levels = GroupLevels()
+    levels.resize(2)
+    offered(levels, 0, [(0, 3, 30)])
+    levels.close(np.array([0]))
+    offered(levels, 1, [(1, 1, 10)])
+    levels.merge(1, 0)
+    assert (levels.present[0], levels.highest[0]) == (1, 3)
+    assert not offered(levels, 2, [(0, 1, 9)])[0]
+    assert offered(levels, 3, [(0, 2, 20)])[0]
+    assert numbers(levels) == [0, 3]
+
+
+def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_interval() -> None:
+    mapper, world = PointMapper(), walk(3, 7, sigma=0.05, iterations=300)
+    group, found = mapper._builder.group, mapper._builder.found_piece
+    passes: dict[int, list[int]] = {}
+
+    def noted(seed: int, level: int, fixes: int) -> None:
+        # Iterations that were condensed already are needed by no group to come.
+        first = int(mapper._sightings.first[seed])
+        if mapper._schedule.begin[seed] == first:
+            passes.setdefault(seed, []).append(level)
+            assert mapper._builder._chart(seed).iterations[0] == first
+
+    def grouped(seed: int, level: int, fixes: int) -> NDArray[np.int64]:
+        noted(seed, level, fixes)
+        return group(seed, level, fixes)
+
+    def founded(seed: int, level: int, fixes: int) -> None:
+        noted(seed, level, fixes)
+        found(seed, level, fixes)
+
+    mapper._builder.group, mapper._builder.found_piece = grouped, founded  # type: ignore[method-assign]
+    level_was = np.zeros(0, dtype=np.int64)
+    for ids, points in world.scans:
+        mapper.update(points, ids)
+        level = mapper._builder.levels.highest
+        assert (level[: len(level_was)] >= level_was).all()
+        level_was = level.copy()
+    mapper.finish()
+    assert len(passes) > 5
+    assert all(levels == sorted(levels) for levels in passes.values())
+    assert {level for levels in passes.values() for level in levels} == {1, 2, 3}
+    often = mapper.landmarks.observations >= 20
+    assert set(mapper.landmarks.level[often]) == {3}
+
+
+def test_there_are_no_more_groups_than_landmarks() -> None:
+    world, mapper = simulate_figure_eight(density=25, iterations=500, seed=4), PointMapper()
+    made = 0
+    for scan in world.log.scans():
+        mapper.update(scan.points_robot, scan.ids)
+        assert len(mapper._builder.levels.groups) <= max(len(mapper._sightings.counts), 1)
+        made = mapper._builder.levels._n_groups
+    mapper.finish()
+    assert len(mapper.groups) <= 0.7 * made
+    used = {label for group in mapper.groups for label in group.landmarks.tolist()}
+    assert set(mapper.map.landmark_ids.tolist()) <= used
