@@ -149,8 +149,8 @@ class LiveRefinement:
     def _apply(self, piece: int, members: Indices, step: StepInSlices) -> None:
         """Move the landmarks, and what was mapped meanwhile along with the latest segment."""
         positions = self._map.positions
-        others = self._map.pieces == piece
-        others[members] = False
+        others = np.flatnonzero(self._map.pieces == piece)
+        others = others[~np.isin(others, members)]
         turn, shift, centre = step.latest
-        positions[others] = (positions[others] - centre) @ turn.T + centre + shift
-        positions[members] += step.moves
+        self._map.move(others, (positions[others] - centre) @ turn.T + centre + shift)
+        self._map.move(members, positions[members] + step.moves)
