@@ -143,10 +143,7 @@ def test_the_best_rotation_of_degenerate_points_is_a_proper_one_and_as_good_as_a
     source[:, 2 if "plane" in kind else 1 :] = 0.0 if kind != "half a turn" else source[:, 1:]
     if kind == "spot":
         source[:] = source[0]
-    if kind == "half a turn":
-        R = np.diag([1.0, -1.0, -1.0])
-    else:
-        R = random_rotation(3, np.pi, rng)
+    R = np.diag([1.0, -1.0, -1.0]) if kind == "half a turn" else random_rotation(3, np.pi, rng)
     target = source @ R.T
     if kind == "mirrored plane":
         target = source * [-1, 1, 1] @ R.T

@@ -21,8 +21,9 @@ class MapperConfig:
     ----------
     group_after : int
         Observations after which a landmark is grouped first: the "few iterations" of section III.
-        The second and the third pass are due after multiples of it.  Grouped early, nearly everything in view is on the map when a
-        new landmark is aligned to it, and groups that share many landmarks drift least.
+        The second and the third pass are due after multiples of it.  Grouped early, nearly
+        everything in view is on the map when a new landmark is aligned to it, and groups that
+        share many landmarks drift least.
     max_missed : int
         A landmark unseen for more iterations than this has left the view.
     registration : "constellation" or "nearest-previous"
