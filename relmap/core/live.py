@@ -80,10 +80,6 @@ class LiveRefinement:
         """Leave out the step that is under way: a copy takes its own."""
         return self.__dict__ | {"_work": None}
 
-    def merge(self, new: int, old: int) -> None:
-        """Note that a landmark in view is an old one."""
-        self._back += 1
-
     def _note(self, of: Callable[[Indices], Indices]) -> None:
         """Note which landmarks came back into view after a long time."""
         rows = self._segments.rows

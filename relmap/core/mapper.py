@@ -237,7 +237,6 @@ class RelativeMapper(ABC):
                 self._schedule,
                 self._builder,
                 self._merger,
-                self._live,
             ):
                 state.merge(new, old)
 
