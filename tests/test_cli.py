@@ -22,6 +22,7 @@ LANDMARK_COLUMNS = [
     "level",
     "status",
     "piece",
+    "moving_bin",
 ]
 FIGURES = ["landmark_rmse_m", "coverage", "landmarks_per_true", "purity", "ate_m", "rpe_m"]
 
@@ -165,7 +166,7 @@ def test_log_of_one_observation_gives_an_empty_map(tmp_path: Path) -> None:
     log.write_text("iteration,x,y,z,id\n7,1,2,3,5\n")
     assert main(["map", str(log), "-o", str(tmp_path / "out"), "--association", "known"]) == 0
     (row,) = table(tmp_path / "out" / "landmarks.csv")
-    assert ",".join(row.values()) == "5,,,,,1,7,7,0,unmapped,-1"
+    assert ",".join(row.values()) == "5,,,,,1,7,7,0,unmapped,-1,-1"
     truth = tmp_path / "landmarks.csv"
     truth.write_text("landmark,x,y,z,status\n5,1,2,3,static\n")
     assert main(["evaluate", str(tmp_path / "out"), "--truth", str(tmp_path)]) == 0
