@@ -7,7 +7,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.globalmap import GlobalMap
 from relmap.core.identity import Identity
+from relmap.core.merging import Merger
+from relmap.core.sightings import Sightings
 from relmap.core.spatialindex import SpatialIndex
 from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.evaluation.metrics import majority_ids, purity
@@ -83,3 +86,17 @@ def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
     for position in rng.normal(0, 5, (10, d)):
         near = np.flatnonzero(np.linalg.norm(positions - position, axis=1) <= 2.0)
         assert set(near.tolist()) <= set(index.near(position).tolist())
+
+
+def test_who_is_merged_away_takes_in_nobody() -> None:
+    shift = np.array([0.4, 0.0])
+    first, others = np.array([0.0, 0.0]), np.array([[3.0, 1.0], [-2.0, 4.0], [1.0, -5.0]])
+    # 1 lies where 0 has drifted to, and 2 where 1 has: a chain; the rest are plain pairs.
+    places = np.vstack([first, first + shift, first + 2 * shift, others, others + shift])
+    global_map, n = GlobalMap(), len(places)
+    global_map.resize(n, 2)
+    global_map.place(global_map.new_piece(), np.arange(n), places, np.full(n, 10.0))
+    pairs = np.array([[1, 0], [2, 1], [6, 3], [7, 4], [8, 5]])
+    chosen = Merger(global_map, Sightings(), 10)._choose(pairs, 0.05)
+    assert len(chosen) >= 4
+    assert not np.isin(chosen[:, 1], chosen[:, 0]).any()
