@@ -27,6 +27,8 @@ BACK = 16
 """Landmarks that must have come back into view before a step is worth while."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
+SMALL, MOST = 36000, 8
+"""Rows of all segments up to which more slices than one are done at a time, and how many."""
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -64,11 +66,11 @@ class LiveRefinement:
                 return False
             self._begun, self._back = n, 0
             self._work = self._step(of)
-        try:
-            next(self._work)
-        except StopIteration:
-            self._work = None
-            return True
+        # The slices of a short run are small.
+        for _ in range(np.clip(SMALL // len(self._segments.rows.segment), 1, MOST)):
+            if next(self._work, True):
+                self._work = None
+                return True
         return False
 
     @property

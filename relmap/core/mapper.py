@@ -38,6 +38,10 @@ from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
 
 
+SLICE_EVERY = 8
+"""Iterations for each slice of live refinement."""
+
+
 class RelativeMapper(ABC):
     """Builds a global map out of relative maps, one scan at a time.
 
@@ -204,7 +208,12 @@ class RelativeMapper(ABC):
         return self._builder.forget(self._segments)
 
     def _refine_next(self) -> bool:
-        """Do a slice of refining the live map; tell whether there was any to do."""
+        """Do a slice of refining the live map; tell whether there was any to do.
+
+        Not in every iteration, so that a typical one takes as long as before.
+        """
+        if self._store.n_iterations % SLICE_EVERY:
+            return False
         if self._live.advance(self._identity.of):
             self._merger.look_again()
         return self._live.is_busy
