@@ -31,6 +31,8 @@ CHI_MEDIAN = {2: 1.177, 3: 1.538}
 """Median length of a standard normal vector."""
 EXACT = 1e-9
 """Residual, as a share of the map's size, that is taken for rounding."""
+WORTH_SAYING = 0.1
+"""Last step, as a share of the residuals, above which it is said that it did not settle."""
 REWEIGHTED = 5
 SAME = 0.05
 """Change of a weight that makes no difference."""
@@ -85,7 +87,7 @@ def _settled(
     """Return the positions of the least sum of squares, and the factor of the last matrix."""
     size = np.abs(positions - positions.mean(axis=0)).max()
     rounding = len(rows.points) * (ROUNDING * size) ** 2
-    found, before, least = None, np.inf, np.inf
+    found, before, least, residual = None, np.inf, np.inf, 0.0
     best, move = positions, np.zeros_like(positions)
     for _ in range(ROUNDS):
         placed = lay_on(rows, positions, weight)
@@ -108,7 +110,10 @@ def _settled(
         before = step
         if shrinks is not None and shrinks > SLOW:
             found, before = None, np.inf
-    logger.warning("refinement did not settle in %d rounds", ROUNDS)
+    if before > WORTH_SAYING * residual:
+        logger.warning(
+            "refinement did not settle in %d rounds: the last step was %.3g m", ROUNDS, before
+        )
     placed = lay_on(rows, best, weight)
     return best, factor(system.levels, system.normal(best, placed, weight, True)[1])
 
