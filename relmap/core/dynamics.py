@@ -163,7 +163,7 @@ class Binning:
 
     def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
         self._block = block
-        self._n = int(np.sum(np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST))
+        self._often = np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST
         self._limit = LIMIT * 2 * max(noise_m, _exact(block)) ** 2
 
     def sort(self, priority: NDArray[np.float64], allowed: float | None = None) -> Bins:
@@ -181,9 +181,9 @@ class Binning:
         from relmap.core.kernels.binning import sort_into_bins
 
         if allowed is None:
-            allowed = n_log_n(self._n)
+            allowed = n_log_n(int(self._often.sum()))
         bin_of, n_comparisons = sort_into_bins(
-            self._block, priority, self._limit, FEWEST, SAMPLE, int(allowed)
+            self._block, self._often.copy(), priority, self._limit, FEWEST, SAMPLE, int(allowed)
         )
         sizes = np.bincount(bin_of[bin_of >= 0])
         bins = np.argsort(-sizes, kind="stable")

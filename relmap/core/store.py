@@ -116,4 +116,5 @@ class ObservationStore:
             seed,
             self._slots.values,
         )
-        return landmarks, columns + begin, block
+        order = np.argsort(np.where(landmarks == seed, -1, landmarks))
+        return landmarks[order], columns + begin, block[order]

@@ -6,56 +6,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
-from relmap.core.kernels.fitting import fit_rows
-from relmap.core.kernels.rotation import inverse3
+from relmap.core.kernels.fitting import centre_of, fit_rows
+from relmap.core.kernels.linear import inverse3
+from relmap.core.kernels.ordering import median, smallest
 
 
 @compiled
 def _amplification(
-    points: NDArray[np.float64], rows: NDArray[np.bool_], scatter: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the variance (n,) of points placed by a fit to some rows, in units of the noise's."""
+    points: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    scatter: NDArray[np.float64],
+    amplified: NDArray[np.float64],
+) -> None:
+    """Add the variance (n,) of points placed by a fit to some rows, in units of the noise's."""
     n, d = points.shape
-    centre, count = np.zeros(3), rows.sum()
-    for i in range(n):
-        if rows[i]:
-            for a in range(d):
-                centre[a] += points[i, a] / count
-    x, y, z = centre
-    trace = np.trace(scatter)
-    amplified = np.empty(n)
-    if d == 2:  # a turn moves a point at its distance, any way round
-        for i in range(n):
-            square = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2
-            amplified[i] = 1 + 1 / count + square / (2 * trace)
-        return amplified
-    spread, _ = inverse3(trace * np.eye(3) - scatter)
-    sum_, xx, yy, zz = np.trace(spread), spread[0, 0], spread[1, 1], spread[2, 2]
+    x, y, z, count = centre_of(points, rows)
+    trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
+    for i in range(3):
+        for j in range(3):
+            scatter[i, j] = (trace if i == j else 0.0) - scatter[i, j]
+    spread, _ = inverse3(scatter)
+    xx, yy, zz = spread[0, 0], spread[1, 1], spread[2, 2]
     xy, xz, yz = 2 * spread[0, 1], 2 * spread[0, 2], 2 * spread[1, 2]
     for i in range(n):
-        a, b, c = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-        along = a * (xx * a + xy * b + xz * c) + b * (yy * b + yz * c) + zz * c * c
-        amplified[i] = 1 + 1 / count + (sum_ * (a * a + b * b + c * c) - along) / 3
-    return amplified
+        a, b = points[i, 0] - x, points[i, 1] - y
+        if d == 2:  # a turn moves a point at its distance, any way round
+            turned = (a * a + b * b) / (2 * trace)
+        else:
+            c = points[i, 2] - z
+            along = a * (xx * a + xy * b + xz * c) + b * (yy * b + yz * c) + zz * c * c
+            turned = ((xx + yy + zz) * (a * a + b * b + c * c) - along) / 3
+        if not np.isnan(a):
+            amplified[i] += 1 + 1 / count + turned
 
 
 @compiled
 def _deviations(
-    placed: NDArray[np.float64], row: NDArray[np.int64], mean: NDArray[np.float64]
+    placed: NDArray[np.float64], mean: NDArray[np.float64], counts: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the sum of squared deviations (n,) of places (k, d) from the means (n, d) of rows.
+    """Return the sum of squared deviations (n,) of places (n, i, d), NaN or not, from their means.
 
-    The largest of each row is left out: one bad observation is not a motion.
+    Means (n, d) come as sums and are divided by counts (n,).  The largest of each row is left out:
+    one bad observation is not a motion.
     """
-    n, d = mean.shape
-    squares, largest = np.zeros(n), np.zeros(n)
-    for j in range(len(row)):
-        square = 0.0
+    n, m, d = placed.shape
+    squares = np.zeros(n)
+    for k in range(n):
+        largest = 0.0
         for a in range(d):
-            square += (placed[j, a] - mean[row[j], a]) ** 2
-        squares[row[j]] += square
-        largest[row[j]] = max(largest[row[j]], square)
-    return squares - largest
+            mean[k, a] /= counts[k]
+        for i in range(m):
+            square = 0.0
+            for a in range(d):
+                apart = placed[k, i, a] - mean[k, a]
+                square += apart * apart
+            if not np.isnan(square):
+                squares[k] += square
+                largest = max(largest, square)
+        squares[k] -= largest
+    return squares
 
 
 @compiled
@@ -72,43 +81,69 @@ def place_iterations(
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
     Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then for each landmark (n,),
-    NaN where it was never placed, the mean place (n, d), the sum of squared deviations from it but
-    for the largest, and what its variance is in units of the noise's.
+    of use where it was ever placed, the mean place (n, d), the sum of squared deviations from it
+    but for the largest, and what its variance is in units of the noise's.
     """
     n, m, d = block.shape
-    R, t, fixed = np.zeros((m, d, d)), np.zeros((m, d)), np.zeros(m, dtype=np.bool_)
-    placed, row, n_placed = np.empty((n * m, d)), np.empty(n * m, dtype=np.int64), 0
-    mean, counts, amplified = np.zeros((n, d)), np.zeros(n), np.zeros(n)
-    guess = np.eye(d)
+    R, t, fixed = np.empty((m, d, d)), np.empty((m, d)), np.zeros(m, dtype=np.bool_)
+    here, rows, guess = np.empty((n, d)), np.zeros(n, dtype=np.bool_), np.zeros((d, d))
+    placed, mean = np.empty((n, m, d)), np.zeros((n, d))
+    counts, amplified = np.zeros(n), np.zeros(n)
+    for a in range(d):
+        guess[a, a] = 1.0
     for i in range(m):
-        seen = np.flatnonzero(~np.isnan(block[:, i, 0]))
-        here, there = np.empty((len(seen), d)), np.empty((len(seen), d))
-        for j in range(len(seen)):
+        for k in range(n):
+            rows[k] = not np.isnan(block[k, i, 0] + reference[k, 0])
             for a in range(d):
-                here[j, a] = block[seen[j], i, a]
-                there[j, a] = reference[seen[j], a]
-        rows = ~np.isnan(there[:, 0])
-        R[i], t[i], fixed[i], scatter = fit_rows(here, there, rows, guess)
+                here[k, a] = block[k, i, a]
+        turn, shift, fixed[i], scatter = fit_rows(here, reference, rows, guess)
+        for a in range(d):
+            t[i, a] = shift[a]
+            for b in range(d):
+                R[i, a, b] = turn[a, b]
         if fixed[i]:
-            guess = R[i].copy()
-            amplification = _amplification(here, rows, scatter)
-            for j in range(len(seen)):
-                x, y = here[j, 0], here[j, 1]
-                z = here[j, 2] if d == 3 else 0.0
-                for a in range(d):
-                    place = t[i, a] + R[i, a, 0] * x + R[i, a, 1] * y
-                    place += R[i, a, 2] * z if d == 3 else 0.0
-                    placed[n_placed, a] = place
-                    mean[seen[j], a] += place
-                row[n_placed] = seen[j]
-                amplified[seen[j]] += amplification[j]
-                counts[seen[j]] += 1
-                n_placed += 1
-    counts = np.where(counts > 0, counts, np.nan)
+            guess = turn
+            _amplification(here, rows, scatter, amplified)
+        for k in range(n):
+            there = fixed[i] and not np.isnan(here[k, 0])
+            counts[k] += there
+            for a in range(d):
+                place = shift[a]
+                for b in range(d):
+                    place += turn[a, b] * here[k, b]
+                placed[k, i, a] = place if there else np.nan
+                mean[k, a] += place if there else 0.0
+    squares = _deviations(placed, mean, counts)
     for k in range(n):
-        mean[k] /= counts[k]
-    squares = _deviations(placed[:n_placed], row[:n_placed], mean)
-    return R, t, fixed, mean, np.where(counts > 0, squares, np.nan), amplified / counts
+        amplified[k] /= counts[k]
+    return R, t, fixed, mean, squares, amplified
+
+
+@compiled
+def _radial_variances(
+    block: NDArray[np.float64], inner: NDArray[np.bool_], variance: NDArray[np.float64]
+) -> None:
+    """Enter the variance (g,) of the distances from the centre of the inner ones of a group."""
+    g, m, d = block.shape
+    centre, radius, h = np.zeros((m, d)), np.empty(m), 0
+    for k in range(g):
+        h += inner[k]
+    for k in range(g):
+        for i in range(m):
+            for a in range(d):
+                centre[i, a] += block[k, i, a] / h if inner[k] else 0.0
+    for k in range(g):
+        mean, squares = 0.0, 0.0
+        for i in range(m):
+            square = 0.0
+            for a in range(d):
+                square += (block[k, i, a] - centre[i, a]) ** 2
+            radius[i] = np.sqrt(square)
+            mean += radius[i] / m
+        for i in range(m):
+            squares += (radius[i] - mean) ** 2
+        # The centre holds 1/h of the noise of each of its own, with or against the member's.
+        variance[k] = squares / (m - 1) * (h / (h - 1) if inner[k] else h / (h + 1))
 
 
 @compiled
@@ -117,24 +152,13 @@ def steady_variance(block: NDArray[np.float64], freedoms_median: float) -> float
 
     The centre is that of the steadier half: one that moves would take it along.
     """
-    g, m, d = block.shape
-    inner, variance = np.ones(g, dtype=np.bool_), np.empty(g)
-    radius, centre = np.empty(m), np.empty((m, d))
+    g = len(block)
+    inner, variance, listed, limit = np.zeros(g, dtype=np.bool_), np.zeros(g), np.empty(g), np.inf
     for _ in range(3):
-        h = inner.sum()
-        centre[:] = 0.0
         for k in range(g):
-            if inner[k]:
-                centre += block[k] / h
+            inner[k] = variance[k] <= limit
+        _radial_variances(block, inner, variance)
         for k in range(g):
-            for i in range(m):
-                square = 0.0
-                for a in range(d):
-                    square += (block[k, i, a] - centre[i, a]) ** 2
-                radius[i] = np.sqrt(square)
-            # The centre holds 1/h of the noise of each of its own, with or against the member's.
-            scale = h / (h - 1) if inner[k] else h / (h + 1)
-            variance[k] = ((radius - radius.mean()) ** 2).sum() / (m - 1) * scale
-        inner[:] = False
-        inner[np.argsort(variance, kind="mergesort")[: max(3, (g + 1) // 2)]] = True
-    return np.median(variance) / freedoms_median
+            listed[k] = variance[k]
+        limit = smallest(listed, g, min(max(3, (g + 1) // 2), g) - 1)
+    return median(listed, g) / freedoms_median

@@ -6,42 +6,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
+from relmap.core.kernels.ordering import smallest
 from relmap.core.kernels.rotation import best_rotation, fixes
 
 
 @compiled
-def moments(
-    source: NDArray[np.float64], target: NDArray[np.float64], rows: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the means (2, 3) of some rows of matched points (n, d), and their centred moments.
-
-    These are that of source and target and the scatter of the source, (3, 3) each; what the plane
-    lacks is 0.  In single numbers, because short loops over coordinates take several times as long.
-    """
-    n, space = len(source), source.shape[1] == 3
-    x, y, z, u, v, w, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0
-    for i in range(n):
+def centre_of(
+    points: NDArray[np.float64], rows: NDArray[np.bool_]
+) -> tuple[float, float, float, int]:
+    """Return the mean of some rows of points (n, d), with z = 0 in the plane, and their number."""
+    x, y, z, count = 0.0, 0.0, 0.0, 0
+    for i in range(len(points)):
         if rows[i]:
             count += 1
-            x, y, u, v = x + source[i, 0], y + source[i, 1], u + target[i, 0], v + target[i, 1]
-            if space:
-                z, w = z + source[i, 2], w + target[i, 2]
-    means = np.array([[x, y, z], [u, v, w]]) / max(count, 1)
-    (x, y, z), (u, v, w) = means
-    xu, xv, xw, yu, yv, yw, zu, zv, zw = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    xx, xy, xz, yy, yz, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
+            x += points[i, 0]
+            y += points[i, 1]
+            if points.shape[1] == 3:
+                z += points[i, 2]
+    share = 1 / max(count, 1)
+    return x * share, y * share, z * share, count
+
+
+@compiled
+def _moments(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    means: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centred moments (3, 3) of some rows of matched points (n, d) about their means (2, 3).
+
+    These are that of source and target, and the scatter of the source; what the plane lacks is 0.
+    """
+    moment, scatter, space = np.zeros((3, 3)), np.zeros((3, 3)), source.shape[1] == 3
+    for i in range(len(source)):
         if rows[i]:
-            a, b, c = source[i, 0] - x, source[i, 1] - y, 0.0
-            p, q, r = target[i, 0] - u, target[i, 1] - v, 0.0
-            xu, xv, yu, yv = xu + a * p, xv + a * q, yu + b * p, yv + b * q
-            xx, xy, yy = xx + a * a, xy + a * b, yy + b * b
-            if space:
-                c, r = source[i, 2] - z, target[i, 2] - w
-                xw, yw, zu, zv, zw = xw + a * r, yw + b * r, zu + c * p, zv + c * q, zw + c * r
-                xz, yz, zz = xz + a * c, yz + b * c, zz + c * c
-    moment = np.array([[xu, xv, xw], [yu, yv, yw], [zu, zv, zw]])
-    return means, moment, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            x, y = source[i, 0] - means[0, 0], source[i, 1] - means[0, 1]
+            z = source[i, 2] - means[0, 2] if space else 0.0
+            for b in range(source.shape[1]):
+                to, own = target[i, b] - means[1, b], source[i, b] - means[0, b]
+                moment[0, b] += x * to
+                moment[1, b] += y * to
+                moment[2, b] += z * to
+                scatter[0, b] += x * own
+                scatter[1, b] += y * own
+                scatter[2, b] += z * own
+    return moment, scatter
 
 
 @compiled
@@ -53,17 +63,39 @@ def fit_rows(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], bool, NDArray[np.float64]]:
     """Fit some rows of matched points (n, d) rigidly, as `fit_rigid` does with equal weights.
 
-    Returns R, t, whether the rows fix R, and the scatter (d, d) of their source points.  A guess
+    Returns R, t, whether the rows fix R, and the scatter (3, 3) of their source points.  A guess
     of R (d, d) saves time.
     """
-    d = source.shape[1]
-    means, moment, scatter = moments(source, target, rows)
-    moment, scatter = moment[:d, :d].copy(), scatter[:d, :d].copy()
-    R, t = best_rotation(moment, guess), means[1, :d].copy()
+    d, means = source.shape[1], np.empty((2, 3))
+    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(source, rows)
+    means[1, 0], means[1, 1], means[1, 2], _ = centre_of(target, rows)
+    moment, scatter = _moments(source, target, rows, means)
+    R, t = best_rotation(moment, guess), np.empty(d)
     for a in range(d):
+        t[a] = means[1, a]
         for b in range(d):
             t[a] -= R[a, b] * means[0, b]
-    return R, t, fixes(scatter), scatter
+    return R, t, fixes(scatter, d), scatter
+
+
+@compiled
+def _misfits(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    misfit: NDArray[np.float64],
+) -> None:
+    """Enter how far from its target (n, d) a fit puts each point (n,)."""
+    n, d = source.shape
+    for i in range(n):
+        square = 0.0
+        for a in range(d):
+            apart = t[a] - target[i, a]
+            for b in range(d):
+                apart += R[a, b] * source[i, b]
+            square += apart * apart
+        misfit[i] = np.sqrt(square)
 
 
 @compiled
@@ -78,24 +110,28 @@ def trimmed_fit_rows(
     Returns R, t and the number of matches within the tolerance, which is -1 where too few are left.
     """
     n, d = source.shape
-    kept, near, error = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_), np.zeros(n)
-    R, t = np.eye(d), np.zeros(d)
+    kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)
+    R, t, limit, n_agreeing = np.zeros((d, d)), np.zeros(d), np.inf, 0
+    for a in range(d):
+        R[a, a] = 1.0
     for _ in range(rounds):
-        if kept.sum() < d:
-            return R, t, -1
-        R, t, _, _ = fit_rows(source, target, kept, R)
+        n_kept, same, last = 0, True, limit == tolerance_m
         for i in range(n):
-            square = 0.0
-            for a in range(d):
-                placed = t[a] - target[i, a]
-                for b in range(d):
-                    placed += R[a, b] * source[i, b]
-                square += placed * placed
-            error[i] = np.sqrt(square)
-        middle = np.sort(error[kept])[kept.sum() // 2]
-        limit = max(tolerance_m, 1.5 * middle)
-        near = error <= limit
-        if limit == tolerance_m and (near == kept).all():
+            same &= kept[i] == (misfit[i] <= limit)
+            kept[i] = misfit[i] <= limit
+            n_kept += kept[i]
+        if n_kept < d:
+            return R, t, -1
+        if last and same:
             break
-        kept = near
-    return R, t, (error <= tolerance_m).sum()
+        R, t, _, _ = fit_rows(source, target, kept, R)
+        _misfits(source, target, R, t, misfit)
+        n_kept = 0
+        for i in range(n):
+            if kept[i]:
+                listed[n_kept] = misfit[i]
+                n_kept += 1
+        limit = max(tolerance_m, 1.5 * smallest(listed, n_kept, n_kept // 2))
+    for i in range(n):
+        n_agreeing += misfit[i] <= tolerance_m
+    return R, t, n_agreeing
