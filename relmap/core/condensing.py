@@ -137,7 +137,7 @@ class CondensedSegments:
         return whole.rows
 
     def _condense(self, store: ObservationStore, end: int, dynamic: NDArray[np.bool_]) -> None:
-        from relmap.core.segmentkernels import condense_block
+        from relmap.core.kernels.segments import condense_block
 
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
@@ -148,11 +148,14 @@ class CondensedSegments:
         steady = ~dynamic[present]
         free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
-            joined, R, t, points, visible, squares = condense_block(block[steady], free)
+            seen = np.isfinite(block[steady, :, 0]) & free
+            seed = int(np.argmax(seen.sum(axis=0)))
+            joined, R, t, points, deviation = condense_block(block[steady], seen, free, seed)
+            visible = np.packbits(seen, axis=1, bitorder="little")[:, 0]
             free &= ~joined
             fitted = 3 * d - 3
             n_seen, n_points = _BITS[visible].sum(), (visible > 0).sum()
-            self._squares.extend(np.array([squares]))
+            self._squares.extend(np.array([np.sum(deviation**2)]))
             self._freedoms.extend(np.array([d * (n_seen - n_points) - fitted * (joined.sum() - 1)]))
             at = begin + np.flatnonzero(joined)
             self._iteration_segment.values[at] = len(self._squares) - 1
@@ -197,5 +200,4 @@ def _means(
     seen = np.isfinite(block[:, :, 0]) & joined
     placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
     means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
-    bits = (seen * (1 << np.arange(seen.shape[1]))).sum(axis=1)
-    return means, bits.astype(np.uint8)
+    return means, np.packbits(seen, axis=1, bitorder="little")[:, 0]

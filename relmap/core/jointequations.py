@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.alignment import sums_each
 from relmap.core.condensing import LENGTH
+from relmap.core.elimination import FreePlacements
 from relmap.core.jointrows import JointRows
 from relmap.core.tridiagonal import Factor, Levels
 
@@ -96,7 +97,7 @@ def _levels(
     rows: JointRows, landmark_begin: NDArray[np.int64], entry: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return levels of landmarks and segments, beginning at an outer landmark."""
-    from relmap.core.jointkernels import breadth_first
+    from relmap.core.kernels.joint import breadth_first
 
     graph = rows.begin, rows.landmark, landmark_begin, rows.segment[entry]
     outer = int(np.argmax(breadth_first(0, *graph)[0]))
@@ -107,9 +108,8 @@ class LandmarkEquations:
     """The landmarks stay; each iteration has a placement of its own, and is eliminated."""
 
     def __init__(self, rows: JointRows, anchor: tuple[int, int], level: NDArray[np.int64]) -> None:
-        self._rows = rows
-        self._anchor = anchor
-        self._begin = rows.begin
+        self._sizes = rows.points.shape[1] * np.diff(rows.begin).astype(np.float64)
+        self._free = FreePlacements(rows, anchor)
         self.cost = np.zeros(len(rows.segments))
         self.levels = Levels(level, rows.points.shape[1])
 
@@ -117,8 +117,7 @@ class LandmarkEquations:
     def flops(self) -> float:
         """About how many operations the equations and their solution take."""
         d = self.levels.q
-        sizes = d * np.diff(self._begin).astype(np.float64)
-        return float(self.levels.flops + 2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
+        return float(self.levels.flops + 2 * LENGTH * (3 * d - 3) * np.sum(self._sizes**2))
 
     def normal(
         self,
@@ -128,27 +127,11 @@ class LandmarkEquations:
         with_matrix: bool,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; see `Equations`."""
-        from relmap.core.landmarkkernels import landmark_equations
-
-        rows, levels = self._rows, self.levels
-        gradient = np.zeros_like(positions)
-        buffer = np.zeros(levels.size if with_matrix else 0)
-        there = positions[rows.landmark]
-        self.cost = landmark_equations(
-            self._begin,
-            rows.landmark,
-            rows.visible,
-            there,
-            placed - there,
-            weight,
-            self._anchor,
-            gradient,
-            buffer,
-            *levels.layout,
-        )
+        buffer = np.zeros(self.levels.size if with_matrix else 0)
+        right, self.cost = self._free.equations(positions, placed, weight, self.levels, buffer)
         if with_matrix:
-            levels.hold(buffer, WEAKEST)
-        return gradient, buffer
+            self.levels.hold(buffer, WEAKEST)
+        return right, buffer
 
     def moved(
         self,
@@ -206,7 +189,7 @@ class PlacementEquations:
         with_matrix: bool,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; see `Equations`."""
-        from relmap.core.jointkernels import placement_equations
+        from relmap.core.kernels.joint import placement_equations
 
         levels, omega = self.levels, self._seen * weight[self._row]
         gradient = np.zeros((len(levels.level), levels.q))
@@ -253,7 +236,7 @@ class PlacementEquations:
         self, factor: Factor, placed: NDArray[np.float64], weight: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the covariances of the landmarks; see `Equations`."""
-        from relmap.core.jointkernels import spread_of_landmarks
+        from relmap.core.kernels.joint import spread_of_landmarks
 
         return spread_of_landmarks(
             self._entry_begin,

@@ -80,7 +80,7 @@ class StepInSlices:
 
     def _levels(self) -> Levels:
         """Return levels of the placements, neighbours joined until none costs too much."""
-        from relmap.core.jointkernels import breadth_first
+        from relmap.core.kernels.joint import breadth_first
 
         while True:
             p = int(self._placement[-1]) + 1
@@ -96,7 +96,7 @@ class StepInSlices:
         self, levels: Levels, centre: Points, means: Points
     ) -> Generator[None, None, tuple[Points, Points]]:
         """Return right side and matrix, the landmarks eliminated, some of them at a time."""
-        from relmap.core.jointkernels import placement_equations
+        from relmap.core.kernels.joint import placement_equations
 
         centred = self._placed - centre[self._placement]
         residual = self._placed - means[self._landmark]

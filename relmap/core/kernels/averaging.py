@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
-from relmap.core.kernels.fitting import centre_of, fit_rows
-from relmap.core.kernels.linear import inverse3
+from relmap.core.kernels.fitting import centre_of, fit_rows, set_placement
+from relmap.core.kernels.linear import identity, inverse3
 from relmap.core.kernels.ordering import median, smallest
 
 
 @compiled
-def _amplification(
+def _amplify(
     points: NDArray[np.float64],
     rows: NDArray[np.bool_],
     scatter: NDArray[np.float64],
@@ -41,20 +41,44 @@ def _amplification(
 
 
 @compiled
-def _deviations(
-    placed: NDArray[np.float64], mean: NDArray[np.float64], counts: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return the sum of squared deviations (n,) of places (n, i, d), NaN or not, from their means.
+def place(
+    points: NDArray[np.float64],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    i: int,
+    placed: NDArray[np.float64],
+) -> None:
+    """Enter where an iteration i, as it lies, puts its points (n, d) in places (n, i, d)."""
+    n, d = points.shape
+    for k in range(n):
+        for a in range(d):
+            at = t[i, a]
+            for b in range(d):
+                at += R[i, a, b] * points[k, b]
+            placed[k, i, a] = at
 
-    Means (n, d) come as sums and are divided by counts (n,).  The largest of each row is left out:
-    one bad observation is not a motion.
+
+@compiled
+def _averages(
+    placed: NDArray[np.float64], amplified: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean places (n, d), and the sums of squared deviations (n,) from them.
+
+    Of places (n, i, d), NaN or not; amplified variances (n,) come as sums and are averaged too.
+    The largest deviation of each row is left out: one bad observation is not a motion.
     """
     n, m, d = placed.shape
-    squares = np.zeros(n)
+    mean, squares = np.zeros((n, d)), np.zeros(n)
     for k in range(n):
-        largest = 0.0
+        count, largest = 0, 0.0
+        for i in range(m):
+            if not np.isnan(placed[k, i, 0]):
+                count += 1
+                for a in range(d):
+                    mean[k, a] += placed[k, i, a]
+        amplified[k] /= count
         for a in range(d):
-            mean[k, a] /= counts[k]
+            mean[k, a] /= count
         for i in range(m):
             square = 0.0
             for a in range(d):
@@ -64,7 +88,7 @@ def _deviations(
                 squares[k] += square
                 largest = max(largest, square)
         squares[k] -= largest
-    return squares
+    return mean, squares
 
 
 @compiled
@@ -86,36 +110,21 @@ def place_iterations(
     """
     n, m, d = block.shape
     R, t, fixed = np.empty((m, d, d)), np.empty((m, d)), np.zeros(m, dtype=np.bool_)
-    here, rows, guess = np.empty((n, d)), np.zeros(n, dtype=np.bool_), np.zeros((d, d))
-    placed, mean = np.empty((n, m, d)), np.zeros((n, d))
-    counts, amplified = np.zeros(n), np.zeros(n)
-    for a in range(d):
-        guess[a, a] = 1.0
+    here, rows, guess = np.empty((n, d)), np.zeros(n, dtype=np.bool_), identity(d)
+    placed, amplified = np.empty((n, m, d)), np.zeros(n)
+    placed[:] = np.nan
     for i in range(m):
         for k in range(n):
             rows[k] = not np.isnan(block[k, i, 0] + reference[k, 0])
             for a in range(d):
                 here[k, a] = block[k, i, a]
         turn, shift, fixed[i], scatter = fit_rows(here, reference, rows, guess)
-        for a in range(d):
-            t[i, a] = shift[a]
-            for b in range(d):
-                R[i, a, b] = turn[a, b]
+        set_placement(R, t, i, turn, shift)
         if fixed[i]:
             guess = turn
-            _amplification(here, rows, scatter, amplified)
-        for k in range(n):
-            there = fixed[i] and not np.isnan(here[k, 0])
-            counts[k] += there
-            for a in range(d):
-                place = shift[a]
-                for b in range(d):
-                    place += turn[a, b] * here[k, b]
-                placed[k, i, a] = place if there else np.nan
-                mean[k, a] += place if there else 0.0
-    squares = _deviations(placed, mean, counts)
-    for k in range(n):
-        amplified[k] /= counts[k]
+            _amplify(here, rows, scatter, amplified)
+            place(here, R, t, i, placed)
+    mean, squares = _averages(placed, amplified)
     return R, t, fixed, mean, squares, amplified
 
 

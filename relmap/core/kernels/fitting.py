@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
+from relmap.core.kernels.linear import identity
 from relmap.core.kernels.ordering import smallest
 from relmap.core.kernels.rotation import best_rotation, fixes
 
@@ -79,6 +80,21 @@ def fit_rows(
 
 
 @compiled
+def set_placement(
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    i: int,
+    turn: NDArray[np.float64],
+    shift: NDArray[np.float64],
+) -> None:
+    """Enter turn and shift as the i-th of placements R (m, d, d) and t (m, d)."""
+    for a in range(len(shift)):
+        t[i, a] = shift[a]
+        for b in range(len(shift)):
+            R[i, a, b] = turn[a, b]
+
+
+@compiled
 def _misfits(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
@@ -111,9 +127,7 @@ def trimmed_fit_rows(
     """
     n, d = source.shape
     kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)
-    R, t, limit, n_agreeing = np.zeros((d, d)), np.zeros(d), np.inf, 0
-    for a in range(d):
-        R[a, a] = 1.0
+    R, t, limit, n_agreeing = identity(d), np.zeros(d), np.inf, 0
     for _ in range(rounds):
         n_kept, same, last = 0, True, limit == tolerance_m
         for i in range(n):

@@ -14,6 +14,15 @@ ROUNDING = 1e-17
 
 
 @compiled
+def identity(n: int) -> NDArray[np.float64]:
+    """Return the unit matrix (n, n)."""
+    unit = np.zeros((n, n))
+    for i in range(n):
+        unit[i, i] = 1.0
+    return unit
+
+
+@compiled
 def product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the product (n, k) of two matrices (n, m) and (m, k)."""
     result = np.empty((len(A), B.shape[1]))
@@ -49,9 +58,7 @@ def diagonalise(A: NDArray[np.float64]) -> NDArray[np.float64]:
     Jacobi's method (Golub and Van Loan, "Matrix Computations", 8.5).  The vectors are columns.
     """
     n = len(A)
-    V = np.zeros((n, n))
-    for a in range(n):
-        V[a, a] = 1.0
+    V = identity(n)
     for _ in range(SWEEPS):
         beside, largest = 0.0, 0.0
         for p in range(n):

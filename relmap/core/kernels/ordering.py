@@ -32,7 +32,7 @@ def smallest(values: NDArray[np.float64], n: int, k: int) -> float:
             low = i
         else:
             break
-    return values[k]
+    return float(values[k])
 
 
 @compiled

@@ -1,6 +1,4 @@
-"""Hot loops of the joint least squares with the landmarks eliminated, and what both ways share.
-
-Compiled; see `kernels` on how and why.
+"""The joint least squares with the landmarks eliminated, compiled, and what both ways share.
 
 A row is a landmark in a segment.  Rows come in the order of their segments; `begin` (s + 1,) tells
 where each segment's begin.  A matrix is a buffer of dense blocks; see `tridiagonal`.
@@ -12,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
-from relmap.core.segmentkernels import derivative
+from relmap.core.kernels.linear import product
+from relmap.core.kernels.segments import derivative
 
 
 @compiled
@@ -28,8 +27,9 @@ def breadth_first(
     `segment` lists the segments of each landmark, from `landmark_begin` on.  What cannot be reached
     stands in levels of its own, after the others.
     """
-    of_landmark = np.full(len(landmark_begin) - 1, -1)
-    of_segment = np.full(len(begin) - 1, -1)
+    of_landmark = np.empty(len(landmark_begin) - 1, dtype=np.int64)
+    of_segment = np.empty(len(begin) - 1, dtype=np.int64)
+    of_landmark[:] = of_segment[:] = -1
     queue = np.empty(len(of_landmark), dtype=np.int64)
     tail, head, base, candidate = 0, 0, 0, start
     while tail < len(queue):
@@ -58,7 +58,7 @@ def breadth_first(
 
 @compiled
 def subtract(
-    product: NDArray[np.float64],
+    part: NDArray[np.float64],
     nodes: NDArray[np.int64],
     q: int,
     buffer: NDArray[np.float64],
@@ -67,7 +67,7 @@ def subtract(
     width: NDArray[np.int64],
     offset: NDArray[np.int64],
 ) -> None:
-    """Subtract a product (n q, n q) over n nodes from the lower blocks of a matrix."""
+    """Subtract a part (n q, n q) over n nodes from the lower blocks of a matrix."""
     for i in range(len(nodes)):
         row, row_level = nodes[i], level[nodes[i]]
         for j in range(len(nodes)):
@@ -79,7 +79,29 @@ def subtract(
             for a in range(q):
                 at = start + (place[row] + a) * width[column_level]
                 for b in range(q):
-                    buffer[at + b] -= product[i * q + a, j * q + b]
+                    buffer[at + b] -= part[i * q + a, j * q + b]
+
+
+@compiled
+def _eliminated(
+    T: NDArray[np.float64], weight: NDArray[np.float64], total: float
+) -> NDArray[np.float64]:
+    """Return what a landmark takes from the matrix of its placements, less their own share.
+
+    T (d, n q) are the derivatives of its rows, of weights (n,) that come to a total.
+    """
+    d, q = len(T), T.shape[1] // len(weight)
+    part = np.empty((T.shape[1], T.shape[1]))
+    for k in range(len(weight)):
+        for m in range(k + 1):
+            share = weight[k] * weight[m] / total - (weight[k] if k == m else 0.0)
+            for a in range(q * k, q * (k + 1)):
+                for b in range(q * m, q * (m + 1)):
+                    entry = 0.0
+                    for c in range(d):
+                        entry += T[c, a] * T[c, b]
+                    part[a, b] = part[b, a] = share * entry
+    return part
 
 
 @compiled
@@ -117,30 +139,49 @@ def placement_equations(
         The matrix, added to; nothing is where it is empty.
     """
     d = points.shape[1]
-    q = 3 if d == 2 else 6
+    q = 3 * d - 3
     J = np.empty((d, q))
     for i in range(len(entry_begin) - 1):
         rows = entry[entry_begin[i] : entry_begin[i + 1]]
-        total = weight[rows].sum()
-        T = np.zeros((d, q * len(rows)))
+        nodes, own, total = np.empty(len(rows), dtype=np.int64), np.empty(len(rows)), 0.0
+        T = np.empty((d, q * len(rows)))
         for k in range(len(rows)):
-            derivative(points[rows[k]], J)
-            for b in range(q):
-                for a in range(d):
-                    value = weight[rows[k]] * J[a, b]
-                    gradient[placement[rows[k]], b] += value * residual[rows[k], a]
-                    T[a, q * k + b] = value / np.sqrt(total)
-        if len(buffer) == 0:
-            continue
-        product = np.dot(T.T, T)
-        for k in range(len(rows)):
-            derivative(points[rows[k]], J)
-            for a in range(q):
+            nodes[k], own[k] = placement[rows[k]], weight[rows[k]]
+            total += own[k]
+            derivative(points, rows[k], J)
+            for a in range(d):
                 for b in range(q):
-                    for c in range(d):
-                        own = weight[rows[k]] * J[c, a] * J[c, b]
-                        product[q * k + a, q * k + b] -= own
-        subtract(product, placement[rows], q, buffer, level, place, width, offset)
+                    T[a, q * k + b] = J[a, b]
+                    gradient[nodes[k], b] += own[k] * J[a, b] * residual[rows[k], a]
+        if len(buffer) > 0:
+            part = _eliminated(T, own, total)
+            subtract(part, nodes, q, buffer, level, place, width, offset)
+
+
+@compiled
+def _blocks(
+    nodes: NDArray[np.int64],
+    q: int,
+    inverse: NDArray[np.float64],
+    level: NDArray[np.int64],
+    place: NDArray[np.int64],
+    width: NDArray[np.int64],
+    offset: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """Return the part (n q, n q) of the inverse of a matrix that is over n nodes."""
+    part = np.empty((q * len(nodes), q * len(nodes)))
+    for k in range(len(nodes)):
+        row = nodes[k]
+        for m in range(len(nodes)):
+            column = nodes[m]
+            if level[row] < level[column]:
+                continue
+            start = offset[level[column], 0 if level[row] == level[column] else 1] + place[column]
+            for a in range(q):
+                at = start + (place[row] + a) * width[level[column]]
+                for b in range(q):
+                    part[q * k + a, q * m + b] = part[q * m + b, q * k + a] = inverse[at + b]
+    return part
 
 
 @compiled
@@ -158,30 +199,23 @@ def spread_of_landmarks(
 ) -> NDArray[np.float64]:
     """Return the covariances (m, d, d) of landmarks, of unit noise, from that of placements."""
     d = points.shape[1]
-    q = 3 if d == 2 else 6
-    found = np.zeros((len(entry_begin) - 1, d, d))
-    J = np.empty((d, q))
+    q = 3 * d - 3
+    found, J = np.zeros((len(entry_begin) - 1, d, d)), np.empty((d, q))
     for i in range(len(found)):
         rows = entry[entry_begin[i] : entry_begin[i + 1]]
-        total = weight[rows].sum()
-        pull = np.empty((d, q * len(rows)))
-        joint = np.empty((q * len(rows), q * len(rows)))
+        nodes, pull, total = np.empty(len(rows), dtype=np.int64), np.empty((d, q * len(rows))), 0.0
         for k in range(len(rows)):
-            derivative(points[rows[k]], J)
-            pull[:, q * k : q * (k + 1)] = weight[rows[k]] / total * J
-            row = placement[rows[k]]
-            for m in range(len(rows)):
-                column = placement[rows[m]]
-                if level[row] < level[column]:
-                    continue
-                same = level[row] == level[column]
-                start = offset[level[column], 0 if same else 1] + place[column]
-                for a in range(q):
-                    at = start + (place[row] + a) * width[level[column]]
-                    for b in range(q):
-                        joint[q * k + a, q * m + b] = inverse[at + b]
-                        joint[q * m + b, q * k + a] = inverse[at + b]
-        found[i] = np.dot(np.dot(pull, joint), pull.T)
+            total += weight[rows[k]]
+            nodes[k] = placement[rows[k]]
+        for k in range(len(rows)):
+            derivative(points, rows[k], J)
+            for a in range(d):
+                for b in range(q):
+                    pull[a, q * k + b] = weight[rows[k]] / total * J[a, b]
+        half = product(pull, _blocks(nodes, q, inverse, level, place, width, offset))
         for a in range(d):
+            for b in range(d):
+                for c in range(half.shape[1]):
+                    found[i, a, b] += half[a, c] * pull[b, c]
             found[i, a, a] += 1 / total
     return found
