@@ -17,8 +17,9 @@ from relmap.core.kernels.averaging import steady_variance
 from relmap.core.kernels.binning import keeps_distance
 from relmap.core.kernels.charting import chart_block
 from relmap.core.kernels.fitting import fit_rows
+from relmap.core.kernels.linear import inverse3
 from relmap.core.kernels.matching import claims, nearest_within, two_nearest
-from relmap.core.kernels.rotation import best_rotation, inverse3
+from relmap.core.kernels.rotation import best_rotation
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)

@@ -37,7 +37,6 @@ from relmap.core.schedule import GroupingSchedule
 from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
 
-
 SLICE_EVERY = 8
 """Iterations for each slice of live refinement."""
 
