@@ -21,6 +21,8 @@ from relmap.core.store import ObservationStore
 
 LENGTH = 8
 """Iterations in a segment: one bit each in the landmarks' visibility."""
+TRIMS = 3
+"""How often outliers of a segment are looked for."""
 NOWHERE = -1
 """In place of the segment of an iteration that saw too little to be in one."""
 
@@ -137,8 +139,6 @@ class CondensedSegments:
         return whole.rows
 
     def _condense(self, store: ObservationStore, end: int, dynamic: NDArray[np.bool_]) -> None:
-        from relmap.core.kernels.segments import condense_block
-
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
         landmarks, iterations = store.seen(begin, end)
@@ -148,14 +148,11 @@ class CondensedSegments:
         steady = ~dynamic[present]
         free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
-            seen = np.isfinite(block[steady, :, 0]) & free
-            seed = int(np.argmax(seen.sum(axis=0)))
-            joined, R, t, points, deviation = condense_block(block[steady], seen, free, seed)
-            visible = np.packbits(seen, axis=1, bitorder="little")[:, 0]
+            joined, R, t, points, visible, squares = _laid_together(block[steady], free)
             free &= ~joined
             fitted = 3 * d - 3
             n_seen, n_points = _BITS[visible].sum(), (visible > 0).sum()
-            self._squares.extend(np.array([np.sum(deviation**2)]))
+            self._squares.extend(np.array([squares]))
             self._freedoms.extend(np.array([d * (n_seen - n_points) - fitted * (joined.sum() - 1)]))
             at = begin + np.flatnonzero(joined)
             self._iteration_segment.values[at] = len(self._squares) - 1
@@ -190,6 +187,41 @@ class CondensedSegments:
         self._t.resize(self.end, np.nan)
 
 
+def _laid_together(
+    block: NDArray[np.float64], free: NDArray[np.bool_]
+) -> tuple[
+    NDArray[np.bool_],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.uint8],
+    float,
+]:
+    """Lay as many of the free iterations (k,) of a block (n, k, d) on one another as hold together.
+
+    Returns which these are, where they lie, R (k, d, d) and t (k, d), the places (n, d) and
+    visibility (n,) of the landmarks, and the sum of the squared deviations from these places.
+    """
+    from relmap.core.kernels.segments import join, settle, trim
+
+    seen = np.isfinite(block[:, :, 0]) & free
+    seed = int(np.argmax(seen.sum(axis=0)))
+    joined, R, t = join(block, seen, free, seed)
+    seen &= joined
+    slots = np.flatnonzero(joined & (np.arange(len(free)) != seed))
+    places, counts, deviation = settle(block, seen, slots, R, t)
+    for _ in range(TRIMS):
+        if not trim(deviation, places, counts, seen):
+            break
+        places, counts, deviation = settle(block, seen, slots, R, t)
+    return joined, R, t, places, _visibility(seen), float(np.sum(deviation**2))
+
+
+def _visibility(seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return who was seen (n, k) as bits (n,)."""
+    return np.packbits(seen, axis=1, bitorder="little")[:, 0]
+
+
 def _means(
     block: NDArray[np.float64],
     joined: NDArray[np.bool_],
@@ -200,4 +232,4 @@ def _means(
     seen = np.isfinite(block[:, :, 0]) & joined
     placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
     means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
-    return means, np.packbits(seen, axis=1, bitorder="little")[:, 0]
+    return means, _visibility(seen)

@@ -169,5 +169,5 @@ def steady_variance(block: NDArray[np.float64], freedoms_median: float) -> float
         _radial_variances(block, inner, variance)
         for k in range(g):
             listed[k] = variance[k]
-        limit = smallest(listed, g, min(max(3, (g + 1) // 2), g) - 1)
-    return median(listed, g) / freedoms_median
+        limit = smallest(listed, min(max(3, (g + 1) // 2), g) - 1)
+    return median(listed) / freedoms_median

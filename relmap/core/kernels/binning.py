@@ -76,7 +76,7 @@ def _vote(
     for v in range(n_voters):
         for j in range(k):
             listed[j] = outward[j]
-        rank = smallest(listed, k, v * (k - 1) // max(n_voters - 1, 1))
+        rank = smallest(listed, v * (k - 1) // max(n_voters - 1, 1))
         voter = 0
         for j in range(k):
             voter = j if outward[j] == rank else voter

@@ -145,7 +145,7 @@ def trimmed_fit_rows(
             if kept[i]:
                 listed[n_kept] = misfit[i]
                 n_kept += 1
-        limit = max(tolerance_m, 1.5 * smallest(listed, n_kept, n_kept // 2))
+        limit = max(tolerance_m, 1.5 * smallest(listed[:n_kept], n_kept // 2))
     for i in range(n):
         n_agreeing += misfit[i] <= tolerance_m
     return R, t, n_agreeing

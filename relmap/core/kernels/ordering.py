@@ -9,12 +9,12 @@ from relmap.core.kernels import compiled
 
 
 @compiled
-def smallest(values: NDArray[np.float64], n: int, k: int) -> float:
-    """Return the k-th smallest, from 0, of the first n values; they change places.
+def smallest(values: NDArray[np.float64], k: int) -> float:
+    """Return the k-th smallest, from 0, of values (n,); they change places.
 
     Hoare's "find" (Algorithm 65, CACM 1961).
     """
-    low, high = 0, n - 1
+    low, high = 0, len(values) - 1
     while low < high:
         pivot, i, j = values[(low + high) // 2], low, high
         while i <= j:
@@ -36,6 +36,7 @@ def smallest(values: NDArray[np.float64], n: int, k: int) -> float:
 
 
 @compiled
-def median(values: NDArray[np.float64], n: int) -> float:
-    """Return the median of the first n values; they change places."""
-    return (smallest(values, n, (n - 1) // 2) + smallest(values, n, n // 2)) / 2
+def median(values: NDArray[np.float64]) -> float:
+    """Return the median of values (n,); they change places."""
+    n = len(values)
+    return (smallest(values, (n - 1) // 2) + smallest(values, n // 2)) / 2

@@ -16,8 +16,6 @@ LEVERAGE = 20.0
 """How many times as far as what ties an iteration to its segment its other points may lie."""
 ROUNDS = 3
 """Gauss-Newton steps within a segment; each leaves about a hundredth of the error before it."""
-TRIMS = 3
-"""How often outliers are looked for."""
 OUTLIER = 10.0
 """Deviation of an observation, in medians of its segment, above which it is left out."""
 EXACT = 1e-9
@@ -56,7 +54,7 @@ def _is_tied(
 
 
 @compiled
-def _join(
+def join(
     block: NDArray[np.float64],
     seen: NDArray[np.bool_],
     free: NDArray[np.bool_],
@@ -197,7 +195,7 @@ def _move(
 
 
 @compiled
-def _settle(
+def settle(
     block: NDArray[np.float64],
     seen: NDArray[np.bool_],
     slots: NDArray[np.int64],
@@ -222,7 +220,7 @@ def _settle(
 
 
 @compiled
-def _trim(
+def trim(
     deviation: NDArray[np.float64],
     mean: NDArray[np.float64],
     counts: NDArray[np.float64],
@@ -247,7 +245,7 @@ def _trim(
                 n_listed += 1
     if n_listed == 0:
         return False
-    limit, found = max(OUTLIER**2 * median(listed, n_listed), EXACT**2 * extent), False
+    limit, found = max(OUTLIER**2 * median(listed[:n_listed]), EXACT**2 * extent), False
     for m in range(k):
         worst = 0
         for i in range(n):
@@ -256,35 +254,3 @@ def _trim(
             seen[worst, m] = False
             found = True
     return found
-
-
-@compiled
-def condense_block(
-    block: NDArray[np.float64], seen: NDArray[np.bool_], free: NDArray[np.bool_], seed: int
-) -> tuple[
-    NDArray[np.bool_],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]:
-    """Condense as many iterations of a block (n, k, d) as hold together; see `condensing`.
-
-    Of what was seen (n, k) in the iterations that are free (k,), that is left which is behind the
-    result: which of these are in the segment, where they lie in it, R (k, d, d) and t (k, d), and
-    the places (n, d) of the landmarks, and the deviations (n, k, d) from these places.
-    """
-    n, k, _ = block.shape
-    joined, R, t = _join(block, seen, free, seed)
-    slots, n_slots = np.empty(k, dtype=np.int64), 0
-    for m in range(k):
-        for i in range(n):
-            seen[i, m] &= joined[m]
-        if joined[m] and m != seed:
-            slots[n_slots] = m
-            n_slots += 1
-    for trimmed in range(TRIMS + 1):
-        mean, counts, deviation = _settle(block, seen, slots[:n_slots], R, t)
-        if trimmed == TRIMS or not _trim(deviation, mean, counts, seen):
-            break
-    return joined, R, t, mean, deviation
