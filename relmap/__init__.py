@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
 __version__ = "0.1.0"
 
-__all__ = ["MapperConfig", "PlaneSegmenter", "PointMapper", "RelmapError", "__version__"]
+__all__ = [
+    "MapperConfig",
+    "PlaneMapper",
+    "PlaneSegmenter",
+    "PointMapper",
+    "RelmapError",
+    "__version__",
+]

@@ -12,6 +12,7 @@ from relmap.core.errors import RelmapError
 if TYPE_CHECKING:
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.evaluate import Evaluation
+    from relmap.evaluation.plane_evaluate import PlaneEvaluation
     from relmap.results import Result
 
 HELP = """Tell how good a result is where the truth is known.
@@ -32,6 +33,7 @@ Example:
 
 \b
 The figures:
+  corner_rmse_m       of walls: as landmark_rmse_m, of their corners
   landmark_rmse_m     how far the mapped landmarks are from their true places, after the map
                       was turned and shifted to fit (root mean square, metres)
   coverage            share of the landmarks seen at least ten times that are in the map
@@ -47,6 +49,11 @@ FIGURES = {
     "purity": "purity",
     "ate_m": "ATE [m]",
     "rpe_m": "RPE [m]",
+}
+
+
+PLANE_FIGURES = {"corner_rmse_m": "corner RMSE [m]"} | {
+    key: name for key, name in FIGURES.items() if key not in ("landmark_rmse_m", "purity")
 }
 
 
@@ -71,12 +78,19 @@ def evaluate_command(
 ) -> None:
     """Evaluate a result; the arguments are explained in the help text."""
     from relmap.cli.console import busy, print_table
+    from relmap.planefiles import PLANES
 
+    evaluation: Evaluation | PlaneEvaluation
     with busy("evaluating"):
-        evaluation = evaluate_folder(folder, truth, log)
-    rows = [(name, figure(getattr(evaluation, key))) for key, name in FIGURES.items()]
+        walls = (folder / PLANES).exists()
+        if walls:
+            evaluation = _evaluate_planes(folder, truth)
+        else:
+            evaluation = evaluate_folder(folder, truth, log)
+    names = PLANE_FIGURES if walls else FIGURES
+    rows = [(name, figure(getattr(evaluation, key))) for key, name in names.items()]
     print_table(f"{folder} against {truth}", ("figure", "value"), rows)
-    if evaluation.purity is None:
+    if evaluation.purity is None and not walls:
         typer.echo("no log with ids was found: give it with --log to have every figure")
     typer.echo(f"wrote evaluation.json to {folder}")
 
@@ -102,6 +116,25 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     result = read_result(folder)
     evaluation = evaluate(result, read_truth(truth), find_log(result, truth, log))
     atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
+    return evaluation
+
+
+def _evaluate_planes(folder: Path, truth: Path) -> PlaneEvaluation:
+    from relmap.evaluation.metrics import match_stamps
+    from relmap.evaluation.plane_evaluate import evaluate_planes, match_corners, read_wall_truth
+    from relmap.files import atomic_write
+    from relmap.planefiles import read_planes
+    from relmap.plots.planes import write_planes_png
+    from relmap.results import EVALUATION, MAP_PNG, json_text, read_result
+
+    result = read_result(folder)
+    planes, walls = read_planes(folder), read_wall_truth(truth)
+    evaluation = evaluate_planes(result, planes, walls)
+    atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
+    mine, other = match_stamps(result.stamps_s, walls.stamps_s)
+    matched = match_corners(planes, walls, result.poses[mine], walls.poses[other])
+    if matched is not None:
+        write_planes_png(folder / MAP_PNG, planes, result.poses, (walls, matched))
     return evaluation
 
 

@@ -36,13 +36,21 @@ Formats of INPUT:
   dlr-circles      circles on a floor, map.circles of the DLR spatial cognition data set
   slsjf-sim        range and bearing to beacons, the folder of I-SLSJF's simulation
 
+\b
+With --variant planes INPUT is a log of point scans, and walls are mapped:
+  scans-npz        scans.npz as 'relmap simulate building' writes it, or its folder
+  carmen-log       2-D laser scans of CARMEN, .log or .log.gz
+  mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
+  point-clouds     a folder of .pcd or .ply files, one for each scan
+
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv and
-summary.json.
+summary.json, and of walls also planes.csv.
 
 \b
 Examples:
   relmap map eight/observations.csv -o result
   relmap map eight/observations.csv -o result --association known --scans 0:300
+  relmap map building/scans.npz -o result --variant planes
 """
 
 
@@ -50,7 +58,7 @@ def map_command(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="The log.")],
     out: Out,
     variant: Annotated[
-        Variant, typer.Option(help="What the landmarks are (planes are not there yet).")
+        Variant, typer.Option(help="What the landmarks are: points, or walls in point scans.")
     ] = "points",
     association: Annotated[
         Association,
@@ -95,7 +103,8 @@ def map_command(
 ) -> None:
     """Map a log; the arguments are explained in the help text."""
     if variant == "planes":
-        raise RelmapError("--variant planes is not there yet: points is the only variant so far")
+        _map_planes(source, out, association, scans, log_format, config, registration, refine)
+        return
     run = map_input(source, out, association, scans, log_format, config, registration, refine)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
     apart = len(run.result.pieces) - 1
@@ -103,6 +112,32 @@ def map_command(
         f"wrote 7 files to {out}: {counts['mapped']} of {counts['landmarks']} landmarks mapped "
         f"from {counts['observations']} observations in {counts['iterations']} iterations, "
         f"median {timing['median_ms']:.2g} ms each"
+        + (f"; {apart} pieces could not be tied to the map" if apart > 0 else "")
+    )
+
+
+def _map_planes(
+    source: Path,
+    out: Path,
+    association: Association,
+    scans: str | None,
+    log_format: str | None,
+    config: Path | None,
+    registration: Registration | None,
+    refine: bool,
+) -> None:
+    """Map walls, and tell what came out."""
+    from relmap.cli.map_planes import map_scans
+
+    if association == "known" or registration is not None:
+        raise RelmapError("walls have no ids: --association and --registration are for points")
+    run = map_scans(source, out, read_config(config), parse_scans(scans), log_format, refine)
+    counts, timing = run.result.summary["counts"], run.result.summary["timing"]
+    apart = len(run.result.summary["pieces"]) - 1
+    typer.echo(
+        f"wrote 8 files to {out}: {counts['planes_static']} walls with "
+        f"{counts['corners_static']} corners mapped in {counts['iterations']} iterations, "
+        f"median {timing['median_ms']:.2g} ms each beside segmentation"
         + (f"; {apart} pieces could not be tied to the map" if apart > 0 else "")
     )
 

@@ -35,6 +35,8 @@ class Averaging:
     ----------
     average_in_basis : callable
         The variant's relative map.
+    noise_spread : float
+        How many times noisier than the typical the noisiest of the variant's landmarks are.
 
     Attributes
     ----------
@@ -44,11 +46,17 @@ class Averaging:
         Pairs of landmarks compared in the last chart.
     """
 
-    def __init__(self, average_in_basis: AverageInBasis) -> None:
+    def __init__(self, average_in_basis: AverageInBasis, noise_spread: float = 1.0) -> None:
         self.dynamics = DynamicStatus()
         self.noise = NoiseEstimate()
         self.n_comparisons = 0
         self._average_in_basis = average_in_basis
+        self._noise_spread = noise_spread
+
+    @property
+    def _tolerated_m(self) -> float:
+        """Standard deviation that a landmark at rest may have, metres."""
+        return self._noise_spread * self.noise.sigma_m
 
     def average(
         self,
@@ -84,7 +92,7 @@ class Averaging:
             return None
         self.noise.add(core)
         relative = self._completed(chart, group, average)
-        at_rest = self.dynamics.test(relative, self.noise.sigma_m)
+        at_rest = self.dynamics.test(relative, self._tolerated_m)
         self._bin_movers(chart)
         return relative.only(at_rest), group
 
@@ -102,7 +110,7 @@ class Averaging:
         n_members = len(group.rows)
         for _ in range(ROUNDS):
             relative = complete(landmarks, chart.iterations, block, reference)
-            solid = (relative.n_used >= FEWEST) & rests(relative, self.noise.sigma_m)
+            solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
             solid &= ~self.dynamics.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used
             if solid.sum() <= AMPLE * n_members:
@@ -114,12 +122,12 @@ class Averaging:
 
     def _static(self, chart: PointChart, weights: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rows of the chart that keep their distances and were not seen moving."""
-        block, noise_m = chart.points_robot, self.noise.sigma_m
+        block, noise_m = chart.points_robot, self._tolerated_m
         bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
         self.n_comparisons += bins.n_comparisons
         known = weights[bins.static].sum() / max(weights.sum(), 1.0)
         if len(bins.static) < FEW * len(block) and known < FEW:
-            guess_m = guess_noise(block)
+            guess_m = self._noise_spread * guess_noise(block)
             if not guess_m <= noise_m:
                 guessed = Binning(block, guess_m).sort(weights)
                 self.n_comparisons += guessed.n_comparisons
@@ -141,7 +149,7 @@ class Averaging:
         rest = np.flatnonzero(often & self.dynamics.dynamic[chart.landmarks])
         together: list[NDArray[np.int64]] = []
         while len(rest) > 1 and self.n_comparisons < allowed:
-            binning = Binning(chart.points_robot[rest], self.noise.sigma_m)
+            binning = Binning(chart.points_robot[rest], self._tolerated_m)
             bins = binning.sort(np.zeros(len(rest)), allowed - self.n_comparisons)
             self.n_comparisons += bins.n_comparisons
             if not bins.members:

@@ -29,6 +29,8 @@ class MapBuilder:
     levels : GroupLevels
     average_in_basis : callable
         The variant's relative map.
+    noise_spread : float
+        How many times noisier than the typical the noisiest of its landmarks are.
     """
 
     def __init__(
@@ -37,10 +39,11 @@ class MapBuilder:
         schedule: GroupingSchedule,
         levels: GroupLevels,
         average_in_basis: AverageInBasis,
+        noise_spread: float = 1.0,
     ) -> None:
         self.map = GlobalMap()
         self.levels = levels
-        self._averaging = Averaging(average_in_basis)
+        self._averaging = Averaging(average_in_basis, noise_spread)
         self._store = store
         self._schedule = schedule
 
@@ -91,7 +94,7 @@ class MapBuilder:
         if self._needs_last_pass(np.array([seed]))[0]:
             placed = self.group(seed, 3, fixes)
         if self._schedule.is_gone[seed]:
-            self._close(np.array([seed]))
+            self._be_done_with(np.array([seed]))
         return placed
 
     def next_last_pass(self) -> int | None:
@@ -102,7 +105,7 @@ class MapBuilder:
         waited = self._schedule.waited(self._store.n_iterations)
         needed = self._needs_last_pass(waited)
         if not needed.all():
-            self._close(waited[~needed])
+            self._be_done_with(waited[~needed])
         waited = waited[needed]
         # The group of the one seen longest is of use to most of the others.
         return int(waited[np.argmax(self._schedule.counts[waited])]) if len(waited) else None
@@ -220,6 +223,11 @@ class MapBuilder:
         self.levels.take(group, members, reached, n_averaged)
         self._close(members[reached == 3])
         return landmarks[self.map.weights[landmarks] > 0]
+
+    def _be_done_with(self, gone: NDArray[np.int64]) -> None:
+        """Close the intervals of landmarks that have left, and judge those that got no place."""
+        self.dynamics.judge_at_last(gone[self.map.weights[gone] == 0])
+        self._close(gone)
 
     def _close(self, landmarks: NDArray[np.int64]) -> None:
         """End the interval of landmarks: where they are now is kept for good."""

@@ -61,6 +61,7 @@ class DynamicStatus:
     def __init__(self) -> None:
         self._dynamic: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._strikes: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._restless: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self._struck_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._moved_until: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._tested_until: GrowingArray[np.int64] = GrowingArray(np.int64)
@@ -96,10 +97,15 @@ class DynamicStatus:
             self.moving_bin[members] = number
             taken.add(number)
 
+    def judge_at_last(self, landmarks: NDArray[np.int64]) -> None:
+        """Call those dynamic that left the view without a place and moved when last looked at."""
+        self.dynamic[landmarks[self._restless.values[landmarks]]] = True
+
     def resize(self, n: int) -> None:
         """Make room for landmarks 0 to n - 1."""
         self._dynamic.resize(n, False)
         self._strikes.resize(n, 0)
+        self._restless.resize(n, False)
         self._struck_until.resize(n, -1)
         self._moved_until.resize(n, 0)
         self._tested_until.resize(n, 0)
@@ -109,6 +115,7 @@ class DynamicStatus:
         """Let an old landmark be as dynamic as the new one that turned out to be it."""
         self.dynamic[old] = self.dynamic[new]
         self._strikes.values[old] = self._strikes.values[new]
+        self._restless.values[old] = self._restless.values[new]
         self._struck_until.values[old] = self._struck_until.values[new]
         self._moved_until.values[old] = self._moved_until.values[new]
         self._tested_until.values[old] = self._tested_until.values[new]
@@ -122,6 +129,7 @@ class DynamicStatus:
         """
         landmarks = relative.landmarks
         still = rests(relative, noise_m)
+        self._restless.values[landmarks] = ~still & (relative.n_used >= FEWEST)
         tested = relative.n_used >= ENOUGH
         moves = tested & ~still
         # Neither way does it count twice what was seen by the last group that saw it move.

@@ -51,6 +51,9 @@ class RelativeMapper(ABC):
     config : MapperConfig, optional
     """
 
+    _noise_spread = 1.0
+    """How many times noisier than the typical landmark the noisiest are."""
+
     def __init__(self, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
         self._registration: Registration | None = None
@@ -63,7 +66,9 @@ class RelativeMapper(ABC):
         self._schedule = GroupingSchedule(
             self.config.group_after, self.config.max_missed, self._sightings, levels
         )
-        self._builder = MapBuilder(self._store, self._schedule, levels, self._relative_map)
+        self._builder = MapBuilder(
+            self._store, self._schedule, levels, self._relative_map, self._noise_spread
+        )
         self._live = LiveRefinement(self._segments, self._builder.map)
         self._merger = Merger(self._builder.map, self._sightings, self.config.group_after)
 

@@ -11,6 +11,8 @@ LOWEST = 0.12
 """Share of pairs taken for static where nothing is known: a third of all landmarks make as many."""
 RAISED = 1.5
 """What brings the variance at the upper end of that share to a typical one."""
+RIGID = 1e-9
+"""Deviation, as a share of a distance, below which it is one by construction."""
 PAIRED = 40
 """Landmarks that a first guess looks at."""
 
@@ -74,6 +76,9 @@ def guess_noise(block: NDArray[np.float64]) -> float:
         return np.nan
     mean = np.nansum(distance, axis=1) / n
     variance = np.nansum((distance - mean[:, None]) ** 2, axis=1) / (n - 1)
+    rigid = variance <= (RIGID * mean) ** 2
+    if 2 * rigid.sum() < len(rigid):  # parts of one thing, which no noise tells apart
+        variance = variance[~rigid]
     return float(np.sqrt(RAISED * np.quantile(variance, LOWEST) / 2))
 
 

@@ -1,0 +1,158 @@
+"""One run of the plane mapper: a log of point scans goes through it and comes out as a result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.landmarks import Piece
+from relmap.datasets.scans import PointScan, ScanLog
+from relmap.evaluation.run import timing, versions
+from relmap.planes import PlaneMapper
+from relmap.planes.table import PlaneTable
+from relmap.results import Result, Tracks, shifted
+from relmap.segmentation import PlaneSegmenter
+
+Progress = Callable[[Iterable[PointScan]], Iterable[PointScan]]
+"""Wraps the scans of a run, to show how far it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneRun:
+    """A result with its walls.
+
+    Attributes
+    ----------
+    result : Result
+        Its landmarks are corners; its tracks tell the wall of every one seen: `row` counts the
+        walls of a scan, `landmark` is the number of the wall.
+    planes : PlaneTable
+        Iterations are the log's own numbers.
+    """
+
+    result: Result
+    planes: PlaneTable
+
+
+def run_plane_mapper(
+    mapper: PlaneMapper,
+    log: ScanLog,
+    segmenter: PlaneSegmenter,
+    about: dict[str, Any] | None = None,
+    progress: Progress | None = None,
+    refine: bool = True,
+) -> PlaneRun:
+    """Map a whole log of point scans.
+
+    Parameters
+    ----------
+    mapper : PlaneMapper
+        A fresh one.
+    log : ScanLog
+    segmenter : PlaneSegmenter
+    about : dict, optional
+        What else the summary should tell.
+    progress : callable, optional
+        Wraps the iterable of scans.
+    refine : bool
+        Whether to refine the map at the end.
+
+    Raises
+    ------
+    RelmapError
+        Where a scan of the log is damaged.
+    """
+    scans: Iterable[PointScan] = log.scans()
+    walls, durations_s = _mapped(mapper, segmenter, progress(scans) if progress else scans)
+    mapper.finish()
+    began = perf_counter()
+    if refine:
+        mapper.refine()
+    refine_s = perf_counter() - began
+    first = log.first_iteration
+    planes, poses, tracks = mapper.planes, mapper.trajectory, _tracks(mapper, walls, first)
+    table, pieces = mapper.landmarks, tuple(mapper.pieces)
+    there = np.isfinite(poses).all(axis=(1, 2))
+    summary = {
+        **(about or {}),
+        "association": "nearest",
+        "dimensions": 2,
+        "scans": [first, first + len(log)],
+        "versions": versions(),
+        "counts": _counts(mapper, planes, poses, walls),
+        "pieces": [_summary_of(piece, first) for piece in pieces],
+        "refined": refine,
+        "timing": timing(durations_s[:, 1])
+        | {"segmentation_median_ms": _median_ms(durations_s[:, 0]), "refine_ms": 1e3 * refine_s},
+    }
+    result = Result(
+        shifted(table, first), tracks, log.stamps_s[there], poses[there], summary, pieces[:1]
+    )
+    planes = replace(
+        planes,
+        first_iteration=planes.first_iteration + first,
+        last_iteration=planes.last_iteration + first,
+    )
+    return PlaneRun(result, planes)
+
+
+def _mapped(
+    mapper: PlaneMapper, segmenter: PlaneSegmenter, scans: Iterable[PointScan]
+) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
+    """Return the walls of each scan, and the seconds for segmenting and mapping it, (k, 2)."""
+    walls, durations_s = [], []
+    for scan in scans:
+        began = perf_counter()
+        segmenter.fit(scan.points_robot)
+        segmented = perf_counter()
+        walls.append(mapper.update(segmenter.planes_))
+        durations_s.append([segmented - began, perf_counter() - segmented])
+    return walls, np.array(durations_s).reshape(-1, 2)
+
+
+def _median_ms(seconds: NDArray[np.float64]) -> float | None:
+    return 1e3 * float(np.median(seconds)) if len(seconds) else None
+
+
+def _tracks(mapper: PlaneMapper, walls: Sequence[NDArray[np.int64]], first: int) -> Tracks:
+    counts = [len(seen) for seen in walls]
+    iteration = first + np.repeat(np.arange(len(walls)), counts)
+    row = np.concatenate([np.arange(n) for n in counts] or [np.empty(0, dtype=np.int64)])
+    labels = np.concatenate([*walls, np.empty(0, dtype=np.int64)])
+    return Tracks(iteration, row, mapper.landmarks_of(labels))
+
+
+def _counts(
+    mapper: PlaneMapper,
+    planes: PlaneTable,
+    poses: NDArray[np.float64],
+    walls: Sequence[NDArray[np.int64]],
+) -> dict[str, int]:
+    table = mapper.landmarks
+    status = {
+        f"{name}s_{kind}": int((rows.status == kind).sum())
+        for name, rows in (("plane", planes), ("corner", table))
+        for kind in ("static", "dynamic", "unmapped")
+    }
+    return {
+        "iterations": len(walls),
+        "observations": int(sum(map(len, walls))),
+        "planes": len(planes.plane),
+        "corners": len(table.landmark),
+        **status,
+        "groups": len(mapper.groups),
+        "iterations_without_pose": int((~np.isfinite(poses).all(axis=(1, 2))).sum()),
+    }
+
+
+def _summary_of(piece: Piece, first_iteration: int) -> dict[str, int]:
+    return {
+        "landmarks": len(piece.landmark_ids),
+        "first_iteration": first_iteration + piece.first_iteration,
+        "last_iteration": first_iteration + piece.last_iteration,
+    }

@@ -1,0 +1,37 @@
+"""The consistent basis of a group of corners and midpoints, and its relative map (Figs 1, 2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.alignment import fixes_rotation
+
+
+def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Average a group's locations in a basis that neither turning nor moving changes.
+
+    In every iteration everything is rotated by the same amount, so that the line through the two
+    points farthest apart is at 0 degrees, and averaged.  The pair lies on one wall, as in Fig. 2,
+    where only one is there; the farther apart it is, the less its noise turns the rest.
+
+    Parameters
+    ----------
+    block : (g, i, 2) float64, robot frame, metres
+        Every member seen in every iteration.
+
+    Returns
+    -------
+    (g, 2) float64, group frame, metres, or None where the group fixes no basis
+    """
+    middle = block[:, block.shape[1] // 2]
+    if not fixes_rotation(middle):
+        return None
+    apart = np.linalg.norm(middle[:, None] - middle, axis=2)
+    first, second = np.unravel_index(np.argmax(apart), apart.shape)
+    axis = block[second] - block[first]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    relative = block - block[first]
+    x = (relative * axis).sum(axis=2)
+    y = relative[..., 1] * axis[:, 0] - relative[..., 0] * axis[:, 1]
+    return np.stack([x.mean(axis=1), y.mean(axis=1)], axis=1)

@@ -1,0 +1,136 @@
+"""Closing loops where the map has drifted: two scans of one place, long apart, are matched.
+
+It is the registration of `placement` once more, between a scan and an earlier one that was made
+nearby as far as the map knows.  Single scans may deceive: only what several neighbours agree on
+counts, and only that the walls matched are the same, not the motion.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.assembly import Assembled
+from relmap.planes.history import PlaneHistory
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.placement import PlanarMotion, place
+from relmap.planes.tracks import PlaneTracks, wrapped
+
+STRIDE = 12
+"""One scan in so many is compared with earlier ones."""
+LONG_AGO = 150
+"""Iterations after which a place is seen again rather than still."""
+VISIT = 50
+VISITS = 4
+"""Of so many iterations one is compared, of so many such visits."""
+NEAR_M = 4.0
+TURNED_RAD = np.deg2rad(50.0)
+"""How far apart two scans are at most that are compared, as far as the map knows."""
+ENOUGH = 6
+"""Walls that must match."""
+SHARE = 0.5
+"""Share of the walls of the poorer scan that must match."""
+AGREEING = 3
+"""Neighbouring scans that must agree on how far the map has drifted between the two visits."""
+DRIFT_M = 0.2
+DRIFT_RAD = np.deg2rad(4.0)
+"""How far they may differ and still agree."""
+
+
+def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
+    """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
+    found = []
+    for i in range(0, len(assembled.iterations), STRIDE):
+        for j in _earlier(assembled, i).tolist():
+            matched = _matched(assembled, history, j, i)
+            if matched is not None:
+                found.append((i, j, *matched))
+    pairs = [
+        pair
+        for k, (i, j, drift, walls) in enumerate(found)
+        if sum(_agrees(drift, i, j, other) for other in found) >= AGREEING
+        for pair in walls
+    ]
+    unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
+    return np.asarray(unique[unique[:, 0] != unique[:, 1]])
+
+
+def _agrees(
+    drift: NDArray[np.float64],
+    i: int,
+    j: int,
+    other: tuple[int, int, NDArray[np.float64], NDArray[np.int64]],
+) -> bool:
+    near = abs(other[0] - i) <= 6 * STRIDE and abs(other[1] - j) <= 12 * STRIDE
+    off = drift - other[2]
+    same = np.hypot(off[1], off[2]) < DRIFT_M and abs(wrapped(off[:1])[0]) < DRIFT_RAD
+    return bool(near and same)
+
+
+def _earlier(assembled: Assembled, i: int) -> NDArray[np.int64]:
+    """Return the nearest scans of visits long ago, as far as the map knows, nearest first."""
+    state = assembled.state
+    before = np.flatnonzero(assembled.iterations < assembled.iterations[i] - LONG_AGO)
+    turned = np.abs(wrapped(state.yaw[before] - state.yaw[i]))
+    apart = np.linalg.norm(state.t[before] - state.t[i], axis=1)
+    near = (turned < TURNED_RAD) & (apart < NEAR_M)
+    before, cost = before[near], (apart + turned)[near]
+    order = np.argsort(cost, kind="stable")
+    _, first = np.unique(before[order] // VISIT, return_index=True)
+    return np.asarray(before[order][np.sort(first)[:VISITS]])
+
+
+def _matched(
+    assembled: Assembled, history: PlaneHistory, j: int, i: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+    """Match an earlier scan to a later one.
+
+    Returns
+    -------
+    drift : (3,) float64
+        yaw, x, y by which the motion found differs from the map's, in the map's axes.
+    walls : (k, 2) int64
+    """
+    earlier, earlier_wall = _scan(assembled, history, j)
+    later, later_wall = _scan(assembled, history, i)
+    if min(len(earlier), len(later)) < ENOUGH:
+        return None
+    expected = _motion(assembled, j, i)
+    tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
+    tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
+    found = place(tracks, later, expected)
+    if found is None:
+        return None
+    motion, match = found
+    if len(match.tracks) < max(ENOUGH, SHARE * min(len(earlier), len(later))):
+        return None
+    c, s = np.cos(assembled.state.yaw[i]), np.sin(assembled.state.yaw[i])
+    x, y = motion.t - expected.t
+    drift = np.array([motion.yaw - expected.yaw, c * x - s * y, s * x + c * y])
+    return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
+
+
+def _scan(
+    assembled: Assembled, history: PlaneHistory, i: int
+) -> tuple[PlaneObservation, NDArray[np.int64]]:
+    """Return what was seen in an iteration, and the compact number of each wall."""
+    begin, end = np.searchsorted(assembled.given.iteration, [i, i + 1])
+    rows = assembled.rows[begin:end]
+    ends = history.ends[rows]
+    along = ends[:, 1] - ends[:, 0]
+    size = np.linalg.norm(along, axis=1)
+    along = along / size[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    offset = (normal * ends.mean(axis=1)).sum(axis=1)
+    static, sd = history.corner[rows] >= 0, history.sd[rows]
+    seen = PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
+    return seen, assembled.given.wall[begin:end]
+
+
+def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:
+    """Return the motion from the frame of one iteration into another's, by the map."""
+    state = assembled.state
+    c, s = np.cos(state.yaw[i]), np.sin(state.yaw[i])
+    x, y = state.t[j] - state.t[i]
+    t = np.array([c * x + s * y, -s * x + c * y])
+    return PlanarMotion(float(wrapped(state.yaw[[j]] - state.yaw[[i]])[0]), t)

@@ -1,0 +1,247 @@
+"""`PlaneMapper`: the engine, with the corners of walls for landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relmap.core.config import MapperConfig
+from relmap.core.errors import RelmapError
+from relmap.core.globalmap import UNMAPPED
+from relmap.core.landmarks import LandmarkMap, LandmarkTable
+from relmap.core.mapper import RelativeMapper
+from relmap.core.pose import trajectory
+from relmap.core.registration import Registration
+from relmap.planes.assembly import Assembled, WallNumbers, assemble, refined
+from relmap.planes.basis import relative_map
+from relmap.planes.closing import walls_seen_again
+from relmap.planes.history import PlaneHistory
+from relmap.planes.joining import join_pairs, join_walls
+from relmap.planes.merging import CornerMerger
+from relmap.planes.observation import checked_planes
+from relmap.planes.registration import PlaneRegistration
+from relmap.planes.stitching import stitched
+from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
+
+WIDELY = ((2, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
+"""Solutions that loops are closed by, however far the map has drifted."""
+CLOSED = 3
+"""How often loops are looked for, each time with less drift left."""
+ROUGHLY = ((2, 20.0), (2, 8.0), (2, 5.0))
+"""Solutions that walls are joined by; see `relmap.planes.assembly.ROUNDS`."""
+JOINED = 4
+"""How often walls that lie on one another are joined and the map refined again."""
+
+
+class Segmenter(Protocol):
+    """What finds planes in points; see `relmap.segmentation.PlaneSegmenter`."""
+
+    planes_: Any
+
+    def fit(self, points: Any) -> Any:
+        """Segment one scan, (n, 2) or (n, 3)."""
+        ...
+
+
+class PlaneMapper(RelativeMapper):
+    """Maps walls in 2½-D: vertical planes, and a robot that moves in the plane.
+
+    Parameters
+    ----------
+    config : MapperConfig, optional
+    segmenter : Segmenter, optional
+        What turns points into planes; `relmap.segmentation.PlaneSegmenter` where left out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from types import SimpleNamespace
+    >>> from relmap.planes import PlaneMapper
+    >>> room = np.array([[[3.0, -2.0], [3.0, 2.0]], [[3.0, 2.0], [-1.0, 2.0]]])
+    >>> kind = np.array([["view", "corner"], ["corner", "view"]])
+    >>> mapper = PlaneMapper()
+    >>> for x in np.linspace(0.0, 0.5, 11):
+    ...     walls = mapper.update(SimpleNamespace(ends=room - [x, 0.0], end_type=kind))
+    >>> mapper.finish()
+    >>> mapper.map.positions.round(6).tolist()
+    [[3.0, 2.0, 0.0], [3.0, 2.0, 0.0]]
+    """
+
+    _noise_spread = 3.0
+
+    def __init__(
+        self, config: MapperConfig | None = None, segmenter: Segmenter | None = None
+    ) -> None:
+        super().__init__(config)
+        self._planes = PlaneRegistration(self.config.max_missed)
+        self._merger = CornerMerger(
+            self._builder.map, self._sightings, self.config.group_after, self._planes
+        )
+        self._segmenter = segmenter
+        self._refined_walls: tuple[Assembled, WallNumbers] | None = None
+
+    def update(self, points: Any, ids: ArrayLike | None = None) -> NDArray[np.int64]:
+        """Take in one iteration.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) array, robot frame, metres; or planes
+            Points of a scan; or what a segmenter found in them: anything with `ends` and
+            `end_type` as `relmap.segmentation.Planes` has them.
+        ids : None
+            Walls have no known association.
+
+        Returns
+        -------
+        (m,) int64
+            Number of each wall; see `landmarks_of`.
+
+        Raises
+        ------
+        RelmapError
+            Where the scan cannot be meant; the mapper is then as it was.
+        """
+        if ids is not None:
+            raise RelmapError("ids were given; a plane mapper finds out itself who is who")
+        if not hasattr(points, "end_type"):
+            points = self._segmented(points)
+        seen = checked_planes(points)
+        self._refined_walls = None
+        self._planes.see(seen)
+        super().update(self._planes.points_robot)
+        return self._planes.planes.copy()
+
+    def refine(self) -> None:
+        """Bring walls, corners and poses to where all observations agree best.
+
+        Walls that come to lie on one another are joined, which closes loops.
+        """
+        # Who is who is found out anew, where the walls come to lie.
+        numbers = WallNumbers.apart(self._planes.n_planes, len(self._planes.wall_end))
+        assembled = self._assembled(numbers)
+        if assembled is None:
+            return
+        best = refined(assembled, WIDELY)
+        for _ in range(CLOSED):
+            pairs = walls_seen_again(best, self._planes.history)
+            best, numbers, changed = self._joined(
+                best, numbers, join_pairs(best, numbers, pairs), WIDELY
+            )
+            if not changed:
+                break
+        for _ in range(JOINED):
+            best, numbers, changed = self._joined(best, numbers, join_walls(best, numbers), ROUGHLY)
+            if not changed:
+                break
+        self._refined_walls = refined(best), numbers
+
+    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
+        """Return the numbers (n,) that walls, numbered by earlier updates, have now."""
+        labels = np.asarray(labels, dtype=np.int64)
+        return np.asarray(self._state[1].wall_of[labels])
+
+    @property
+    def history(self) -> PlaneHistory:
+        """All observations of walls, untransformed."""
+        return self._planes.history
+
+    @property
+    def planes(self) -> PlaneTable:
+        """Every wall ever seen."""
+        assembled, numbers = self._state
+        return plane_table(self._planes.history, numbers, assembled, self._moving)
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The mapped corners, in ascending order of their numbers."""
+        return corner_map(self._state[0])
+
+    @property
+    def landmarks(self) -> LandmarkTable:
+        """Every corner ever seen, mapped or not."""
+        assembled, numbers = self._state
+        chosen, dynamic = self._planes.chosen, self._builder.dynamics.dynamic[::2]
+        return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
+        if self._refined_walls is None:
+            return self._path
+        return self._refined_walls[0].poses(self._planes.history.n_iterations)
+
+    def _own_registration(self) -> Registration:
+        return self._planes
+
+    def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        return relative_map(block)
+
+    def _min_shared(self) -> int:
+        return 2  # points: one corner and its midpoint
+
+    def _segmented(self, points: Any) -> Any:
+        if self._segmenter is None:
+            from relmap.segmentation import PlaneSegmenter
+
+            self._segmenter = PlaneSegmenter()
+        self._segmenter.fit(points)
+        return self._segmenter.planes_
+
+    def _joined(
+        self,
+        best: Assembled,
+        numbers: WallNumbers,
+        joined: WallNumbers,
+        rounds: Sequence[tuple[int, float]],
+    ) -> tuple[Assembled, WallNumbers, bool]:
+        """Refine again with walls joined; tell whether any were."""
+        if joined.same_as(numbers):
+            return best, numbers, False
+        again = self._assembled(joined, best)
+        return (best if again is None else refined(again, rounds)), joined, True
+
+    def _assembled(self, numbers: WallNumbers, before: Assembled | None = None) -> Assembled | None:
+        """Lay everything where the map puts it, or where it was refined to before."""
+        history = self._planes.history
+        poses = self._path if before is None else before.poses(history.n_iterations)
+        return assemble(history, numbers, poses, self._moving)
+
+    @property
+    def _path(self) -> NDArray[np.float64]:
+        """``T_map_robot`` of every iteration by the chained map, weak links included."""
+        own, of = self._builder.map, self._identity.of(np.arange(len(self._builder.map.pieces)))
+        pieces, counts = np.unique(own.pieces[own.pieces != UNMAPPED], return_counts=True)
+        rows = self._rows
+        paths = [
+            trajectory(rows, np.where((own.pieces == piece)[:, None], own.positions, np.nan), of)
+            for piece in pieces[np.argsort(-counts, kind="stable")]
+        ]
+        return stitched(paths, self._planes.history.motion)
+
+    @property
+    def _state(self) -> tuple[Assembled | None, WallNumbers]:
+        """What the map is now, and who is who in it."""
+        if self._refined_walls is not None:
+            return self._refined_walls
+        numbers = self._numbers
+        return self._assembled(numbers), numbers
+
+    @property
+    def _numbers(self) -> WallNumbers:
+        chosen, wall_end = self._planes.chosen, self._planes.wall_end
+        corner_of = np.arange(len(wall_end))
+        corner_of[chosen] = chosen[self._identity.of(2 * np.arange(len(chosen))) // 2]
+        return WallNumbers.of(self._planes.n_planes, wall_end, corner_of)
+
+    @property
+    def _moving(self) -> NDArray[np.bool_]:
+        """Which plane tracks were seen moving: all their corners that could be told do; (p,)."""
+        dynamic = self._builder.dynamics.dynamic[::2] | self._builder.dynamics.dynamic[1::2]
+        at_rest = (self._builder.map.weights[::2] > 0) & ~dynamic
+        n = self._planes.n_planes
+        planes = self._planes.wall_end[self._planes.chosen] // 2
+        moves = np.bincount(planes[dynamic], minlength=n) > 0
+        return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))

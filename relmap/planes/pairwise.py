@@ -1,0 +1,153 @@
+"""The paper's literal recipe: pairs of walls, and a chain of the strongest relations (section II).
+
+For each pair of walls, both are rotated so that the first is at 0 degrees, and their differences in
+place and orientation are averaged over their common interval (Figs 1 and 2).  Which of the corners
+are static is told by the four pairs of midpoints, estimated from either end of either wall and a
+size that is fixed over the interval: the pair with the lowest standard deviation holds (Fig. 4).
+
+`PlaneMapper` does the same with all walls of a group at once, types of ends for a prior and the
+deviation as the check; this is kept to compare with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.history import PlaneHistory
+from relmap.planes.tracks import wrapped
+
+FEWEST = 3
+"""Common iterations without which there is no deviation to go by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relation:
+    """Where one wall is relative to another.
+
+    Attributes
+    ----------
+    offset : (2,) float64, metres
+        From midpoint to midpoint, the first wall's normal along x.
+    turn : float, radians
+    deviation : float, metres
+        Standard deviation of the offset, of the pair of ends that was chosen.
+    ends : (2,) int
+        Static end of the first wall and of the second: 0 right, 1 left.
+    n : int
+        Common iterations.
+    """
+
+    offset: NDArray[np.float64]
+    turn: float
+    deviation: float
+    ends: tuple[int, int]
+    n: int
+
+
+def relate(
+    first: NDArray[np.float64], second: NDArray[np.float64], sizes: tuple[float, float]
+) -> Relation:
+    """Average the relation of two walls over their common interval.
+
+    Parameters
+    ----------
+    first, second : (k, 2, 2) float64, robot frame, metres
+        Right and left ends of both walls.
+    sizes : tuple of float
+        One size for each wall.
+    """
+    normal, midpoint = _midpoints(first, sizes[0])
+    other_normal, other_midpoint = _midpoints(second, sizes[1])
+    # From either end of the first wall to either end of the second: four pairs.
+    apart = other_midpoint[:, None, :] - midpoint[:, :, None]
+    across = (apart * normal[:, None, None]).sum(axis=3)
+    left = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    offset = np.stack([across, (apart * left[:, None, None]).sum(axis=3)], axis=3)
+    deviation = np.sqrt(offset.var(axis=0).sum(axis=2))
+    i, j = np.unravel_index(np.argmin(deviation), deviation.shape)
+    turn = np.arctan2((other_normal * left).sum(axis=1), (other_normal * normal).sum(axis=1))
+    steady = float(turn[0] + wrapped(turn - turn[0]).mean())
+    mean = offset.mean(axis=0)[i, j]
+    return Relation(mean, steady, float(deviation[i, j]), (int(i), int(j)), len(first))
+
+
+def _midpoints(
+    ends: NDArray[np.float64], size: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the normals (k, 2), and the midpoints (k, 2, 2) estimated from either end."""
+    along = ends[:, 1] - ends[:, 0]
+    along = along / np.linalg.norm(along, axis=1, keepdims=True)
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    inwards = size / 2 * along
+    return normal, np.stack([ends[:, 0] + inwards, ends[:, 1] - inwards], axis=1)
+
+
+def pairwise_map(history: PlaneHistory, n_planes: int) -> NDArray[np.float64]:
+    """Return the ends of all walls by the chain of the strongest pairwise relations.
+
+    The relations of the least deviation over the root of the common interval make a spanning tree;
+    the frame is that of its first wall, which looks along x.
+
+    Returns
+    -------
+    (n_planes, 2, 2) float64, metres
+        NaN for walls that no relation ties to the first.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+    rows_of = [np.flatnonzero(history.plane == plane) for plane in range(n_planes)]
+    size = np.array([_largest(history.ends[rows]) for rows in rows_of])
+    relations: dict[tuple[int, int], Relation] = {}
+    for a in range(n_planes):
+        for b in range(a + 1, n_planes):
+            _, i, j = np.intersect1d(
+                history.iteration[rows_of[a]], history.iteration[rows_of[b]], return_indices=True
+            )
+            if len(i) >= FEWEST:
+                first, second = history.ends[rows_of[a][i]], history.ends[rows_of[b][j]]
+                relations[a, b] = relate(first, second, (size[a], size[b]))
+    if not relations:
+        return np.full((n_planes, 2, 2), np.nan)
+    pairs = np.array(list(relations))
+    doubt = np.array([1e-12 + r.deviation / np.sqrt(r.n) for r in relations.values()])
+    graph = coo_array((doubt, (pairs[:, 0], pairs[:, 1])), shape=(n_planes, n_planes))
+    tree = minimum_spanning_tree(graph.tocsr())
+    root = int(pairs[0, 0])
+    order, before = breadth_first_order(tree, root, directed=False)
+    return _chained(relations, order.astype(np.int64), before.astype(np.int64), size)
+
+
+def _largest(ends: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0))
+
+
+def _chained(
+    relations: dict[tuple[int, int], Relation],
+    order: NDArray[np.int64],
+    before: NDArray[np.int64],
+    size: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    midpoint, angle = np.full((len(size), 2), np.nan), np.zeros(len(size))
+    midpoint[order[0]] = 0.0
+    for b in order[1:].tolist():
+        a = int(before[b])
+        forward = (a, b) in relations
+        relation = relations[(a, b) if forward else (b, a)]
+        if forward:
+            angle[b] = angle[a] + relation.turn
+            midpoint[b] = midpoint[a] + _turned(angle[a], relation.offset)
+        else:
+            angle[b] = angle[a] - relation.turn
+            midpoint[b] = midpoint[a] - _turned(angle[b], relation.offset)
+    along = np.column_stack([np.sin(angle), -np.cos(angle)])
+    half = size[:, None] / 2 * along
+    return np.stack([midpoint - half, midpoint + half], axis=1)
+
+
+def _turned(angle: float, v: NDArray[np.float64]) -> NDArray[np.float64]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])

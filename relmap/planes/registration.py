@@ -1,0 +1,161 @@
+"""Registration of walls, and what the map is made of: their corners and estimated midpoints.
+
+A wall's ends move as it comes into view and leaves it; its static corners do not, nor does what
+is at a fixed place relative to one: the midpoint, estimated by going half the size of the wall
+from the corner along the wall (Fig. 4).  The size is that seen when the corner was seen first, and
+stays.  Corner and midpoint are two points at rest, which hold the normal of the wall as well: so
+the points of one corner fix a group in the plane, and all that follows is what is done with points.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.growing import GrowingArray
+from relmap.planes.history import PlaneHistory
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.placement import STILL, place
+from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
+
+STRAYED_M = 0.15
+SIGMAS = 5.0
+"""How far from where it is expected a corner may be, along its wall: so far, and so many standard
+deviations of corners."""
+MOST = 14
+"""Corners of a scan that the map hangs on: more of them would not make it firmer."""
+LONG_M = 4.0
+"""Walls longer than this are as good as any."""
+FAMILIAR = 8
+"""Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
+
+
+class PlaneRegistration:
+    """Matches walls to those of the iterations before, and gives their corners numbers.
+
+    The corners that the map hangs on, few of them in each scan, have places in the order of their
+    choice: that at place ``k`` is landmark ``2 k``, and its midpoint landmark ``2 k + 1``.
+
+    Parameters
+    ----------
+    max_missed : int
+        A wall unseen for more iterations than this has left the view.
+
+    Attributes
+    ----------
+    planes : (w,) int64
+        Number of the wall of each observed one, in the scan seen last.
+    points_robot : (n, 2) float64, robot frame, metres
+        Corners and midpoints in it.
+    """
+
+    def __init__(self, max_missed: int) -> None:
+        self._max_missed = max_missed
+        self._tracks: PlaneTracks | None = None
+        self._motion = STILL
+        self._n_planes = 0
+        self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._place: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._chosen: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self.planes = np.empty(0, dtype=np.int64)
+        self.points_robot = np.empty((0, 2))
+        self.history = PlaneHistory()
+        self._landmarks = np.empty(0, dtype=np.int64)
+
+    @property
+    def wall_end(self) -> NDArray[np.int64]:
+        """Wall end of each corner: twice the number of the wall, and 1 more for its left end."""
+        return self._wall_end.values
+
+    @property
+    def chosen(self) -> NDArray[np.int64]:
+        """Corner at each place."""
+        return self._chosen.values
+
+    @property
+    def n_planes(self) -> int:
+        """How many walls were seen."""
+        return self._n_planes
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return landmarks (n,) as they are: they go by their number."""
+        return landmarks
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Return the landmark of each of the `points_robot` of the scan seen last."""
+        return self._landmarks
+
+    def see(self, seen: PlaneObservation) -> None:
+        """Take in the walls of one scan."""
+        self.planes = np.full(len(seen), -1)
+        tracks = self._tracks
+        found = place(tracks, seen, self._motion) if tracks is not None and len(seen) else None
+        if tracks is not None and found is not None:
+            self._motion, match = found
+            tracks = tracks.carried(self._motion.yaw, self._motion.t)
+            tracks.see(match.tracks, seen, match.walls)
+            self.planes[match.walls] = tracks.plane[match.tracks]
+        elif tracks is not None:
+            tracks = tracks.carried(self._motion.yaw, self._motion.t)  # on as before
+            tracks.missed += 1
+        new = self.planes < 0
+        self.planes[new] = self._n_planes + np.arange(new.sum())
+        self._n_planes += int(new.sum())
+        begun = PlaneTracks.begun(self.planes[new], seen.only(new))
+        tracks = begun if tracks is None else tracks.joined(begun)
+        self._tracks = tracks.kept(tracks.missed <= self._max_missed)
+        self._see_corners(self._tracks, seen)
+
+    def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation) -> None:
+        """Tell which corner every static end is; begin new ones where none is expected there."""
+        row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
+        wall, end = np.nonzero(seen.static)
+        row = np.array([row_of[plane] for plane in self.planes[wall].tolist()], dtype=np.int64)
+        at = seen.ends[wall, end]
+        off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
+        fresh = ~(off <= STRAYED_M + SIGMAS * self._sd(seen)[wall])
+        corners = tracks.corner[row, end]
+        corners[fresh] = len(self._half) + np.arange(fresh.sum())
+        self._half.extend(seen.size[wall[fresh]] / 2)
+        self._wall_end.extend(2 * self.planes[wall[fresh]] + end[fresh])
+        times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
+        share = (1 / np.minimum(times, MEMORY))[:, None]
+        before = np.where(fresh[:, None], at, tracks.corner_at[row, end])
+        tracks.corner_at[row, end] = before + share * (at - before)
+        tracks.corner_seen[row, end] = times
+        tracks.corner[row, end] = corners
+        self._choose(corners, at, end, seen, wall, times)
+        corner = np.full((len(seen), 2), NO_CORNER)
+        corner[wall, end] = corners
+        motion = np.array([self._motion.yaw, *self._motion.t])
+        self.history.append(self.planes, corner, seen, motion)
+
+    def _choose(
+        self,
+        corners: NDArray[np.int64],
+        at: NDArray[np.float64],
+        end: NDArray[np.int64],
+        seen: PlaneObservation,
+        wall: NDArray[np.int64],
+        times: NDArray[np.int64],
+    ) -> None:
+        """Choose the corners that the map hangs on: of long walls, and seen before."""
+        self._place.resize(len(self._half), NO_CORNER)
+        rank = np.minimum(seen.size[wall], LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
+        best = np.sort(np.argsort(-rank, kind="stable")[:MOST])
+        corners, at, end, wall = corners[best], at[best], end[best], wall[best]
+        new = self._place.values[corners] == NO_CORNER
+        self._place.values[corners[new]] = len(self._chosen) + np.arange(new.sum())
+        self._chosen.extend(corners[new])
+        inwards = np.where(end == 0, 1.0, -1.0) * self._half.values[corners]
+        midpoint = at + inwards[:, None] * seen.along[wall]
+        self.points_robot = np.stack([at, midpoint], axis=1).reshape(-1, 2)
+        place = 2 * self._place.values[corners]
+        self._landmarks = np.column_stack([place, place + 1]).reshape(-1)
+
+    def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
+        """Return how sure the ends (m,) are along their walls, about."""
+        return 3 * seen.sd

@@ -1,0 +1,154 @@
+"""What a plane mapper hands out: one row for every wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, in_space
+from relmap.planes.assembly import OFTEN, Assembled, WallNumbers, directions
+from relmap.planes.history import PlaneHistory
+from relmap.planes.joining import wall_extents
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneTable:
+    """Every wall ever seen, one row each, in ascending order of its number.
+
+    Attributes
+    ----------
+    plane : (n,) int64
+    ends : (n, 2, 2) float64, map frame, metres
+        x, y of its right and left end as seen from its front; NaN where it is not mapped.
+    z_extent : (n, 2) float64, metres
+        Lowest and highest z.
+    normal : (n, 2) float64
+        Unit vector to the front.
+    corner : (n, 2) int64
+        The corner at either end; -1 where the end was never seen static.
+    observations : (n,) int64
+    first_iteration, last_iteration : (n,) int64
+    status : (n,) str
+        "static", "dynamic" or "unmapped".
+    """
+
+    plane: NDArray[np.int64]
+    ends: NDArray[np.float64]
+    z_extent: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    corner: NDArray[np.int64]
+    observations: NDArray[np.int64]
+    first_iteration: NDArray[np.int64]
+    last_iteration: NDArray[np.int64]
+    status: NDArray[np.str_]
+
+
+def plane_table(
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    assembled: Assembled | None,
+    moving: NDArray[np.bool_],
+) -> PlaneTable:
+    """Return the table of all walls.
+
+    Parameters
+    ----------
+    history : PlaneHistory
+    numbers : WallNumbers
+    assembled : Assembled or None
+        Where the mapped ones are.
+    moving : (p,) bool
+        Plane tracks that were seen moving.
+    """
+    plane, row = np.unique(numbers.wall_of[history.plane], return_inverse=True)
+    n = len(plane)
+    first, last = np.full(n, history.n_iterations), np.full(n, -1)
+    np.minimum.at(first, row, history.iteration)
+    np.maximum.at(last, row, history.iteration)
+    count = np.bincount(row, minlength=n)
+    z = np.column_stack(
+        [np.bincount(row, axis, minlength=n) / np.maximum(count, 1) for axis in history.z_extent.T]
+    )
+    ends, normal = np.full((n, 2, 2), np.nan), np.full((n, 2), np.nan)
+    corner = np.full((n, 2), -1)
+    status = np.where(np.isin(plane, numbers.wall_of[moving]), "dynamic", "unmapped")
+    if assembled is not None:
+        at = np.searchsorted(plane, assembled.walls)
+        ends[at], normal[at], corner[at] = _mapped(assembled)
+        seen_often = count[at] >= OFTEN
+        status[at[seen_often]] = "static"
+        ends[at[~seen_often]] = np.nan
+    return PlaneTable(plane, ends, z, normal, corner, count, first, last, status)
+
+
+def _mapped(
+    assembled: Assembled,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return ends, normals and corners of the mapped walls."""
+    state = assembled.state
+    normal, along = directions(state.angle)
+    reach = np.column_stack(wall_extents(assembled))
+    corner = np.full(reach.shape, -1)
+    end = np.zeros(len(assembled.corners), dtype=np.int64)
+    end[assembled.given.corner] = assembled.given.corner_end
+    seen = np.bincount(assembled.given.corner, minlength=len(assembled.corners))
+    for k in np.argsort(seen, kind="stable"):  # of several the one seen most often is last
+        wall = assembled.corner_wall[k]
+        reach[wall, end[k]], corner[wall, end[k]] = state.along[k], assembled.corners[k]
+    base = state.centre + state.across[:, None] * normal
+    return base[:, None] + reach[:, :, None] * along[:, None], normal, corner
+
+
+def corner_map(assembled: Assembled | None) -> LandmarkMap:
+    """Return the mapped corners, in ascending order of their numbers."""
+    if assembled is None:
+        return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
+    return LandmarkMap(assembled.corners, in_space(assembled.corner_at))
+
+
+def corner_table(
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    assembled: Assembled | None,
+    moving: NDArray[np.int64],
+) -> LandmarkTable:
+    """Return the table of all corners but those that turned out to be none.
+
+    Parameters
+    ----------
+    history : PlaneHistory
+    numbers : WallNumbers
+    assembled : Assembled or None
+        Where the mapped ones are.
+    moving : (k,) int64
+        Corners that were seen moving.
+    """
+    row, end = np.nonzero(history.corner >= 0)
+    corner = numbers.corner_of[history.corner[row, end]]
+    row, corner = row[corner >= 0], corner[corner >= 0]
+    label, at = np.unique(corner, return_inverse=True)
+    n = len(label)
+    first, last = np.full(n, history.n_iterations), np.full(n, -1)
+    np.minimum.at(first, at, history.iteration[row])
+    np.maximum.at(last, at, history.iteration[row])
+    position, sd = np.full((n, 3), np.nan), np.full(n, np.nan)
+    status = np.where(np.isin(label, moving), "dynamic", "unmapped")
+    level = np.zeros(n, dtype=np.int64)
+    if assembled is not None:
+        there = np.searchsorted(label, assembled.corners)
+        position[there], sd[there] = in_space(assembled.corner_at), assembled.corner_sd
+        status[there], level[there] = "static", 3
+    return LandmarkTable(
+        landmark=label,
+        position=position,
+        sd=sd,
+        observations=np.bincount(at, minlength=n),
+        first_iteration=first,
+        last_iteration=last,
+        level=level,
+        status=status,
+        piece=np.where(status == "static", 0, -1),
+        moving_bin=np.full(n, -1),
+    )

@@ -1,0 +1,134 @@
+"""The walls that the next scan may show again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.observation import PlaneObservation
+
+MEMORY = 8
+"""Observations that the expected place of a wall or corner averages, about."""
+NO_CORNER = -1
+"""In place of a corner: none was seen on this side yet."""
+
+
+@dataclass(eq=False)
+class PlaneTracks:
+    """Walls in the robot frame of one iteration, carried along where they were not seen; n walls.
+
+    Attributes
+    ----------
+    plane : (n,) int64
+        Number of the wall.
+    angle : (n,) float64, radians
+        Direction of the normal: the average of the last observations.
+    offset : (n,) float64, metres
+        ``normal @ p`` of every point p, likewise.
+    ends : (n, 2, 2) float64, metres
+        As last seen.
+    sd : (n,) float64, metres
+        Standard deviation of the offset, as last seen.
+    corner : (n, 2) int64
+        Number of the corner on either side, or `NO_CORNER`.
+    corner_at : (n, 2, 2) float64, metres
+        Where it is: the average of the last observations; NaN where there is none.
+    corner_seen : (n, 2) int64
+        How often it was seen.
+    missed : (n,) int64
+        Iterations since the wall was last seen.
+    seen : (n,) int64
+        How often it was seen.
+    """
+
+    plane: NDArray[np.int64]
+    angle: NDArray[np.float64]
+    offset: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    corner: NDArray[np.int64]
+    corner_at: NDArray[np.float64]
+    corner_seen: NDArray[np.int64]
+    missed: NDArray[np.int64]
+    seen: NDArray[np.int64]
+
+    @classmethod
+    def begun(cls, plane: NDArray[np.int64], seen: PlaneObservation) -> PlaneTracks:
+        """Return tracks of walls seen for the first time, without their corners yet."""
+        n = len(seen)
+        return cls(
+            plane,
+            np.arctan2(seen.normal[:, 1], seen.normal[:, 0]),
+            seen.offset.copy(),
+            seen.ends.copy(),
+            seen.sd.copy(),
+            np.full((n, 2), NO_CORNER),
+            np.full((n, 2, 2), np.nan),
+            np.zeros((n, 2), dtype=np.int64),
+            np.zeros(n, dtype=np.int64),
+            np.ones(n, dtype=np.int64),
+        )
+
+    def __len__(self) -> int:
+        """Return the number of walls."""
+        return len(self.plane)
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Unit vectors (n, 2) towards where the robot was."""
+        return np.column_stack([np.cos(self.angle), np.sin(self.angle)])
+
+    def carried(self, yaw: float, t: NDArray[np.float64]) -> PlaneTracks:
+        """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
+        c, s = np.cos(yaw), np.sin(yaw)
+        R_T = np.array([[c, s], [-s, c]])
+        angle = self.angle + yaw
+        offset = self.offset + np.cos(angle) * t[0] + np.sin(angle) * t[1]
+        return PlaneTracks(
+            self.plane,
+            angle,
+            offset,
+            self.ends @ R_T + t,
+            self.sd,
+            self.corner.copy(),
+            self.corner_at @ R_T + t,
+            self.corner_seen.copy(),
+            self.missed.copy(),
+            self.seen.copy(),
+        )
+
+    def see(self, rows: NDArray[np.int64], seen: PlaneObservation, at: NDArray[np.int64]) -> None:
+        """Note that walls `at` (k,) of a scan go on with tracks `rows`, and others were missed."""
+        self.missed += 1
+        self.missed[rows] = 0
+        self.seen[rows] += 1
+        share = 1 / np.minimum(self.seen[rows], MEMORY)
+        angle = np.arctan2(seen.normal[at, 1], seen.normal[at, 0])
+        middle = seen.ends[at].mean(axis=1)
+        across = (self.normal[rows] * middle).sum(axis=1) - self.offset[rows]
+        self.angle[rows] += share * wrapped(angle - self.angle[rows])
+        # The average is taken where the wall is seen, not where its line passes the robot.
+        now = (self.normal[rows] * middle).sum(axis=1)
+        self.offset[rows] = now - (1 - share) * across
+        self.ends[rows] = seen.ends[at]
+        self.sd[rows] = seen.sd[at]
+
+    def kept(self, rows: NDArray[np.bool_]) -> PlaneTracks:
+        """Return some of the tracks."""
+        return PlaneTracks(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def joined(self, other: PlaneTracks) -> PlaneTracks:
+        """Return these tracks and others."""
+        return PlaneTracks(
+            *(
+                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
+                for field in fields(self)
+            )
+        )
+
+
+def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return angles within a half turn of 0."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,197 @@
+"""The plane mapper against the truth of simulated worlds: who is who, where, and what moves."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper, RelmapError
+from relmap.core.alignment import fit_rigid
+from relmap.evaluation.plane_evaluate import WallTruth, match_corners
+from relmap.simulation import Building, simulate_building
+from relmap.simulation.visibility import seen_walls
+
+ROOM = np.array(
+    [
+        [[4.0, -3.0], [4.0, 3.0]],
+        [[4.0, 3.0], [-2.0, 3.0]],
+        [[-2.0, -3.0], [4.0, -3.0]],
+        [[2.0, -1.0], [2.5, 0.5]],
+    ]
+)
+"""Three sides of a room and a panel in it; right to left as seen from inside."""
+
+
+def mapped(building: Building) -> PlaneMapper:
+    """Map what was truly seen of the walls."""
+    mapper = PlaneMapper()
+    for scan in building.scans:
+        mapper.update(scan.seen)
+    mapper.finish()
+    return mapper
+
+
+def truth_of(building: Building) -> WallTruth:
+    ends = building.walls[:, :4].reshape(-1, 2, 2)
+    return WallTruth(ends, building.times_seen()[:, 1:], building.stamps_s, building.trajectory)
+
+
+def figures(mapper: PlaneMapper, building: Building) -> tuple[float, float, int]:
+    """Return the largest error of a corner, the share of due ones mapped, and the false ones."""
+    poses, truth = mapper.trajectory, truth_of(building)
+    there = np.isfinite(poses[:, 0, 0])
+    matched = match_corners(mapper.planes, truth, poses[there], building.trajectory[there])
+    assert matched is not None
+    off = matched.position @ matched.R.T + matched.t - matched.truth
+    due = np.flatnonzero(truth.corner_scans.ravel() >= 10)
+    found = np.isin(due, 2 * matched.wall + matched.end)
+    return float(np.abs(off).max()), float(found.mean()), matched.n_false
+
+
+def seen_from(
+    x: float, y: float, yaw: float, walls: NDArray[np.float64] = ROOM, half_view: float = 1.2
+) -> Any:
+    """Return what a robot sees of walls."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s], [s, c]])
+    return seen_walls((walls - [x, y]) @ R, 8.0, half_view)
+
+
+@pytest.mark.parametrize(("world", "seed"), [("building", 0), ("building", 1), ("panels", 1)])
+def test_without_noise_the_map_is_exact(world: Any, seed: int) -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=seed, world=world)
+    mapper = mapped(building)
+    error_m, coverage, n_false = figures(mapper, building)
+    assert error_m <= 1e-9
+    assert coverage >= 0.9
+    assert n_false == 0
+    mapper.refine()
+    error_m, coverage, n_false = figures(mapper, building)
+    assert error_m <= 1e-9
+    assert coverage >= 0.9
+    assert n_false == 0
+
+
+def test_pure_translation_is_exact() -> None:
+    """Two ends cut by the view move together and tie with the static ones (Fig. 4)."""
+    mapper = PlaneMapper()
+    path = np.linspace(-1.5, 0.5, 21)
+    for x in path:
+        mapper.update(seen_from(x, 0.2, 0.0, half_view=0.9))
+    mapper.finish()
+    poses = mapper.trajectory
+    np.testing.assert_allclose(poses[:, 0, 3] - poses[0, 0, 3], path - path[0], atol=1e-9)
+    np.testing.assert_allclose(poses[:, :2, :2], np.tile(np.eye(2), (21, 1, 1)), atol=1e-9)
+    corners = mapper.map.positions[:, :2] + [path[0], 0.2]
+    apart = np.linalg.norm(corners[:, None] - ROOM.reshape(-1, 2), axis=2).min(axis=1)
+    assert len(corners) >= 3
+    assert apart.max() < 1e-9
+
+
+def test_the_frame_is_that_of_the_first_scan() -> None:
+    mapper = PlaneMapper()
+    for k in range(15):
+        mapper.update(seen_from(-1.0 + 0.05 * k, 0.0, 0.02 * k))
+    mapper.finish()
+    np.testing.assert_allclose(mapper.trajectory[0], np.eye(4), atol=1e-9)
+
+
+def test_noisy_walls_come_out_better_refined() -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=3)
+    rng = np.random.default_rng(0)
+    mapper = PlaneMapper()
+    for scan in building.scans:
+        ends = scan.seen.ends + rng.normal(0.0, 0.01, scan.seen.ends.shape)
+        front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
+        mapper.update(SimpleNamespace(ends=ends[front], end_type=scan.seen.end_type[front]))
+    mapper.finish()
+
+    def ate() -> float:
+        path, true = mapper.trajectory[:, :2, 3], building.trajectory[:, :2, 3]
+        R, t = fit_rigid(path, true)
+        return float(np.sqrt(np.mean(np.sum((path @ R.T + t - true) ** 2, axis=1))))
+
+    chained = ate()
+    mapper.refine()
+    assert ate() < min(0.5 * chained, 0.03)
+
+
+def test_walls_seen_again_are_joined() -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=0, loops=2)
+    mapper = mapped(building)
+    mapper.refine()
+    corners = mapper.planes.corner
+    truth = truth_of(building)
+    matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
+    assert matched is not None
+    n_true = len(np.unique(2 * matched.wall + matched.end))
+    assert (corners >= 0).sum() <= 1.05 * n_true
+
+
+def test_a_swinging_door_leaves_the_map() -> None:
+    mapper = PlaneMapper()
+    for k in range(60):
+        angle = 0.8 + 0.6 * np.sin(k / 8)
+        door = np.array([[1.0, 2.9], [1.0, 2.9]])
+        door[0] += 0.9 * np.array([np.cos(angle), -np.sin(angle)])
+        walls = np.concatenate([ROOM, door[None]])
+        mapper.update(seen_from(-1.5 + 0.02 * k, 0.0, 0.1, walls))
+    mapper.finish()
+    mapper.refine()
+    corners = mapper.map.positions[:, :2]
+    poses = mapper.trajectory
+    first = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    there = corners @ first.T + [-1.5, 0.0]
+    fixed = np.concatenate([ROOM.reshape(-1, 2), [[1.0, 2.9]]])
+    apart = np.linalg.norm(there[:, None] - fixed, axis=2).min(axis=1)
+    assert len(corners) >= 4
+    assert np.median(apart) < 1e-3
+    assert np.isfinite(poses).all()
+
+
+def test_numbers_of_walls_stay() -> None:
+    mapper = PlaneMapper()
+    first = mapper.update(seen_from(0.0, 0.0, 0.0))
+    second = mapper.update(seen_from(0.1, 0.0, 0.02))
+    assert sorted(first.tolist()) == sorted(second.tolist())
+    assert mapper.landmarks_of(first).tolist() == first.tolist()
+
+
+def test_scans_without_walls_are_bridged() -> None:
+    mapper = PlaneMapper()
+    nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
+    for k in range(24):
+        mapper.update(nothing if k in (0, 12) else seen_from(0.05 * k - 1, 0.0, 0.01 * k))
+    mapper.finish()
+    poses = mapper.trajectory
+    assert np.isfinite(poses[1:]).all()
+    assert abs(np.hypot(*(poses[13, :2, 3] - poses[11, :2, 3])) - 0.1) < 1e-6
+
+
+def test_the_same_scans_give_the_same_map() -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=2, iterations=60)
+    maps = []
+    for _ in range(2):
+        mapper = mapped(building)
+        mapper.refine()
+        maps.append(mapper.map.positions.tobytes())
+    assert maps[0] == maps[1]
+
+
+@pytest.mark.parametrize(
+    ("ends", "kind", "message"),
+    [
+        ([[[1.0, np.nan], [1.0, 1.0]]], [["corner", "view"]], "finite"),
+        ([[[1.0, 1.0], [1.0, -1.0]]], [["corner", "view"]], "from behind"),
+        ([[[1.0, -1.0], [1.0, 1.0]]], [["corner"]], "end_type has shape"),
+    ],
+)
+def test_walls_that_cannot_be_meant_are_refused(ends: Any, kind: Any, message: str) -> None:
+    mapper = PlaneMapper()
+    with pytest.raises(RelmapError, match=message):
+        mapper.update(SimpleNamespace(ends=np.array(ends), end_type=np.array(kind)))
+    assert len(mapper.planes.plane) == 0

@@ -1,0 +1,69 @@
+"""``relmap map --variant planes`` and ``relmap evaluate``, from scans to figures."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from relmap.cli import main
+from relmap.datasets import open_scans
+from relmap.evaluation import metrics
+from relmap.evaluation.plane_run import run_plane_mapper
+from relmap.planefiles import read_planes
+from relmap.planes import PlaneMapper
+from relmap.segmentation import PlaneSegmenter
+
+CONTRACT = (
+    "plane,x0,y0,x1,y1,z0,z1,nx,ny,nz,end0,end1,observations,first_iteration,last_iteration,status"
+)
+
+
+def run_relmap(*arguments: object) -> None:
+    assert main([str(argument) for argument in arguments]) == 0
+
+
+@pytest.fixture(scope="module")
+def building(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A noisy laser's drive through a part of a building, and its map."""
+    folder = tmp_path_factory.mktemp("building")
+    world = ["--sampling", "laser", "--points", "361", "--sigma", "0.01", "--iterations", "80"]
+    run_relmap("simulate", "building", "-o", folder / "world", *world)
+    run_relmap("map", folder / "world", "-o", folder / "result", "--variant", "planes")
+    return folder
+
+
+def test_result_folder_is_complete(building: Path) -> None:
+    with (building / "result" / "planes.csv").open() as stream:
+        header = next(csv.reader(stream))
+    assert header[:16] == CONTRACT.split(",")
+    table = read_planes(building / "result")
+    assert set(table.status.tolist()) <= {"static", "dynamic", "unmapped"}
+    assert (table.status == "static").sum() >= 5
+    summary = json.loads((building / "result" / "summary.json").read_text())
+    assert summary["variant"] == "planes"
+    assert summary["counts"]["iterations"] == 80
+    names = ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "map.ply", "map.png")
+    assert all((building / "result" / name).stat().st_size > 0 for name in names)
+
+
+def test_figures_against_the_truth(building: Path) -> None:
+    run_relmap("evaluate", building / "result", "--truth", building / "world")
+    figures = json.loads((building / "result" / "evaluation.json").read_text())
+    assert figures["corner_rmse_m"] < 0.04
+    assert figures["coverage"] >= 0.85
+    assert figures["ate_m"] < 0.04
+
+
+def test_first_metres_of_freiburg_079(shared_data: Path) -> None:
+    source = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
+    log = open_scans(source).between(0, 150)
+    run = run_plane_mapper(PlaneMapper(), log, PlaneSegmenter())
+    assert len(run.result.poses) >= 0.95 * len(log)
+    mine, other = metrics.match_stamps(run.result.stamps_s, log.stamps_s)
+    assert log.poses is not None
+    ate_m = metrics.ate(run.result.poses[mine], log.poses[other], planar=True)
+    assert ate_m is not None
+    assert ate_m <= 0.08
