@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 from relmap.core.store import ObservationStore
 
+FAR = 10.0
+"""How many times as far as anything is seen a landmark may come to lie."""
 LENGTH = 8
 """Iterations in a segment: one bit each in the landmarks' visibility."""
 TRIMS = 3
@@ -149,6 +151,10 @@ class CondensedSegments:
         free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
             joined, R, t, points, visible, squares = _laid_together(block[steady], free)
+            # Wrong matches can leave a landmark or an iteration hanging by nothing.
+            reach = FAR * np.nanmax(np.abs(block[steady]))
+            visible = np.where(np.abs(points).max(axis=1) <= reach, visible, 0).astype(np.uint8)
+            t[np.abs(t).max(axis=1) > reach] = np.nan
             free &= ~joined
             fitted = 3 * d - 3
             n_seen, n_points = _BITS[visible].sum(), (visible > 0).sum()

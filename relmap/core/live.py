@@ -23,6 +23,8 @@ from relmap.core.slices import SLICE, StepInSlices
 
 GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
+SOUND = 0.1
+"""How far a step may move a landmark, as a share of the extent of the map."""
 BACK = 16
 """Landmarks that must have come back into view before a step is worth while."""
 LEAST = 16
@@ -145,8 +147,15 @@ class LiveRefinement:
             first = end
 
     def _apply(self, piece: int, members: Indices, step: StepInSlices) -> None:
-        """Move the landmarks, and what was mapped meanwhile along with the latest segment."""
+        """Move the landmarks, and what was mapped meanwhile along with the latest segment.
+
+        A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not
+        taken.
+        """
         positions = self._map.positions
+        extent = np.ptp(positions[members], axis=0).max()
+        if not np.abs(step.moves).max() <= SOUND * extent:
+            return
         others = np.flatnonzero(self._map.pieces == piece)
         others = others[~np.isin(others, members)]
         turn, shift, centre = step.latest
