@@ -99,7 +99,7 @@ class ObservationStore:
         Returns
         -------
         landmarks : (n,) int64
-            The seed, then the others in ascending order.
+            The seed, then the others as they were first seen.
         iterations : (i,) int64, ascending
         block : (n, i, d) float64, robot frame, metres
             NaN where a landmark was not seen.
