@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 from relmap.core.store import ObservationStore
 
+ROOM = 2**20
+"""Rows of segments for which there is room from the start."""
 FAR = 10.0
 """How many times as far as anything is seen a landmark may come to lie."""
 LENGTH = 8
@@ -82,10 +84,10 @@ class CondensedSegments:
     """Condenses iterations as they leave the store; each observation counts exactly once."""
 
     def __init__(self) -> None:
-        self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._segment: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
-        self._visible: GrowingArray[np.uint8] = GrowingArray(np.uint8)
+        self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
+        self._segment: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
+        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), ROOM)
+        self._visible: GrowingArray[np.uint8] = GrowingArray(np.uint8, room=ROOM)
         self._first_iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._squares: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._freedoms: GrowingArray[np.int64] = GrowingArray(np.int64)
@@ -186,7 +188,7 @@ class CondensedSegments:
     def _make_room(self, k: int, d: int) -> None:
         """Make room for k more iterations, in d dimensions from now on."""
         if self._t.values.shape[1] != d:
-            self._points = GrowingArray(np.float64, (d,))
+            self._points = GrowingArray(np.float64, (d,), ROOM)
             self._R, self._t = GrowingArray(np.float64, (d, d)), GrowingArray(np.float64, (d,))
         self._iteration_segment.resize(self.end + k, NOWHERE)
         self._R.resize(self.end, np.nan)

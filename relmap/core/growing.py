@@ -11,23 +11,40 @@ from numpy.typing import DTypeLike, NDArray
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
+FEW = 16
+"""Rows that an array begins with whose rows are dropped again."""
+MANY = 2**18
+"""Rows that an array begins with that lasts as long as the map."""
+
+
 class GrowingArray(Generic[Scalar]):
     """A numpy array that doubles its room when it is full.
+
+    Room that is not used takes no memory: the operating system gives pages when they are written.
+    To copy a large array takes long, for it is all new pages, so there is room for many rows from
+    the start.
 
     Parameters
     ----------
     dtype : numpy dtype
     width : tuple of int
         Shape of one row; ``()`` for a column of scalars.
+    room : int
+        Rows to begin with, about.
     """
 
-    _sizes = itertools.cycle(range(16, 32))
+    _sixteenths = itertools.cycle(range(16, 32))
 
-    def __init__(self, dtype: DTypeLike, width: tuple[int, ...] = ()) -> None:
+    def __init__(self, dtype: DTypeLike, width: tuple[int, ...] = (), room: int = MANY) -> None:
         # Of different sizes, so that arrays that grow together are not full in the same iteration.
-        self._rows: NDArray[Any] = np.empty((next(self._sizes), *width), dtype=dtype)
+        size = room * next(self._sixteenths) // 16
+        self._rows: NDArray[Any] = np.empty((size, *width), dtype=dtype)
         self._begin = 0
         self._end = 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copy what is used alone."""
+        return {"_rows": self.values.copy(), "_begin": 0, "_end": len(self)}
 
     def __len__(self) -> int:
         """Return the number of rows."""

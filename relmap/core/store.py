@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.growing import GrowingArray
+from relmap.core.growing import FEW, GrowingArray
 
 
 class ObservationStore:
@@ -18,9 +18,9 @@ class ObservationStore:
     """
 
     def __init__(self) -> None:
-        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
-        self._landmarks: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._offsets: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), FEW)
+        self._landmarks: GrowingArray[np.int64] = GrowingArray(np.int64, room=FEW)
+        self._offsets: GrowingArray[np.int64] = GrowingArray(np.int64, room=FEW)
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._slots: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._first_iteration = 0
@@ -53,7 +53,7 @@ class ObservationStore:
     def append(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
         """Store one iteration's observations: landmarks (n,), points (n, d)."""
         if self.dimension == 0 and len(landmarks):
-            self._points = GrowingArray(np.float64, points_robot.shape[1:])
+            self._points = GrowingArray(np.float64, points_robot.shape[1:], FEW)
         if len(landmarks):
             self._points.extend(points_robot)
         self._landmarks.extend(landmarks)
