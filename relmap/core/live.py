@@ -27,6 +27,8 @@ SOUND = 0.1
 """How far a step may move a landmark, as a share of the extent of the map."""
 BACK = 16
 """Landmarks that must have come back into view before a step is worth while."""
+LONGEST = 1000
+"""Segments up to which steps are taken: beyond, even a slice would cost more than an iteration."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
 SMALL, MOST = 36000, 8
@@ -64,7 +66,7 @@ class LiveRefinement:
         self._note(of)
         if self._work is None:
             n = self._segments.rows.n_segments
-            if self._back <= BACK or n <= GROWTH * self._begun:
+            if self._back <= BACK or not GROWTH * self._begun < n <= LONGEST:
                 return False
             self._begun, self._back = n, 0
             self._work = self._step(of)
