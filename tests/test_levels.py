@@ -28,7 +28,7 @@ def empty_group(number: int) -> MappedGroup:
     """Return a group that is known by its only iteration."""
     nothing = np.empty(0)
     none = np.empty(0, dtype=np.int64)
-    return MappedGroup(none, nothing, none, np.array([number]), none, nothing, nothing)
+    return MappedGroup(none, nothing, none, np.array([number]))
 
 
 def numbers(levels: GroupLevels) -> list[int]:

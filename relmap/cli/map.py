@@ -111,9 +111,14 @@ def map_command(
     typer.echo(
         f"wrote 7 files to {out}: {counts['mapped']} of {counts['landmarks']} landmarks mapped "
         f"from {counts['observations']} observations in {counts['iterations']} iterations, "
-        f"median {timing['median_ms']:.2g} ms each"
-        + (f"; {apart} pieces could not be tied to the map" if apart > 0 else "")
+        f"median {timing['median_ms']:.2g} ms each" + _untied(apart)
     )
+
+
+def _untied(pieces: int) -> str:
+    if pieces < 1:
+        return ""
+    return f"; {pieces} piece{'s' if pieces > 1 else ''} could not be tied to the map"
 
 
 def _map_planes(
@@ -137,8 +142,7 @@ def _map_planes(
     typer.echo(
         f"wrote 8 files to {out}: {counts['planes_static']} walls with "
         f"{counts['corners_static']} corners mapped in {counts['iterations']} iterations, "
-        f"median {timing['median_ms']:.2g} ms each beside segmentation"
-        + (f"; {apart} pieces could not be tied to the map" if apart > 0 else "")
+        f"median {timing['median_ms']:.2g} ms each beside segmentation" + _untied(apart)
     )
 
 

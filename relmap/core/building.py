@@ -216,9 +216,6 @@ class MapBuilder:
             relative_map=relative.positions,
             n_observations=relative.n_used,
             iterations=common_interval,
-            fitted=relative.iterations[relative.fixed],
-            R=relative.R[relative.fixed],
-            t=relative.t[relative.fixed],
         )
         self.levels.take(group, members, reached, n_averaged)
         self._close(members[reached == 3])

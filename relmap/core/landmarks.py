@@ -110,17 +110,9 @@ class MappedGroup:
         Observations behind each position.
     iterations : (i,) int64, ascending
         The common interval.
-    fitted : (k,) int64, ascending
-        All iterations of the chart that the relative map fixes.
-    R : (k, d, d) float64
-    t : (k, d) float64, metres
-        Where these lie: robot frame to group frame.
     """
 
     landmarks: NDArray[np.int64]
     relative_map: NDArray[np.float64]
     n_observations: NDArray[np.int64]
     iterations: NDArray[np.int64]
-    fitted: NDArray[np.int64]
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]

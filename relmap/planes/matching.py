@@ -18,7 +18,6 @@ ACROSS_M = 0.12
 GAP_M = 0.4
 """How far one wall may be off in two scans, whatever the noise: walls are not quite flat, and their
 ends not quite where they are seen."""
-REJECTED = 1e3
 
 
 @dataclass(frozen=True, eq=False)
