@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Generator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.core import live, slices
+from relmap.core.kernels import joint
 from relmap.core.tridiagonal import Levels
 from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.simulation import FigureEight, simulate_figure_eight
@@ -46,8 +49,10 @@ def test_what_a_level_costs_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     levels: list[float] = []
     found = slices.StepInSlices._levels
 
-    def noted(self: slices.StepInSlices) -> Levels:
-        of = found(self)
+    def noted(
+        self: slices.StepInSlices, *graph: NDArray[np.int64]
+    ) -> Generator[None, None, Levels]:
+        of = yield from found(self, *graph)
         levels.append(of.most_flops)
         return of
 
@@ -85,7 +90,11 @@ def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
 def step(
     placed: NDArray[np.float64], landmark: NDArray[np.int64], placement: NDArray[np.int64]
 ) -> slices.StepInSlices:
-    found = slices.StepInSlices(placed, landmark, placement, np.ones(len(landmark)))
+    size = len(landmark), int(landmark.max()) + 1, int(placement.max()) + 1
+    found = slices.StepInSlices(*size, placed.shape[1])
+    for k in range(size[2]):
+        of = placement == k
+        found.add(placed[of], landmark[of], placement[of], np.ones(of.sum()))
     for _ in found.run():
         pass
     return found
@@ -99,8 +108,8 @@ def test_a_step_brings_displaced_bodies_together() -> None:
     shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]])
     placed = world[landmark] + shift[placement]
     found = step(placed, landmark, placement)
-    means = np.stack([placed[landmark == i].mean(axis=0) for i in range(40)])
-    np.testing.assert_allclose(means + found.moves, world, atol=1e-6)
+    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
+    np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
 
 
 def test_bodies_are_joined_where_a_step_would_cost_too_much(
@@ -112,3 +121,35 @@ def test_bodies_are_joined_where_a_step_would_cost_too_much(
     landmark = np.concatenate([np.arange(10 * k, 10 * k + 20) % 40 for k in range(4)])
     found = step(world[landmark], landmark, np.repeat(np.arange(4), 20))
     np.testing.assert_allclose(found.moves, 0.0, atol=1e-9)
+
+
+def test_of_a_long_run_neighbouring_placements_are_one_body(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(slices, "BODIES", 4)
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (40, 2))
+    landmark = np.concatenate([np.arange(5 * k, 5 * k + 20) % 40 for k in range(8)])
+    placement = np.repeat(np.arange(8), 20)
+    shift = np.repeat([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]], 2, axis=0)
+    placed = world[landmark] + shift[placement]
+    found = step(placed, landmark, placement)
+    assert found._p == 4
+    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
+    np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
+
+
+def test_slices_do_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows: list[int] = []
+    equations = joint.placement_equations
+
+    def noted(begin: NDArray[np.int64], *rest: Any) -> None:
+        rows.append(int(begin[-1] - begin[0]))
+        equations(begin, *rest)
+
+    monkeypatch.setattr(joint, "placement_equations", noted)
+    world = simulate_figure_eight(density=100, iterations=2500, seed=3)
+    mapper = driven(world, 2500)
+    seen = np.bincount(mapper._rows.landmark).max()
+    assert len(rows) > 50
+    assert max(rows) <= slices.SLICE + seen

@@ -32,12 +32,16 @@ class MapperConfig:
     gate_m : float or None
         Only for "nearest-previous": largest displacement, metres, between two iterations; None
         takes half the median distance between neighbours in the scan.
+    keep_observations : bool
+        Keep every single observation, 32 bytes each, so that `refine` can make use of noise that is
+        bounded.
     """
 
     group_after: int = 10
     max_missed: int = 5
     registration: str = "constellation"
     gate_m: float | None = None
+    keep_observations: bool = False
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -57,6 +61,10 @@ class MapperConfig:
             raise RelmapError(
                 f"setting registration is {self.registration!r}; "
                 f"it must be {' or '.join(REGISTRATIONS)}"
+            )
+        if type(self.keep_observations) is not bool:
+            raise RelmapError(
+                f"setting keep_observations is {self.keep_observations!r}; it must be true or false"
             )
         if self.gate_m is not None and not _is_length(self.gate_m):
             raise RelmapError(

@@ -17,9 +17,11 @@ from scipy.spatial.transform import Rotation
 from relmap.core.alignment import sums_each
 from relmap.core.condensing import LENGTH
 from relmap.core.elimination import FreePlacements
-from relmap.core.jointrows import JointRows
-from relmap.core.tridiagonal import Factor, Levels
+from relmap.core.jointrows import JointRows, rows_of_each, searched
+from relmap.core.tridiagonal import Factor, Levels, at_once
 
+ALL = 2**62
+"""More rows than there are."""
 WEAKEST = 1e-6
 """Least hold of a landmark, in observations: none moves far that hangs by nothing."""
 FLOPS_PER_OBSERVATION = 1e4
@@ -85,23 +87,33 @@ def equations(rows: JointRows, anchor: tuple[int, int]) -> Equations:
     anchor : (segment, bit)
         The iteration whose placement makes the frame.
     """
-    by_landmark = rows.by_landmark()
-    levels = _levels(rows, *by_landmark)
+    levels = levels_of(rows.begin, rows.landmark, len(rows.landmarks))
     exact = LandmarkEquations(rows, anchor, levels[0])
-    coarse = PlacementEquations(rows, anchor, by_landmark, levels[1])
+    coarse = PlacementEquations(rows, anchor, levels[1])
     affordable = FLOPS_PER_OBSERVATION * rows.n_seen.sum()
     return exact if exact.flops <= max(affordable, coarse.levels.flops) else coarse
 
 
-def _levels(
-    rows: JointRows, landmark_begin: NDArray[np.int64], entry: NDArray[np.int64]
+def levels_of(
+    begin: NDArray[np.int64], landmark: NDArray[np.int64], n_landmarks: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return levels of landmarks and segments, beginning at an outer landmark."""
-    from relmap.core.kernels.joint import breadth_first
+    """Return levels of landmarks and of what saw them, beginning at an outer landmark.
 
-    graph = rows.begin, rows.landmark, landmark_begin, rows.segment[entry]
-    outer = int(np.argmax(breadth_first(0, *graph)[0]))
-    return breadth_first(outer, *graph)
+    Parameters
+    ----------
+    begin : (s + 1,) int64
+        Where the rows of each segment, or iteration, begin.
+    landmark : (n,) int64
+        Of each row, 0 to `n_landmarks` - 1.
+    n_landmarks : int
+    """
+    by_landmark = rows_of_each(landmark, n_landmarks)
+    segment = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
+    outer = 0
+    for _ in range(2):
+        levels = at_once(searched(outer, begin, landmark, by_landmark, segment, ALL))
+        outer = int(np.argmax(levels[0]))
+    return levels
 
 
 class LandmarkEquations:
@@ -153,13 +165,7 @@ class LandmarkEquations:
 class PlacementEquations:
     """One placement for each segment stays, and one for the anchor; landmarks are eliminated."""
 
-    def __init__(
-        self,
-        rows: JointRows,
-        anchor: tuple[int, int],
-        by_landmark: tuple[NDArray[np.int64], NDArray[np.int64]],
-        level: NDArray[np.int64],
-    ) -> None:
+    def __init__(self, rows: JointRows, anchor: tuple[int, int], level: NDArray[np.int64]) -> None:
         d = rows.points.shape[1]
         self._rows = rows
         self._anchor = anchor
@@ -176,9 +182,7 @@ class PlacementEquations:
             [rows.segment, np.full(len(self._own), len(rows.segments))]
         )
         landmark = rows.landmark[self._row]
-        self._entry = np.argsort(landmark, kind="stable")
-        counts = np.bincount(landmark, minlength=len(rows.landmarks))
-        self._entry_begin = np.concatenate([[0], np.cumsum(counts)])
+        self._entry_begin, self._entry = rows_of_each(landmark, len(rows.landmarks))
         self.levels = Levels(np.append(level, level[anchor[0]]), 3 * d - 3)
 
     def normal(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,11 +67,47 @@ class JointRows:
         """Where the rows of each segment begin, and where the last ends; (s + 1,)."""
         return np.searchsorted(self.segment, np.arange(len(self.segments) + 1))
 
-    def by_landmark(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return where each landmark's rows begin (m + 1,) in a list of rows (n,)."""
-        order = np.argsort(self.landmark, kind="stable")
-        counts = np.bincount(self.landmark, minlength=len(self.landmarks))
-        return np.concatenate([[0], np.cumsum(counts)]), order
+
+def rows_of_each(
+    landmark: NDArray[np.int64], n: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where the rows of each of n landmarks begin (n + 1,) in a list of rows (k,)."""
+    counts = np.bincount(landmark, minlength=n)
+    return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
+
+
+def searched(
+    start: int,
+    begin: NDArray[np.int64],
+    landmark: NDArray[np.int64],
+    by_landmark: tuple[NDArray[np.int64], NDArray[np.int64]],
+    segment: NDArray[np.int64],
+    budget: int,
+) -> Generator[None, None, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Return levels of landmarks (m,) and segments (s,), breadth-first from one landmark.
+
+    Neighbours are at most one level apart.  A pause follows each `budget` of rows looked at.
+
+    Parameters
+    ----------
+    start : int
+    begin : (s + 1,) int64
+        Where the rows of each segment begin.
+    landmark, segment : (n,) int64
+        Of each row.
+    by_landmark : (m + 1,) int64 and (n,) int64
+        See `rows_of_each`.
+    budget : int
+    """
+    from relmap.core.kernels.joint import breadth_first
+
+    m = len(by_landmark[0]) - 1
+    found = np.full(m, -1), np.full(len(begin) - 1, -1)
+    queue, state = np.empty(m, dtype=np.int64), np.array([0, 0, 0, start])
+    graph = begin, landmark, *by_landmark, segment
+    while not breadth_first(*graph, *found, queue, state, budget):
+        yield
+    return found
 
 
 def numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

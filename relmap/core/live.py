@@ -18,7 +18,6 @@ from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import CondensedSegments, SegmentRows
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
-from relmap.core.jointrows import numbered
 from relmap.core.slices import SLICE, StepInSlices
 
 GROWTH = 1.15
@@ -27,11 +26,9 @@ SOUND = 0.1
 """How far a step may move a landmark, as a share of the extent of the map."""
 BACK = 16
 """Landmarks that must have come back into view before a step is worth while."""
-LONGEST = 1000
-"""Segments up to which steps are taken: beyond, even a slice would cost more than an iteration."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
-SMALL, MOST = 36000, 8
+SMALL, MOST = 45000, 6
 """Rows of all segments up to which more slices than one are done at a time, and how many."""
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -66,7 +63,7 @@ class LiveRefinement:
         self._note(of)
         if self._work is None:
             n = self._segments.rows.n_segments
-            if self._back <= BACK or not GROWTH * self._begun < n <= LONGEST:
+            if self._back <= BACK or GROWTH * self._begun >= n:
                 return False
             self._begun, self._back = n, 0
             self._work = self._step(of)
@@ -105,22 +102,14 @@ class LiveRefinement:
         if piece == UNMAPPED:
             return
         member = int(np.argmax(self._map.pieces == piece))
-        parts = []
+        size = len(rows.segment), len(self._map.pieces), rows.n_segments
+        step = StepInSlices(*size, rows.points.shape[1])
         for part in self._laid_on(rows, of, piece):
-            parts.append(part)
+            step.add(*part)
             yield
-        placed, landmark, segment, seen = (
-            np.concatenate(each) for each in zip(*parts, strict=True)
-        )
-        if not len(placed):
-            return
-        yield
-        members, at = numbered(landmark)
-        step = StepInSlices(placed, at, numbered(segment)[1], seen)
-        yield
         yield from step.run()
         if self._map.pieces[member] == piece:
-            self._apply(piece, members, step)
+            self._apply(piece, step)
 
     def _piece_in_view(self, rows: SegmentRows, of: Callable[[Indices], Indices]) -> int:
         pieces = self._map.pieces[of(rows.landmark[-SLICE:])]
@@ -148,18 +137,21 @@ class LiveRefinement:
             yield placed[on], landmark[on], segment[on], seen[on]
             first = end
 
-    def _apply(self, piece: int, members: Indices, step: StepInSlices) -> None:
+    def _apply(self, piece: int, step: StepInSlices) -> None:
         """Move the landmarks, and what was mapped meanwhile along with the latest segment.
 
         A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not
         taken.
         """
-        positions = self._map.positions
+        positions, members = self._map.positions, step.members
+        if not len(members):
+            return
         extent = np.ptp(positions[members], axis=0).max()
         if not np.abs(step.moves).max() <= SOUND * extent:
             return
-        others = np.flatnonzero(self._map.pieces == piece)
-        others = others[~np.isin(others, members)]
+        is_other = self._map.pieces == piece
+        is_other[members] = False
+        others = np.flatnonzero(is_other)
         turn, shift, centre = step.latest
         self._map.move(others, (positions[others] - centre) @ turn.T + centre + shift)
         self._map.move(members, positions[members] + step.moves)

@@ -18,7 +18,9 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.levels import GroupLevels
 from relmap.core.live import LiveRefinement
 from relmap.core.merging import Merger
+from relmap.core.observations import KeptObservations
 from relmap.core.pose import trajectory
+from relmap.core.powers import refine_by_powers
 from relmap.core.readout import (
     landmark_map,
     landmark_table,
@@ -59,6 +61,7 @@ class RelativeMapper(ABC):
         self._registration: Registration | None = None
         self._store = ObservationStore()
         self._segments = CondensedSegments()
+        self._kept = KeptObservations() if self.config.keep_observations else None
         self._refined: list[Refined] = []
         self._identity = Identity()
         self._sightings = Sightings()
@@ -145,7 +148,7 @@ class RelativeMapper(ABC):
 
         The chain of groups drifts; this spreads what is left of it, after a loop was closed above
         all, over the whole map.  From then on until the next update it is also known how sure each
-        landmark's position is.
+        landmark's position is.  With `keep_observations`, noise that is bounded is made use of.
         """
         positions, pieces = self._builder.map.positions, self._builder.map.pieces
         rows, of = self._rows, self._identity.of(np.arange(len(pieces)))
@@ -154,6 +157,9 @@ class RelativeMapper(ABC):
         self._refined = []
         for piece in np.unique(pieces[pieces != UNMAPPED]):
             refined = refine(rows, positions, pieces == piece, of, others, moving)
+            if refined is not None and self._kept is not None:
+                seen = self._kept.of_landmarks(refined.landmarks, refined.positions, of)
+                refined = refine_by_powers(refined, seen)
             if refined is not None:
                 self._builder.map.move(refined.landmarks, refined.positions)
                 self._refined.append(refined)
@@ -178,6 +184,8 @@ class RelativeMapper(ABC):
         """Store one iteration (Fig. 3); return the landmarks that have left the view."""
         iteration = self._store.n_iterations
         self._store.append(landmarks, points_robot)
+        if self._kept is not None:
+            self._kept.append(iteration, landmarks, points_robot)
         self._builder.resize(int(landmarks.max(initial=-1)) + 1)
         return self._schedule.see(landmarks, iteration)
 

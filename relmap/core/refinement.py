@@ -7,7 +7,7 @@ is estimated: what counts is where the landmarks come to lie relative to one ano
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,7 +33,7 @@ SURELY = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Spread:
+class Spread:
     """Works out the covariances of some landmarks, turned and scaled (d, d)."""
 
     system: Equations
@@ -44,8 +44,13 @@ class _Spread:
     scale: NDArray[np.float64]
 
     def __call__(self) -> NDArray[np.float64]:
+        """Return the covariances, square metres."""
         of_unit_noise = self.system.covariances(self.solved, self.placed, self.weight)
         return np.asarray(self.scale.T @ of_unit_noise[self.chosen] @ self.scale)
+
+    def scaled(self, factor: float) -> Spread:
+        """Return the same for standard deviations that are larger by a factor."""
+        return replace(self, scale=factor * self.scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +68,9 @@ class Refined:
         Standard deviation of an observed coordinate, from what is left.
     segments : SegmentResiduals
     merges : MergeResiduals
+    spread : Spread
+    power : float
+        Of what is left of the observations, whose sum is least; 2 is least squares.
     """
 
     landmarks: NDArray[np.int64]
@@ -71,12 +79,13 @@ class Refined:
     noise_m: float
     segments: SegmentResiduals
     merges: MergeResiduals
-    _spread: _Spread
+    spread: Spread
+    power: float = 2
 
     @cached_property
     def covariances(self) -> NDArray[np.float64]:
         """Of the errors of the positions (m, d, d), square metres, worked out when first asked."""
-        return self._spread()
+        return self.spread()
 
 
 def refine(
@@ -142,7 +151,7 @@ def _solved(
     R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
     mapped = chosen[joint.landmarks]
 
-    spread = _Spread(system, solved, placed, weight, mapped, noise_m * R)
+    spread = Spread(system, solved, placed, weight, mapped, noise_m * R)
     segments = segment_residuals(rows, joint, (placed - t) @ R, system.cost, noise_m)
     merges = merge_residuals(rows, joint, placed, refined, noise_m)
     landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R

@@ -9,12 +9,15 @@ Fagan and Chin, 1973), which is where the covariances are.
 from __future__ import annotations
 
 from collections.abc import Generator
+from typing import TypeVar
 
 import numpy as np
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
+
+Result = TypeVar("Result")
 
 LOOSE = 1e-9
 """What holds an unknown that hangs by too little, as a share of what holds others."""
@@ -215,10 +218,14 @@ def factored(levels: Levels, buffer: NDArray[np.float64]) -> Generator[None, Non
 
 def factor(levels: Levels, buffer: NDArray[np.float64]) -> Factor:
     """Factor a matrix at once; see `factored`."""
-    steps = factored(levels, buffer)
+    return at_once(factored(levels, buffer))
+
+
+def at_once(steps: Generator[None, None, Result]) -> Result:
+    """Run through all steps of a computation; return its result."""
     while True:
         try:
             next(steps)
         except StopIteration as done:
-            found: Factor = done.value
+            found: Result = done.value
             return found

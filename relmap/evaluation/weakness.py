@@ -37,6 +37,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     segments, merges = piece.segments, piece.merges
     return {
         "noise_m": piece.noise_m,
+        "power": piece.power,
         "anchor_iteration": first_iteration + piece.anchor_iteration,
         "segments": len(segments.residual),
         "segment_residual_median": float(np.median(segments.residual)),

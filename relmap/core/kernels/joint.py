@@ -16,44 +16,52 @@ from relmap.core.kernels.segments import derivative
 
 @compiled
 def breadth_first(
-    start: int,
     begin: NDArray[np.int64],
     landmark: NDArray[np.int64],
     landmark_begin: NDArray[np.int64],
+    entry: NDArray[np.int64],
     segment: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the levels of landmarks and segments, searched breadth-first from one landmark.
+    of_landmark: NDArray[np.int64],
+    of_segment: NDArray[np.int64],
+    queue: NDArray[np.int64],
+    state: NDArray[np.int64],
+    budget: int,
+) -> bool:
+    """Go on searching the levels of landmarks and segments breadth-first; tell whether it is done.
 
-    `segment` lists the segments of each landmark, from `landmark_begin` on.  What cannot be reached
-    stands in levels of its own, after the others.
+    `entry` lists the rows of each landmark, from `landmark_begin` on; levels (m,) and (s,) are -1
+    where not found yet.  `state` holds tail and head of the queue (m,), the level reached and the
+    landmark to begin with.  What cannot be reached stands in levels of its own, after the others.
+    About as many rows as the budget says are looked at.
     """
-    of_landmark = np.empty(len(landmark_begin) - 1, dtype=np.int64)
-    of_segment = np.empty(len(begin) - 1, dtype=np.int64)
-    of_landmark[:] = of_segment[:] = -1
-    queue = np.empty(len(of_landmark), dtype=np.int64)
-    tail, head, base, candidate = 0, 0, 0, start
-    while tail < len(queue):
-        while of_landmark[candidate] >= 0:
-            candidate = (candidate + 1) % len(queue)
-        of_landmark[candidate] = base
-        queue[tail] = candidate
-        tail += 1
-        while head < tail:
-            here = queue[head]
-            head += 1
-            base = of_landmark[here]
-            for entry in range(landmark_begin[here], landmark_begin[here + 1]):
-                s = segment[entry]
-                if of_segment[s] >= 0:
-                    continue
-                of_segment[s] = base
-                for row in range(begin[s], begin[s + 1]):
-                    if of_landmark[landmark[row]] < 0:
-                        of_landmark[landmark[row]] = base + 1
-                        queue[tail] = landmark[row]
-                        tail += 1
-        base += 1
-    return of_landmark, of_segment
+    tail, head, base, candidate = state
+    while tail < len(queue) or head < tail:
+        if head == tail:
+            while of_landmark[candidate] >= 0:
+                candidate = (candidate + 1) % len(queue)
+            of_landmark[candidate] = base
+            queue[tail] = candidate
+            tail += 1
+        here = queue[head]
+        head += 1
+        level = of_landmark[here]
+        base = level + 1
+        for e in range(landmark_begin[here], landmark_begin[here + 1]):
+            s = segment[entry[e]]
+            budget -= 1
+            if of_segment[s] >= 0:
+                continue
+            of_segment[s] = level
+            for row in range(begin[s], begin[s + 1]):
+                budget -= 1
+                if of_landmark[landmark[row]] < 0:
+                    of_landmark[landmark[row]] = level + 1
+                    queue[tail] = landmark[row]
+                    tail += 1
+        if budget <= 0:
+            break
+    state[0], state[1], state[2], state[3] = tail, head, base, candidate
+    return bool(tail == len(queue) and head == tail)
 
 
 @compiled
@@ -84,23 +92,24 @@ def subtract(
 
 @compiled
 def _eliminated(
-    T: NDArray[np.float64], weight: NDArray[np.float64], total: float
+    pull: NDArray[np.float64], own: NDArray[np.float64], total: float
 ) -> NDArray[np.float64]:
-    """Return what a landmark takes from the matrix of its placements, less their own share.
+    """Return what a landmark of some weight takes from the matrix of its placements (n q, n q).
 
-    T (d, n q) are the derivatives of its rows, of weights (n,) that come to a total.
+    Less their own share `own` (n, q, q); `pull` (d, n q) are the weighted derivatives of the rows.
     """
-    d, q = len(T), T.shape[1] // len(weight)
-    part = np.empty((T.shape[1], T.shape[1]))
-    for k in range(len(weight)):
-        for m in range(k + 1):
-            share = weight[k] * weight[m] / total - (weight[k] if k == m else 0.0)
-            for a in range(q * k, q * (k + 1)):
-                for b in range(q * m, q * (m + 1)):
-                    entry = 0.0
-                    for c in range(d):
-                        entry += T[c, a] * T[c, b]
-                    part[a, b] = part[b, a] = share * entry
+    q = own.shape[1]
+    part = np.empty((pull.shape[1], pull.shape[1]))
+    for a in range(pull.shape[1]):
+        for b in range(a + 1):
+            entry = 0.0
+            for c in range(len(pull)):
+                entry += pull[c, a] * pull[c, b]
+            part[a, b] = part[b, a] = entry / total
+    for k in range(len(own)):
+        for a in range(q):
+            for b in range(q):
+                part[q * k + a, q * k + b] -= own[k, a, b]
     return part
 
 
@@ -127,6 +136,7 @@ def placement_equations(
         Where the rows of each landmark begin in `entry`.
     entry : (n,) int64
     placement : (n,) int64
+        Ascending among the rows of each landmark.
     points : (n, d) float64, metres
         The rows as placed, from the centre that their placement turns about.
     residual : (n, d) float64, metres
@@ -143,19 +153,24 @@ def placement_equations(
     J = np.empty((d, q))
     for i in range(len(entry_begin) - 1):
         rows = entry[entry_begin[i] : entry_begin[i + 1]]
-        nodes, own, total = np.empty(len(rows), dtype=np.int64), np.empty(len(rows)), 0.0
-        T = np.empty((d, q * len(rows)))
-        for k in range(len(rows)):
-            nodes[k], own[k] = placement[rows[k]], weight[rows[k]]
-            total += own[k]
-            derivative(points, rows[k], J)
+        nodes, n, total = np.empty(len(rows), dtype=np.int64), 0, 0.0
+        pull, own = np.zeros((d, q * len(rows))), np.zeros((len(rows), q, q))
+        for row in rows:
+            if n == 0 or nodes[n - 1] != placement[row]:
+                nodes[n] = placement[row]
+                n += 1
+            total += weight[row]
+            derivative(points, row, J)
             for a in range(d):
                 for b in range(q):
-                    T[a, q * k + b] = J[a, b]
-                    gradient[nodes[k], b] += own[k] * J[a, b] * residual[rows[k], a]
+                    weighted = weight[row] * J[a, b]
+                    pull[a, q * (n - 1) + b] += weighted
+                    gradient[nodes[n - 1], b] += weighted * residual[row, a]
+                    for c in range(q):
+                        own[n - 1, b, c] += weighted * J[a, c]
         if len(buffer) > 0:
-            part = _eliminated(T, own, total)
-            subtract(part, nodes, q, buffer, level, place, width, offset)
+            part = _eliminated(pull[:, : q * n], own[:n], total)
+            subtract(part, nodes[:n], q, buffer, level, place, width, offset)
 
 
 @compiled

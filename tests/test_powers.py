@@ -1,0 +1,103 @@
+"""Refinement by the shape of the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from relmap import MapperConfig, PointMapper, RelmapError
+from relmap.core.observations import Observations
+from relmap.core.powers import _Solution, shape_of
+from relmap.simulation import FigureEight, simulate_figure_eight
+from tests.worlds import aligned_rmse
+
+KEEP = MapperConfig(keep_observations=True)
+
+
+def refined(world: FigureEight, config: MapperConfig, known: bool = True) -> PointMapper:
+    mapper = PointMapper(config)
+    for scan in world.log.scans():
+        mapper.update(scan.points_robot, scan.ids if known else None)
+    mapper.finish()
+    mapper.refine()
+    return mapper
+
+
+def error(mapper: PointMapper, world: FigureEight) -> float:
+    found = mapper.map
+    return aligned_rmse(found.positions, world.landmarks_map[found.landmark_ids])
+
+
+def test_uniform_noise_is_made_use_of() -> None:
+    ratios = []
+    for seed in (40, 41, 42):
+        world = simulate_figure_eight(noise="uniform", iterations=300, seed=seed)
+        mapper = refined(world, KEEP)
+        assert mapper.refined[0].power == 16
+        ratios.append(error(mapper, world) / error(refined(world, MapperConfig()), world))
+    assert np.median(ratios) <= 0.8
+
+
+def test_normal_noise_and_outliers_leave_least_squares_as_it_is() -> None:
+    rng = np.random.default_rng(3)
+    world = simulate_figure_eight(seed=43)
+    flat = simulate_figure_eight(noise="uniform", seed=43)
+    struck = rng.random(len(flat.log.points_robot)) < 0.01
+    flat.log.points_robot[struck] += rng.normal(0, 0.5, (struck.sum(), 3))
+    for each in (world, flat):
+        kept, without = refined(each, KEEP), refined(each, MapperConfig())
+        assert kept.refined[0].power == 2
+        np.testing.assert_array_equal(kept.map.positions, without.map.positions)
+
+
+def test_errors_are_what_the_covariances_say() -> None:
+    squares = []
+    for seed in range(50, 58):
+        world = simulate_figure_eight(noise="uniform", iterations=300, seed=seed)
+        mapper = refined(world, KEEP)
+        T = world.trajectory[mapper.refined[0].anchor_iteration]
+        there = (world.landmarks_map[mapper.map.landmark_ids] - T[:3, 3]) @ T[:3, :3]
+        variance = np.einsum("nii->ni", mapper.map.covariances)
+        squares.append(np.mean((mapper.map.positions - there) ** 2 / variance))
+    assert 0.4 < np.mean(squares) < 2.5
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_sum_of_powers_is_least(d: int) -> None:
+    rng = np.random.default_rng(d)
+    landmarks = rng.uniform(-5, 5, (12, d))
+    points = np.concatenate([landmarks + rng.uniform(-0.1, 0.1, (12, d)) for _ in range(60)])
+    at, of = np.repeat(np.arange(60), 12), np.tile(np.arange(12), 60)
+    solution = _Solution.of(Observations(points, of, at, np.arange(60)), landmarks)
+    for power in (2, 4, 4, 4, 4, 8, 8, 8, 8, 8, 8):
+        solution = solution.step(power)
+
+    def total(positions: NDArray[np.float64]) -> float:
+        left = solution.R[at].transpose(0, 2, 1) @ (
+            positions.reshape(-1, d)[of] - solution.t[at]
+        ).reshape(-1, d, 1)
+        return float(np.sum((10 * (points - left[:, :, 0])) ** 8))
+
+    best = minimize(total, solution.positions.ravel(), tol=1e-12)
+    assert total(solution.positions.ravel()) <= best.fun * (1 + 1e-4)
+
+
+def test_the_shape_of_known_densities() -> None:
+    rng = np.random.default_rng(0)
+    assert shape_of(rng.normal(size=100_000)) == pytest.approx(2, rel=0.05)
+    assert shape_of(rng.laplace(size=100_000)) == pytest.approx(1, rel=0.1)
+    assert shape_of(rng.uniform(-1, 1, 100_000)) > 16
+
+
+def test_without_noise_and_without_ids() -> None:
+    world = simulate_figure_eight(sigma=0.0, seed=1)
+    assert error(refined(world, KEEP), world) < 1e-9
+    world = simulate_figure_eight(noise="uniform", seed=44)
+    assert refined(world, KEEP, known=False).refined[0].power == 16
+
+
+def test_the_setting_is_checked() -> None:
+    with pytest.raises(RelmapError, match="keep_observations is 1; it must be true or false"):
+        MapperConfig.from_mapping({"keep_observations": 1})
