@@ -38,6 +38,8 @@ class DurableMapper(RelativeMapper):
     """
 
     _variant: ClassVar[str]
+    _passing: ClassVar[tuple[str, ...]] = ("_journal",)
+    """What is not saved."""
 
     def __init__(
         self,
@@ -88,6 +90,47 @@ class DurableMapper(RelativeMapper):
             mapper._replay(reader)
             layout = reader.layout
         mapper._journal = Journal(Path(journal), layout, mapper.n_iterations)
+        return mapper
+
+    def save(self, path: PathLike[str] | str) -> None:
+        """Save the whole state: a mapper loaded from it goes on as this one would, to the last bit.
+
+        The journal is not part of it, nor is a segmenter.
+
+        Parameters
+        ----------
+        path : path
+            A file, ``.npz`` by custom; one of that name is replaced.
+
+        Raises
+        ------
+        RelmapError
+            Where it cannot be written.
+        """
+        from relmap.saving import save_state
+
+        about = {"variant": self._variant, "versions": _versions()}
+        save_state(Path(path), self, about, self._passing)
+
+    @classmethod
+    def load(cls, path: PathLike[str] | str) -> Self:
+        """Load a mapper that `save` saved.
+
+        What the file says is not run, but its numbers are believed: load what you trust.
+
+        Parameters
+        ----------
+        path : path
+
+        Raises
+        ------
+        RelmapError
+            Where there is no such file, it is damaged, or holds a mapper of another variant or of
+            a relmap with other parts.
+        """
+        from relmap.saving import load_state
+
+        mapper: Self = load_state(Path(path), cls)
         return mapper
 
     @property

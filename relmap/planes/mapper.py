@@ -81,6 +81,7 @@ class PlaneMapper(DurableMapper):
     _noise_spread = 3.0
 
     _variant = "planes"
+    _passing = ("_journal", "_segmenter")
 
     def __init__(
         self,
