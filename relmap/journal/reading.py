@@ -76,6 +76,12 @@ class JournalReader:
             self.calls = self._read_calls()
         except _WRONG as error:
             self.close()
+            size, whole = path.stat().st_size, stated_size(path)
+            if size < whole:
+                raise RelmapError(
+                    f"journal {path} is cut short, {size} of {whole} bytes: what is left can be "
+                    "recovered: relmap resume --salvage does it"
+                ) from error
             raise RelmapError(
                 f"{path} is no journal, or its head is damaged, without which nothing of it can be "
                 f"recovered: {error}"
@@ -135,7 +141,7 @@ class JournalReader:
         columns = list(zip(*rows, strict=True))[2:] if n else []
         labels = np.array(columns[-1] if n else [], dtype=np.int64)
         seen = np.array(columns[: len(self.layout.values)], dtype=np.float64)
-        values = np.ascontiguousarray(seen.T).reshape(n, -1)
+        values = np.ascontiguousarray(seen.T).reshape(n, len(self.layout.values))
         if ids and n and columns[2][0] is None:
             values = np.ascontiguousarray(values[:, :2])
         of = np.array(columns[-2] if n else [], dtype=np.int64) if ids and known else None
@@ -182,3 +188,13 @@ class JournalReader:
                 raise ValueError(f"its table calls holds {call!r}")
             calls.setdefault(int(iteration), []).append(call)
         return calls
+
+
+def stated_size(path: Path) -> int:
+    """Return the bytes that an SQLite file should have by what it says; 0 where it says nothing."""
+    with path.open("rb") as stream:
+        head = stream.read(100)
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):
+        return 0
+    page = int.from_bytes(head[16:18], "big")
+    return (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")

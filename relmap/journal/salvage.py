@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
 from contextlib import suppress
 from pathlib import Path
 
 from relmap.core.errors import RelmapError
-from relmap.journal.reading import JournalReader
+from relmap.journal.reading import JournalReader, stated_size
 from relmap.journal.writing import Journal, create_file
+
+MOST_MISSING = 1 << 40
+"""Bytes beyond which the size that a file states is damage."""
 
 
 def salvage(path: Path) -> int:
@@ -29,10 +33,47 @@ def salvage(path: Path) -> int:
     RelmapError
         Where nothing can be recovered, or a file cannot be written.
     """
-    damaged, whole = (path.with_name(f"{path.name}.{ending}") for ending in ("damaged", "whole"))
+    damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
     if damaged.exists():
         raise RelmapError(f"{damaged} is there already: move it away first")
-    with JournalReader(path) as reader:
+    if not path.is_file():
+        raise RelmapError(f"there is no journal {path}")
+    try:
+        _copy(path, rest)
+        n_scans = _recover(rest, whole)
+        for ending in ("-wal", "-shm", ""):
+            with suppress(FileNotFoundError):
+                _beside(path, ending).replace(_beside(damaged, ending))
+        whole.replace(path)
+    except RelmapError as error:
+        raise RelmapError(str(error).replace(str(rest), str(path))) from error
+    except OSError as error:
+        raise RelmapError(f"cannot recover {path}: {error.strerror}: {error.filename}") from error
+    finally:
+        for ending in ("-wal", "-shm", ""):
+            with suppress(OSError):
+                _beside(rest, ending).unlink(missing_ok=True)
+    return n_scans
+
+
+def _beside(path: Path, ending: str) -> Path:
+    return path.with_name(path.name + ending)
+
+
+def _copy(path: Path, copy: Path) -> None:
+    """Copy a journal, filled up to its size where it was cut short: SQLite wants it so."""
+    shutil.copyfile(path, copy)
+    with suppress(FileNotFoundError):
+        shutil.copyfile(_beside(path, "-wal"), _beside(copy, "-wal"))
+    missing = stated_size(copy) - copy.stat().st_size
+    if 0 < missing <= MOST_MISSING:
+        with copy.open("ab") as stream:
+            stream.truncate(copy.stat().st_size + missing)
+
+
+def _recover(damaged: Path, whole: Path) -> int:
+    """Write the scans before the damage to a journal; return how many they are."""
+    with JournalReader(damaged) as reader:
         whole.unlink(missing_ok=True)
         create_file(whole, reader.layout, reader.meta)
         journal = Journal(whole, reader.layout)
@@ -44,12 +85,4 @@ def salvage(path: Path) -> int:
                     journal.append(scan.values, scan.ids, scan.labels)
         finally:
             journal.close()
-    try:
-        for ending in ("-wal", "-shm"):
-            with suppress(FileNotFoundError):
-                path.with_name(path.name + ending).replace(damaged.with_name(damaged.name + ending))
-        path.replace(damaged)
-        whole.replace(path)
-    except OSError as error:
-        raise RelmapError(f"cannot rename {path}: {error.strerror}") from error
     return journal.n_scans
