@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import re
 import zipfile
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +32,11 @@ METHODS = ("_relative_map",)
 KINDS = ("float64", "int64", "int32", "uint8", "bool", "float32", "uint64", "int8", "uint32")
 """Types of numbers that a part may hold."""
 _GRAPH = "graph"
+_HEAD = re.compile(
+    rb"\x93NUMPY\x01\x00..\{'descr': '(?P<dtype>[<|][bfiu]\d)', 'fortran_order': False, "
+    rb"'shape': \((?P<length>\d{1,15}),\), \} *\n",
+    re.DOTALL,
+)
 _PLAIN = (bool, int, float, str, type(None))
 _WRONG = (
     *(OSError, EOFError, zipfile.BadZipFile, NotImplementedError, RecursionError, MemoryError),
@@ -244,15 +250,20 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             name = member.filename.removesuffix(".npy")
             if member.compress_type != zipfile.ZIP_STORED or name not in (_GRAPH, *KINDS):
                 raise ValueError(f"{member.filename!r} is not part of a saved map")
-            with archive.open(member) as stream:
-                if np.lib.format.read_magic(stream) != (1, 0):
-                    raise ValueError(f"{member.filename!r} is of another format")
-                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-                values = np.frombuffer(stream.read(), dtype=dtype)
-            if values.shape != shape or dtype.name != ("uint8" if name == _GRAPH else name):
-                raise ValueError(f"{member.filename!r} is cut short")
-            arrays[name] = values
+            arrays[name] = _flat_array(archive.read(member), "uint8" if name == _GRAPH else name)
     return arrays
+
+
+def _flat_array(data: bytes, kind: str) -> NDArray[Any]:
+    """Return the array in an ``.npy`` file as numpy writes it: flat, of one kind, and whole."""
+    head = _HEAD.match(data)
+    if head is None:
+        raise ValueError(f"an array of {kind} is of another format")
+    dtype = np.dtype(head["dtype"].decode())
+    values = np.frombuffer(data[head.end() :], dtype=dtype)
+    if dtype.name != kind or len(values) != int(head["length"]):
+        raise ValueError(f"an array of {kind} is cut short or of another kind")
+    return values
 
 
 def _check_attributes(loaded: Any, fresh: Any, versions: Any) -> None:

@@ -20,7 +20,7 @@ from relmap.journal.layout import POINTS
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 
-SAME = ["landmarks.csv", "map.ply", "pieces.csv", "tracks.csv.gz", "trajectory.tum"]
+SAME = ["landmarks.csv", "map.ply", "mapper.npz", "pieces.csv", "tracks.csv.gz", "trajectory.tum"]
 
 
 def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(
@@ -156,11 +156,11 @@ def test_relmap_resume_says_what_is_wrong(
     assert "is not what journal" in refused("resume", str(journal))
     log.unlink()
     assert str(log) in refused("resume", str(journal))
+    log.write_text("".join(lines))
     data = bytearray(journal.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 5000] = bytes(5000)
     journal.write_bytes(data)
     assert "scans before can be recovered" in refused("resume", str(journal))
-    log.write_text("".join(lines))
     assert main(["resume", str(journal), "--salvage"]) == 0
     assert "recovered " in capsys.readouterr().out
     assert same(tmp_path / "out", eight / "whole")

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from relmap import __version__
-from relmap.cli import demo, evaluate, map, resume, simulate
+from relmap.cli import demo, evaluate, localise, map, resume, simulate
 from relmap.cli.console import INTERRUPTED
 from relmap.core.errors import RelmapError
 
@@ -42,6 +42,7 @@ app = typer.Typer(
 app.add_typer(simulate.app, name="simulate")
 app.command("map", help=map.HELP)(map.map_command)
 app.command("resume", help=resume.HELP)(resume.resume_command)
+app.command("localise", help=localise.HELP)(localise.localise_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
 app.command("demo", help=demo.HELP)(demo.demo_command)
 

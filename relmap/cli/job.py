@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from relmap.cli.console import tracked
 from relmap.core.errors import RelmapError
+from relmap.results import MAPPER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,6 +44,8 @@ class Job:
         That other paths are relative to.
     resumed : bool
         Whether the journal is there already, and to be gone on with.
+    onto : Path or None
+        Result folder whose map the log is added to.
     stopped : callable
         Tells whether to stop before the log is at its end.
     """
@@ -57,6 +60,7 @@ class Job:
     journal: Path | None = None
     folder: Path = field(default_factory=Path.cwd)
     resumed: bool = False
+    onto: Path | None = None
     stopped: Callable[[], bool] = _never
 
     @property
@@ -114,6 +118,8 @@ class Job:
         """Return the mapper to begin or to go on with."""
         if self.resumed and self.journal is not None:
             return kind.resume(self.journal)
+        if self.onto is not None:
+            return kind.load(self.onto / MAPPER)
         return kind(self.settings, journal=self.journal, run=self.noted)
 
     def scans(self, scans: Iterable[T], total: int) -> Iterator[T]:

@@ -44,9 +44,9 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
   point-clouds     a folder of .pcd or .ply files, one for each scan
 
-It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv and
-summary.json, and of walls also planes.csv.  Ctrl-C ends the mapping early and writes what was
-mapped so far; pressed again it ends at once.
+It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv,
+summary.json and mapper.npz, the state to go on from, and of walls also planes.csv.  Ctrl-C ends the
+mapping early and writes what was mapped so far; pressed again it ends at once.
 
 \b
 Examples:
@@ -111,9 +111,19 @@ def map_command(
             "can go on if the run is ended before its time.",
         ),
     ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(
+            "--onto",
+            metavar="RESULT",
+            help="Add the log to the map in this result folder: where a scan is found in it, the "
+            "mapping goes on from there.",
+        ),
+    ] = None,
 ) -> None:
     """Map a log; the arguments are explained in the help text."""
     planes = variant == "planes"
+    _check_onto(onto, planes, journal, config, registration)
     if planes and (association == "known" or registration is not None):
         raise RelmapError("walls have no ids: --association and --registration are for points")
     with stoppable() as stopped:
@@ -126,6 +136,7 @@ def map_command(
             log_format=log_format,
             refine=refine,
             journal=journal,
+            onto=onto,
             stopped=stopped,
         )
         if planes:
@@ -147,11 +158,13 @@ def report_points(job: Job) -> None:
     run = map_points(job)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
     typer.echo(
-        f"{stopped_after(run.result.summary)}wrote 7 files to {job.out}: {counts['mapped']} of "
+        f"{stopped_after(run.result.summary)}wrote 8 files to {job.out}: {counts['mapped']} of "
         f"{counts['landmarks']} landmarks mapped from {counts['observations']} observations in "
         f"{counts['iterations']} iterations, {each(timing['median_ms'])}"
         + untied(len(run.result.pieces) - 1)
     )
+    if job.onto and job.association == "nearest" and run.result.summary["tied_at"] is None:
+        typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")
     leave(job, run.result.summary)
 
 
@@ -220,7 +233,7 @@ def map_points(job: Job) -> Run:
     from relmap.files import staged_folder
     from relmap.plots.run import write_map_png
     from relmap.points.mapper import PointMapper
-    from relmap.results import EVALUATION, MAP_PNG, write_result
+    from relmap.results import EVALUATION, MAP_PNG, MAPPER, write_result
 
     source = job.at(job.source)
     with busy("reading"):
@@ -231,17 +244,41 @@ def map_points(job: Job) -> Run:
     with staged_folder(job.at(job.out), stale=[EVALUATION]) as staging, ExitStack() as afterwards:
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
-            yield from job.scans(scans, len(log))
+            tied = job.onto is None or job.association == "known"
+            for scan in job.scans(scans, len(log)):
+                if not tied and mapper.take_up(scan.points_robot):
+                    about["tied_at"], tied = scan.iteration, True
+                yield scan
             afterwards.enter_context(busy("refining and writing"))
 
         seen = journaled_labels(job, log.scans())
         mapper = job.mapper(PointMapper)
         afterwards.callback(mapper.close)
-        about = _about(job, job.log_format or recognised_format(source))
-        run = run_mapper(mapper, log, job.association, about, shown, job.refine, seen)
+        about = _about(job, job.log_format or recognised_format(source), mapper.config)
+        before = mapper.n_iterations - len(seen)
+        run = run_mapper(mapper, log, job.association, about, shown, job.refine, seen, before)
         write_result(staging, run.result)
+        mapper.save(staging / MAPPER)
         write_map_png(staging / MAP_PNG, run.result, run.groups)
     return run
+
+
+def _check_onto(
+    onto: Path | None,
+    planes: bool,
+    journal: Path | None,
+    config: Path | None,
+    registration: Registration | None,
+) -> None:
+    """Make sure that a map that is to be added to needs nothing else."""
+    if onto is None:
+        return
+    if planes:
+        raise RelmapError("--onto adds to a map of points; walls are mapped in one go")
+    if journal is not None:
+        raise RelmapError("--journal keeps a run from its beginning, which --onto has not got")
+    if config is not None or registration is not None:
+        raise RelmapError("--onto goes on with the settings of the earlier run: give no others")
 
 
 def _settings(config: Path | None, registration: Registration | None) -> MapperConfig:
@@ -249,13 +286,15 @@ def _settings(config: Path | None, registration: Registration | None) -> MapperC
     return settings if registration is None else replace(settings, registration=registration)
 
 
-def _about(job: Job, log_format: str | None) -> dict[str, Any]:
+def _about(job: Job, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
     return {
         "input": str(job.source),
         "format": log_format,
         "variant": "points",
         "seed": None,
-        "configuration": asdict(job.settings),
+        "configuration": asdict(settings),
+        "onto": None if job.onto is None else str(job.onto),
+        "tied_at": None,
     }
 
 

@@ -47,12 +47,13 @@ class PlaceFinder:
 
     def __init__(self, positions: NDArray[np.float64], noise_m: float) -> None:
         self._positions = positions
-        self._tree = cKDTree(positions)
-        few = len(positions) < 3
-        apart = 0.0 if few else float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
-        self._tolerance_m = float(np.clip(SIGMAS * noise_m, EXACT * apart, COARSE * apart))
         self._corners, sides = _triangles(positions)
         self._sides = cKDTree(sides) if len(sides) else None
+        if self._sides is not None:
+            self._tree = cKDTree(positions)
+            apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
+            least, most = EXACT * apart_m, COARSE * apart_m
+            self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
 
     def find(self, points: NDArray[np.float64]) -> Placement | None:
         """Return the placement of a scan's frame in the map's; None where it is not clear.

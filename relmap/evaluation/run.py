@@ -105,6 +105,7 @@ def run_mapper(
     progress: Progress | None = None,
     refine: bool = False,
     seen: Sequence[NDArray[np.int64]] = (),
+    before: int = 0,
 ) -> Run:
     """Map a whole log.
 
@@ -123,6 +124,8 @@ def run_mapper(
         Whether to refine the map at the end.
     seen : sequence of (n,) int64
         The labels of the scans that the mapper has taken in.
+    before : int
+        Iterations of the mapper before the log.  They have numbers below those of the log.
 
     Returns
     -------
@@ -142,18 +145,19 @@ def run_mapper(
     mapper.finish()
     refine_s = _refined(mapper, refine)
     label = mapper.landmarks_of(labels)
-    table, poses, groups = mapper.landmarks, mapper.trajectory, mapper.groups
+    table, poses, groups = mapper.landmarks, mapper.trajectory[before:], mapper.groups
+    offset = log.first_iteration - before
     pieces = tuple(mapper.pieces)
     summary = {
         **(about or {}),
         "association": association,
-        **_summary(log, table, poses, len(groups), pieces),
+        **_summary(log, table, poses, len(groups), pieces, offset),
         **interruption(len(log), n_input),
         "refined": refine,
-        "refinement": weakness(mapper.refined, log.first_iteration),
+        "refinement": weakness(mapper.refined, offset),
         "timing": timing(durations_s) | {"refine_ms": 1e3 * refine_s},
     }
-    table, tracks = shifted(table, log.first_iteration), _tracks(log, label)
+    table, tracks = shifted(table, offset), _tracks(log, label)
     result = Result(table, tracks, *_trajectory(log, poses), summary, pieces)
     return Run(result, tuple(group.landmarks for group in groups))
 
@@ -190,13 +194,14 @@ def _summary(
     poses: NDArray[np.float64],
     n_groups: int,
     pieces: Sequence[Piece],
+    offset: int,
 ) -> dict[str, Any]:
     return {
         "dimensions": log.points_robot.shape[1],
         "scans": [log.first_iteration, log.end_iteration],
         "versions": versions(),
         "counts": _counts(log, table, poses, n_groups),
-        "pieces": [_summary_of(piece, log.first_iteration) for piece in pieces],
+        "pieces": [_summary_of(piece, offset) for piece in pieces],
     }
 
 
