@@ -51,7 +51,7 @@ def killed_after(seconds: float, journal: Path, scans: list[NDArray[np.float64]]
 
 def main(folder: Path, moments: int) -> None:
     """Print what became of each run, as JSON."""
-    scans = [points for _, points in walk(3, 5, 0.02, iterations=200).scans]
+    scans = [points for _, points in walk(3, 5, 0.02, iterations=110).scans]
     whole = mapped(PointMapper(), scans, folder / "warm")
     began = time.perf_counter()
     mapped(PointMapper(journal=folder / "whole.journal"), scans, folder / "whole")
