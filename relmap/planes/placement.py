@@ -27,6 +27,9 @@ CONTENT = 0.8
 DOUBT = 2.0
 """Walls and corners more that must agree on a sudden motion than on going on as before: single
 walls look alike."""
+TIE = 0.1
+"""Standing still must agree by so much better than going on: along a single partial wall nothing
+but rounding tells the two apart."""
 SUDDEN_M = 0.75
 LEVER_M = 3.0
 """A turn is as sudden as the way that it takes a wall at this distance."""
@@ -72,8 +75,9 @@ def place(
     (motion, match) or None
         None where no wall agrees.
     """
-    tried = [_settled(tracks, seen, guess) for guess in (before, STILL)]
-    best = max(tried, key=lambda found: found[1].score)
+    best, still = (_settled(tracks, seen, guess) for guess in (before, STILL))
+    if still[1].score > best[1].score + TIE:
+        best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(_worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
