@@ -271,7 +271,7 @@ def _validate_run(iterations: int | None, seed: int, world: str, loops: int) -> 
             iterations is None or 1 <= iterations <= 10**6,
             f"iterations is {iterations}; it must lie in [1, 1000000]",
         ),
-        (world in get_args(World), f"world is {world!r}; it must be building or panels"),
+        (world in get_args(World), f"world is {world!r}; it must be building, panels or long-wall"),
         (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
     )
 
