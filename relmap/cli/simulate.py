@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Noise = Literal["gaussian", "uniform"]
 Sampling = Literal["surface", "rays", "laser"]
-World = Literal["building", "panels"]
+World = Literal["building", "panels", "long-wall"]
 
 app = typer.Typer(
     help="Simulate a robot in a world whose truth is known.",
@@ -128,7 +128,8 @@ def building_command(
     ] = None,
     loops: Annotated[int, typer.Option(help="How often the robot drives round.")] = 1,
     world: Annotated[
-        World, typer.Option(help="A building, or free-standing panels only.")
+        World,
+        typer.Option(help="A building, free-standing panels only, or a long wall among panels."),
     ] = "building",
     seed: Annotated[int, typer.Option(help="The same seed gives the same world.")] = 0,
 ) -> None:

@@ -154,8 +154,7 @@ def run_crossing(
     runs: list[CrossingRow] = []
     for spacing_m, noise, seed in progress(cells) if progress else cells:
         seen = wall_points(spacing_m, noise, seed, iterations)
-        for method in METHODS:
-            runs.append(_row(method, seen, noise, seed))
+        runs.extend(_row(method, seen, noise, seed) for method in METHODS)
     return Crossing(tuple(runs))
 
 

@@ -167,6 +167,13 @@ class PlaneMapper(RelativeMapper):
         return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
 
     @property
+    def group_walls(self) -> list[NDArray[np.int64]]:
+        """Numbers of the walls that each group ties to one another, in the order of mapping."""
+        own = self._numbers if self._refined_walls is None else self._refined_walls[1]
+        wall = own.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
+        return [np.unique(wall[group.landmarks // 2]) for group in self.groups]
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         if self._refined_walls is None:

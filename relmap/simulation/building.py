@@ -176,11 +176,11 @@ def simulate_building(
         Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
     iterations : int, optional
         Number of scans; as many as the loops take where left out. One loop is 250 to 310 in a
-        building, some 200 among panels.
+        building, some 200 among panels, 390 along the long wall and back.
     seed : int
         Seed of everything random.
-    world : "building" or "panels"
-        Corridors and rooms, or free-standing panels only.
+    world : "building", "panels" or "long-wall"
+        Corridors and rooms, free-standing panels only, or a long wall alone, then panels.
     loops : int
         How often the robot drives round.
     sensor : Sensor, optional

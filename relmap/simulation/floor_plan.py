@@ -123,7 +123,8 @@ def _long_wall(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     way = np.hstack([loop, np.roll(loop, -1, axis=0)])
     panels = _panels(LONG_FIELD, LONG_PANELS, rng, obstacles=np.vstack([way, LONG_WALL]))
     ends = panels.reshape(-1, 2, 2)
-    bare = ((ends > LONG_BARE[:2]) & (ends < LONG_BARE[2:])).all(axis=2).any(axis=1)
+    inside = (ends > LONG_BARE[:2]) & (ends < LONG_BARE[2:])
+    bare = np.any(np.all(inside, axis=2), axis=1)
     return np.vstack([LONG_WALL, panels[~bare]]), LONG_FIELD[None], loop
 
 
