@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -41,7 +41,7 @@ def map_scans(
         then as it was.
     """
     from relmap.cli.console import busy, tracked
-    from relmap.datasets import SCAN_DATASETS, open_scans
+    from relmap.datasets import open_scans
     from relmap.evaluation.bench import BenchRecorder, frame_step
     from relmap.evaluation.plane_run import run_plane_mapper
     from relmap.files import staged_folder
@@ -55,14 +55,7 @@ def map_scans(
         log = open_scans(source, log_format)
     if interval is not None:
         log = log.between(*interval)
-    names = [dataset.name for dataset in SCAN_DATASETS if dataset.recognises(source)]
-    about = {
-        "input": str(source),
-        "format": log_format or (names[0] if len(names) == 1 else None),
-        "variant": "planes",
-        "seed": 0,
-        "configuration": asdict(settings),
-    }
+    about = _about(source, log_format, settings)
     mapper, segmenter = PlaneMapper(settings), PlaneSegmenter()
     every = frame_step(len(log)) if animate else 0
     bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every)
@@ -80,6 +73,19 @@ def map_scans(
         afterwards.close()
         _draw_bench(staging, bench, animate)
     return run
+
+
+def _about(source: Path, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
+    from relmap.datasets import SCAN_DATASETS
+
+    names = [dataset.name for dataset in SCAN_DATASETS if dataset.recognises(source)]
+    return {
+        "input": str(source),
+        "format": log_format or (names[0] if len(names) == 1 else None),
+        "variant": "planes",
+        "seed": 0,
+        "configuration": asdict(settings),
+    }
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:

@@ -29,7 +29,7 @@ from relmap.simulation import simulate_building
 Method = Literal["planes", "points", "points, ids given"]
 METHODS: tuple[Method, ...] = get_args(Method)
 HALF = 0.5
-"""A map that places less than this share of the scans has failed."""
+"""A map that holds less than this share of the corners or points has failed."""
 Cell = tuple[float, float, int]
 """Spacing, noise over spacing, seed."""
 
@@ -104,12 +104,10 @@ class Crossing:
 
         It is where the medians of the map error cross for the last time, between two noises on
         straight lines; the first noise at which points fail where they do before.  None where
-        points stay better.
+        planes are not better in the end.
         """
         noise = np.array(self.noises(spacing_m))
-        planes = self.median("map_rmse_m", "planes", spacing_m)
-        points = self.median("map_rmse_m", method, spacing_m)
-        points = np.where(self.median("poses", method, spacing_m) < HALF, np.inf, points)
+        planes, points = self.error("planes", spacing_m), self.error(method, spacing_m)
         ahead = planes < points
         behind = np.flatnonzero(~ahead)
         if not len(behind):
@@ -122,9 +120,14 @@ class Crossing:
             return float(noise[k + 1])
         return float(noise[k] + (noise[k + 1] - noise[k]) * before / (before - after))
 
+    def error(self, method: Method, spacing_m: float) -> NDArray[np.float64]:
+        """Return the median map error, (noises,) metres; infinite where the map has failed."""
+        failed = self.median("coverage", method, spacing_m) < HALF
+        return np.where(failed, np.inf, self.median("map_rmse_m", method, spacing_m))
+
     def fails_at(self, method: Method, spacing_m: float) -> float | None:
-        """Return the first noise, over the spacing, at which the median run places too little."""
-        failed = self.median("poses", method, spacing_m) < HALF
+        """Return the first noise, over the spacing, at which the median run maps too little."""
+        failed = self.median("coverage", method, spacing_m) < HALF
         return self.noises(spacing_m)[int(failed.argmax())] if failed.any() else None
 
 

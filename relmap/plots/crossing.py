@@ -80,7 +80,7 @@ class _Panel:
 PANELS = (
     _Panel("map_rmse_m", "error of the map", "RMSE of corners or points [m]"),
     _Panel("ate_m", "error of the path", "ATE of the poses there are [m]"),
-    _Panel("poses", "how much is mapped", "scans with a pose in the map [%]"),
+    _Panel("coverage", "how much is mapped", "corners or points seen ten times [%]"),
 )
 
 
@@ -94,7 +94,8 @@ def plot_crossing(data: Crossing) -> Figure:
             _draw_panel(axes, data, panel, spacing_m)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, ncols=5, loc="outside lower center", frameon=False, fontsize=9)
-    figure.suptitle("Planes and points from the same raw points\n" + said(data), fontsize=11)
+    title = "Planes and points from the same raw points, over sigma / spacing"
+    figure.suptitle(f"{title}\n{said(data)}", fontsize=11)
     return figure
 
 
@@ -104,29 +105,29 @@ def said(data: Crossing) -> str:
 
 
 def _said(data: Crossing, spacing_m: float) -> str:
-    known, own = (data.overtaken_at(method, spacing_m) for method in METHODS[:0:-1])
-    fails = data.fails_at("points", spacing_m)
     lowest = data.noises(spacing_m)[0]
 
     def at(noise: float | None) -> str:
         if noise is None:
             return "nowhere"
-        return f"at {noise:.2g} or below" if noise <= lowest else f"at {noise:.2g}"
+        return f"from {noise:.2f}" + (" or below" if noise <= lowest else "")
 
+    known, own = (at(data.overtaken_at(method, spacing_m)) for method in METHODS[:0:-1])
+    fails, planes_fail = (at(data.fails_at(method, spacing_m)) for method in ("points", "planes"))
     return (
-        f"{spacing_m:g} m apart: planes better from sigma / spacing {at(known)} with the ids of "
-        f"points given, {at(own)} without; points lose half of the scans {at(fails)}"
+        f"points {spacing_m:g} m apart: planes have the better map {own}, {known} if the ids of "
+        f"points were given; points lose half {fails}, planes {planes_fail}"
     )
 
 
 def _draw_panel(axes: Axes, data: Crossing, panel: _Panel, spacing_m: float) -> None:
     noise = np.array(data.noises(spacing_m))
-    share = panel.name == "poses"
+    share = panel.name == "coverage"
     for method, colour in COLOURS.items():
         runs = data.values(panel.name, method, spacing_m) * (100 if share else 1)
         runs = np.where(np.isfinite(runs), runs, np.nan)
         median = data.median(panel.name, method, spacing_m) * (100 if share else 1)
-        lost = data.median("poses", method, spacing_m) < HALF
+        lost = data.median("coverage", method, spacing_m) < HALF
         median = np.where(np.isfinite(median) & (share | ~lost), median, np.nan)
         axes.plot(noise, runs, ".", color=colour, markersize=4, alpha=0.5)
         axes.plot(noise, median, "o-", color=colour, markersize=5, label=f"{method}, median")
