@@ -94,6 +94,8 @@ def _pairs(
     middle = (begin + end) / 2
     tilt = (along[b] * normal[a]).sum(axis=1)
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
+    if not len(a):
+        return np.empty((0, 2), dtype=np.int64)  # scipy's sparse arrays index nothing badly
     both = _seen_together(assembled, a, b)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)
