@@ -17,6 +17,8 @@ from relmap.planes.pairwise import midpoint_pairs
 SIDES = ("right", "left")
 SHORTEST = 12
 """Iterations of a common interval that are worth a look."""
+STEADY_M = 0.01
+"""Deviations below this are as good as none."""
 SKEW = np.deg2rad(30.0)
 """Walls that are nearer to parallel than this are not shown: one of their shifts says nothing."""
 
@@ -104,7 +106,7 @@ def corner_tests(history: PlaneHistory) -> list[CornerTest]:
 def clearest(tests: list[CornerTest]) -> CornerTest:
     """Return the pair of walls, not parallel, that shows best what the test goes by.
 
-    It is the one whose other three pairs of midpoints move most.
+    It is the one whose second lowest deviation is the largest multiple of the lowest.
 
     Raises
     ------
@@ -116,7 +118,12 @@ def clearest(tests: list[CornerTest]) -> CornerTest:
         raise RelmapError(
             f"no two walls are seen with one cut end each for {SHORTEST} scans: map a longer run"
         )
-    return max(possible, key=lambda test: float(np.sort(test.deviation, axis=None)[1]))
+    return max(possible, key=_clearness)
+
+
+def _clearness(test: CornerTest) -> float:
+    lowest, second = np.sort(test.deviation, axis=None)[:2]
+    return float(second / max(lowest, STEADY_M))
 
 
 def _largest(ends: NDArray[np.float64]) -> float:

@@ -126,9 +126,11 @@ class Crossing:
         return np.where(failed, np.inf, self.median("map_rmse_m", method, spacing_m))
 
     def fails_at(self, method: Method, spacing_m: float) -> float | None:
-        """Return the first noise, over the spacing, at which the median run maps too little."""
-        failed = self.median("coverage", method, spacing_m) < HALF
-        return self.noises(spacing_m)[int(failed.argmax())] if failed.any() else None
+        """Return the noise, over the spacing, from which on the median run maps too little."""
+        works = np.flatnonzero(self.median("coverage", method, spacing_m) >= HALF)
+        first = int(works[-1]) + 1 if len(works) else 0
+        noises = self.noises(spacing_m)
+        return noises[first] if first < len(noises) else None
 
 
 def run_crossing(

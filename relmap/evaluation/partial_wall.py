@@ -28,7 +28,7 @@ from relmap.simulation.sensor import DEPTH_SENSOR
 PARALLEL = np.deg2rad(1.5)
 """Walls that differ in direction by less fix no motion along them."""
 BESIDE = 60
-"""Scans before and after the wall stands alone in view."""
+"""So many scans more are mapped on either side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,11 @@ class PartialWall:
 
 
 def run_partial_wall(
-    points: int = 1000, sigma: float = 0.0, seed: int = 0, progress: Progress | None = None
+    points: int = 1000,
+    sigma: float = 0.0,
+    seed: int = 0,
+    beside: int = BESIDE,
+    progress: Progress | None = None,
 ) -> PartialWall:
     """Drive past a long wall that stands alone, and map it.
 
@@ -112,13 +116,15 @@ def run_partial_wall(
     sigma : float
         Standard deviation of each coordinate, metres.
     seed : int
+    beside : int
+        Scans before and after those in which the wall stands alone in view.
     progress : callable, optional
         Wraps the iterable of scans.
     """
     building = simulate_building(
         points, sigma, seed=seed, world="long-wall", sample_ends=sigma == 0.0
     )
-    part = _beside_the_wall(building)
+    part = _beside_the_wall(building, beside)
     scans = [building.scans[k].points for k in part]
     offsets = np.concatenate([[0], np.cumsum([len(scan) for scan in scans])]).astype(np.int64)
     true_poses = building.trajectory[part]
@@ -174,7 +180,7 @@ def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
     return int(begin[k]), int(end[k])
 
 
-def _beside_the_wall(building: Building) -> NDArray[np.int64]:
+def _beside_the_wall(building: Building, beside: int) -> NDArray[np.int64]:
     """Return the scans in which one wall alone is seen, without an end, and those beside them."""
     alone = np.array(
         [len(scan.seen.wall) == 1 and "corner" not in scan.seen.end_type for scan in building.scans]
@@ -182,4 +188,4 @@ def _beside_the_wall(building: Building) -> NDArray[np.int64]:
     n = len(alone)
     twice = np.concatenate([alone, alone])  # the way is closed
     begin, end = longest(twice)
-    return np.arange(begin - BESIDE, min(end, begin + n) + BESIDE) % n
+    return np.arange(begin - beside, min(end, begin + n) + beside) % n

@@ -41,6 +41,9 @@ def plot_corner_test(test: CornerTest, view_rad: float, range_m: float) -> Figur
     _draw_ends(seen, test)
     _draw_pairs(pairs, test)
     _draw_shifts(shifts, test)
+    told = [axes.get_legend_handles_labels() for axes in (seen, pairs)]
+    handles, labels = (told[0][k] + told[1][k] for k in (0, 1))
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     figure.suptitle(
         f"Figure 4: the static corners of walls {test.planes[0]} and {test.planes[1]}, "
         f"seen together in iterations {test.iterations[0]} to {test.iterations[-1]}"
@@ -115,7 +118,6 @@ def _draw_ends(axes: Axes, test: CornerTest) -> None:
     axes.plot([], [], "--", color=WALL, label="size, fixed over the interval")
     title = f"iteration {test.iterations[_shown(test)]}: midpoints from either end"
     finish(axes, title, "x, robot frame [m]", "y, robot frame [m]")
-    _legend(axes, 2)
 
 
 def _colours(test: CornerTest) -> dict[tuple[int, int], str]:
@@ -147,7 +149,6 @@ def _draw_pairs(axes: Axes, test: CornerTest) -> None:
     for points in (first, second):
         axes.plot(*points.T, "o", color=RED, markersize=8, markerfacecolor="none", zorder=5)
     finish(axes, "the four midpoint pairs", "x, robot frame [m]", "y, robot frame [m]")
-    _legend(axes, 2)
 
 
 def _draw_shifts(axes: Axes, test: CornerTest) -> None:
@@ -180,9 +181,3 @@ def _length(metres: float) -> str:
     if metres < 1e-6:
         return f"{metres:.0e} m"
     return f"{metres:.3f} m"
-
-
-def _legend(axes: Axes, columns: int) -> None:
-    axes.legend(
-        fontsize=7.5, ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.22), frameon=False
-    )

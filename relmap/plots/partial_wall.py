@@ -59,7 +59,7 @@ def _draw_map(axes: Axes, run: PartialWall) -> None:
     low, high = everything.min(axis=0) - MARGIN_M, everything.max(axis=0) + MARGIN_M
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     finish(axes, f"{mapped.sum()} walls mapped, {len(corners)} corners", "x [m]", "y [m]")
-    axes.legend(fontsize=8, ncols=6, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.12))
+    axes.legend(fontsize=8, ncols=2, loc="lower center")
 
 
 def _draw_errors(axes: Axes, run: PartialWall) -> None:
