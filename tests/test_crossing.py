@@ -104,8 +104,8 @@ def crossing() -> Crossing:
 
 def test_crossing_lies_where_the_lines_cross() -> None:
     data = crossing()
-    assert data.overtaken_at("points, ids given", 0.2) == pytest.approx(0.25)
-    assert data.overtaken_at("points", 0.2) == pytest.approx(0.3)
+    assert data.planes_ahead("points, ids given", 0.2) == pytest.approx((0.25, 0.4))
+    assert data.planes_ahead("points", 0.2) == pytest.approx((0.3, 0.4))
     assert data.fails_at("points", 0.2) == pytest.approx(0.3)
     assert data.fails_at("planes", 0.2) is None
     assert said(data) == (
@@ -118,8 +118,14 @@ def test_maps_that_failed_overtake_nothing() -> None:
     runs = rows_of("planes", [0.001] * 2, [0.4] * 2)
     runs += rows_of("points", [0.5] * 2, [0.6] * 2)
     data = Crossing(tuple(runs))
-    assert data.overtaken_at("points", 0.2) is None
+    assert data.planes_ahead("points", 0.2) is None
     assert data.fails_at("planes", 0.2) == pytest.approx(0.1)
+
+
+def test_planes_may_fall_behind_again() -> None:
+    runs = rows_of("planes", [0.02, 0.02, 0.02, 0.09], [1.0] * 4)
+    runs += rows_of("points", [0.01, 0.03, 0.03, 0.03], [1.0] * 4)
+    assert Crossing(tuple(runs)).planes_ahead("points", 0.2) == pytest.approx((0.15, 0.3))
 
 
 def test_rows_of_the_crossing() -> None:

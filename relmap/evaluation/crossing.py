@@ -99,26 +99,27 @@ class Crossing:
         """Return the median over the seeds, (noises,)."""
         return np.asarray(np.median(self.values(name, method, spacing_m), axis=1))
 
-    def overtaken_at(self, method: Method, spacing_m: float) -> float | None:
-        """Return the noise, over the spacing, from which planes have the better map.
+    def planes_ahead(self, method: Method, spacing_m: float) -> tuple[float, float] | None:
+        """Return the noises, over the spacing, between which planes have the better map.
 
-        It is where the medians of the map error cross for the last time, between two noises on
-        straight lines; the first noise at which points fail where they do before.  None where
-        planes are not better in the end.
+        The first is where the medians of the map error cross for the first time, on straight lines
+        between two noises, or the first noise at which points fail; the other is the last noise
+        at which planes are still ahead.  None where they never are.
         """
         noise = np.array(self.noises(spacing_m))
         planes, points = self.error("planes", spacing_m), self.error(method, spacing_m)
         ahead = planes < points
-        behind = np.flatnonzero(~ahead)
-        if not len(behind):
-            return float(noise[0])
-        k = int(behind[-1])
-        if k + 1 == len(noise):
+        if not ahead.any():
             return None
-        before, after = points[k] - planes[k], points[k + 1] - planes[k + 1]
+        k = int(ahead.argmax())
+        behind = np.flatnonzero(~ahead[k:])
+        last = float(noise[k + behind[0] - 1 if len(behind) else -1])
+        if k == 0:
+            return float(noise[0]), last
+        before, after = points[k - 1] - planes[k - 1], points[k] - planes[k]
         if not (np.isfinite(before) and np.isfinite(after)):
-            return float(noise[k + 1])
-        return float(noise[k] + (noise[k + 1] - noise[k]) * before / (before - after))
+            return float(noise[k]), last
+        return float(noise[k - 1] + (noise[k] - noise[k - 1]) * before / (before - after)), last
 
     def error(self, method: Method, spacing_m: float) -> NDArray[np.float64]:
         """Return the median map error, (noises,) metres; infinite where the map has failed."""

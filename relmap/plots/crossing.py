@@ -105,18 +105,20 @@ def said(data: Crossing) -> str:
 
 
 def _said(data: Crossing, spacing_m: float) -> str:
-    lowest = data.noises(spacing_m)[0]
+    lowest, highest = data.noises(spacing_m)[0], data.noises(spacing_m)[-1]
 
-    def at(noise: float | None) -> str:
-        if noise is None:
+    def at(begin: float | None, last: float = highest) -> str:
+        if begin is None:
             return "nowhere"
-        return f"from {noise:.2f}" + (" or below" if noise <= lowest else "")
+        text = f"from {begin:.2f}" + (" or below" if begin <= lowest else "")
+        return text + (f" to {last:g}" if last < highest else "")
 
-    known, own = (at(data.overtaken_at(method, spacing_m)) for method in METHODS[:0:-1])
+    own, known = (data.planes_ahead(method, spacing_m) for method in METHODS[1:])
     fails, planes_fail = (at(data.fails_at(method, spacing_m)) for method in ("points", "planes"))
     return (
-        f"points {spacing_m:g} m apart: planes have the better map {own}, {known} if the ids of "
-        f"points were given; points lose half {fails}, planes {planes_fail}"
+        f"points {spacing_m:g} m apart: planes have the better map {at(*own or (None,))}, "
+        f"{at(*known or (None,))} if the ids of points were given; "
+        f"points lose half {fails}, planes {planes_fail}"
     )
 
 

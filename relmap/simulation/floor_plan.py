@@ -120,7 +120,7 @@ def _long_wall(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     Half way along it a robot sees nothing but a part of it, and none of its ends.
     """
     loop = _rounded(LONG_LOOP)
-    way = np.hstack([loop, np.roll(loop, -1, axis=0)])
+    way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
     panels = _panels(LONG_FIELD, LONG_PANELS, rng, obstacles=np.vstack([way, LONG_WALL]))
     ends = panels.reshape(-1, 2, 2)
     inside = (ends > LONG_BARE[:2]) & (ends < LONG_BARE[2:])
