@@ -126,6 +126,9 @@ def test_planes_may_fall_behind_again() -> None:
     runs = rows_of("planes", [0.02, 0.02, 0.02, 0.09], [1.0] * 4)
     runs += rows_of("points", [0.01, 0.03, 0.03, 0.03], [1.0] * 4)
     assert Crossing(tuple(runs)).planes_ahead("points", 0.2) == pytest.approx((0.15, 0.3))
+    runs = rows_of("planes", [0.02] * 4, [1.0] * 4)
+    runs += rows_of("points", [0.01, 0.01, None, None], [0.3, 0.9, 0.0, 0.0])
+    assert Crossing(tuple(runs)).planes_ahead("points", 0.2) == pytest.approx((0.3, 0.4))
 
 
 def test_rows_of_the_crossing() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.partial_wall import longest
 from relmap.evaluation.plane_evaluate import evaluate_planes
 from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
 from relmap.evaluation.run import run_mapper
@@ -102,18 +103,17 @@ class Crossing:
     def planes_ahead(self, method: Method, spacing_m: float) -> tuple[float, float] | None:
         """Return the noises, over the spacing, between which planes have the better map.
 
-        The first is where the medians of the map error cross for the first time, on straight lines
-        between two noises, or the first noise at which points fail; the other is the last noise
-        at which planes are still ahead.  None where they never are.
+        Of several such intervals it is the longest.  It begins where the medians of the map error
+        cross, on straight lines between two noises, or at the first noise at which points fail; it
+        ends with the last noise at which planes are still ahead.  None where they never are.
         """
         noise = np.array(self.noises(spacing_m))
         planes, points = self.error("planes", spacing_m), self.error(method, spacing_m)
         ahead = planes < points
         if not ahead.any():
             return None
-        k = int(ahead.argmax())
-        behind = np.flatnonzero(~ahead[k:])
-        last = float(noise[k + behind[0] - 1 if len(behind) else -1])
+        k, end = longest(ahead)
+        last = float(noise[end - 1])
         if k == 0:
             return float(noise[0]), last
         before, after = points[k - 1] - planes[k - 1], points[k] - planes[k]
