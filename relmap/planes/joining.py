@@ -69,11 +69,24 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
     R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
     placed = np.einsum("nij,nej->nei", R, given.ends) + state.t[given.iteration][:, None]
     reach = np.einsum("nei,ni->ne", placed - state.centre[given.wall][:, None], along)
-    order = np.argsort(given.wall, kind="stable")
-    parts = np.split(reach[order], np.cumsum(np.bincount(given.wall))[:-1])
-    low = np.array([np.quantile(part[:, 0], OUTLYING) for part in parts])
-    high = np.array([np.quantile(part[:, 1], 1 - OUTLYING) for part in parts])
-    return low, high
+    return (
+        _quantiles(given.wall, reach[:, 0], OUTLYING),
+        -_quantiles(given.wall, -reach[:, 1], OUTLYING),
+    )
+
+
+def _quantiles(
+    of: NDArray[np.int64], values: NDArray[np.float64], share: float
+) -> NDArray[np.float64]:
+    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
+    n = np.bincount(of)
+    ordered = values[np.lexsort((values, of))]
+    first = np.cumsum(n) - n
+    place = share * (n - 1)
+    below = np.floor(place).astype(np.int64)
+    above = np.minimum(below + 1, n - 1)
+    part = place - below
+    return np.asarray((1 - part) * ordered[first + below] + part * ordered[first + above])
 
 
 def _pairs(

@@ -15,7 +15,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable
 from relmap.core.mapper import RelativeMapper
 from relmap.core.pose import trajectory
 from relmap.core.registration import Registration
-from relmap.planes.assembly import Assembled, WallNumbers, assemble, refined
+from relmap.planes.assembly import Assembled, WallNumbers, assemble, refined, refined_to_the_noise
 from relmap.planes.basis import relative_map
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
@@ -136,7 +136,7 @@ class PlaneMapper(RelativeMapper):
             best, numbers, changed = self._joined(best, numbers, join_walls(best, numbers), ROUGHLY)
             if not changed:
                 break
-        self._refined_walls = refined(best), numbers
+        self._refined_walls = refined_to_the_noise(best), numbers
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now."""
@@ -171,7 +171,8 @@ class PlaneMapper(RelativeMapper):
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         if self._refined_walls is None:
             return self._path
-        return self._refined_walls[0].poses(self._planes.history.n_iterations)
+        poses = self._refined_walls[0].poses(self._planes.history.n_iterations)
+        return stitched([poses], self._planes.history.motion)
 
     def _own_registration(self) -> Registration:
         return self._planes

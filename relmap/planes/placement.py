@@ -75,7 +75,7 @@ def place(
     (motion, match) or None
         None where no wall agrees.
     """
-    from relmap.planes.kernels import guesses
+    from relmap.planes.kernels.matching import guesses
 
     arrays = _arrays(tracks), _seen(seen)
     tried = [_settled(*arrays, guess) for guess in (before, STILL)]
@@ -122,7 +122,7 @@ def _seen(seen: PlaneObservation) -> Any:
 
 def _settled(tracks: Any, seen: Any, guess: PlanarMotion) -> tuple[PlanarMotion, Match]:
     """Fit a guess to what agrees with it, and see again what agrees."""
-    from relmap.planes.kernels import settled
+    from relmap.planes.kernels.matching import settled
 
     start = np.array([guess.yaw, *guess.t])
     motion, track_of, score = settled(tracks, seen, start, ROUGHLY, ROUNDS, HELD, LEAST_M)
