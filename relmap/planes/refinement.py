@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+from scipy.sparse.linalg import splu
 
-from relmap.core.tridiagonal import Levels, factor
-
-SETTLED = 1e-3
+SETTLED = 0.02
 """Largest step, metres and radians, in typical standard deviations, of a settled solution."""
 USUAL = 3.0
 """No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
@@ -113,7 +113,7 @@ class WallSystem:
         every = np.arange(given.iteration[-1] + 2)
         self._begin = np.searchsorted(given.iteration, every)
         self._corner_begin = np.searchsorted(given.iteration[given.corner_row], every)
-        self._levels = self._ordered()
+        self._prepare()
 
     def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
         """Return the state on which all observations agree best, by Gauss-Newton.
@@ -184,34 +184,43 @@ class WallSystem:
         """Return the next step of poses (i, 3), lines (w, 2) and corners (c,)."""
         from relmap.planes.kernels.refinement import pose_steps, wall_equations
 
-        levels, arrays = self._levels, _arrays(state)
-        buffer = np.zeros(levels.size)
-        system = self._seen, arrays, weights, self._begin, self._corner_begin
-        right = wall_equations(*system, buffer, levels.layout)
-        for diagonal, _ in levels.blocks(buffer):
-            diagonal.flat[:: len(diagonal) + 1] *= 1 + LOOSE
-            diagonal.flat[:: len(diagonal) + 1] += LEAST
-        step = factor(levels, buffer).solve(right[:, None]).ravel()
-        lines = 2 * len(state.angle)
-        return pose_steps(*system, step), step[:lines].reshape(-1, 2), step[lines:]
-
-    def _ordered(self) -> Levels:
-        """Return levels of all unknowns that stay, from an outer one, breadth first."""
-        from relmap.core.kernels.joint import breadth_first
-
-        given = self._given
-        lines = 2 * (int(given.wall.max()) + 1)
-        node = np.concatenate([2 * given.wall, 2 * given.wall + 1, lines + given.corner])
-        at = np.concatenate([given.iteration, given.iteration, given.iteration[given.corner_row]])
-        by_scan, by_node = np.argsort(at, kind="stable"), np.argsort(node, kind="stable")
-        graph = (
-            self._begin * 2 + self._corner_begin,
-            node[by_scan],
-            np.searchsorted(node[by_node], np.arange(int(node.max()) + 2)),
-            at[by_node],
+        system = self._seen, _arrays(state), weights, self._begin, self._corner_begin, self._nodes
+        matrix = self._pattern.copy()
+        matrix.data = np.zeros(len(matrix.data))
+        right, away, alone = wall_equations(*system, self._entry, matrix.data)
+        matrix.data[self._diagonal] *= 1 + LOOSE
+        matrix.data[self._diagonal] += LEAST
+        # The matrix is positive definite: pivoting would only fill it.
+        factor = splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            options={"SymmetricMode": True, "DiagPivotThresh": 0.0},
         )
-        outer = int(np.argmax(breadth_first(0, *graph)[0]))
-        return Levels(breadth_first(outer, *graph)[0], 1)
+        step = factor.solve(right)
+        lines = 2 * len(state.angle)
+        poses = pose_steps(self._node_begin, self._nodes, away, alone, step)
+        return poses, step[:lines].reshape(-1, 2), step[lines:]
+
+    def _prepare(self) -> None:
+        """Find out which unknowns stand together in the equations, and where."""
+        from relmap.planes.kernels.refinement import entries
+
+        given, n = self._given, len(self._begin) - 1
+        lines = 2 * (int(given.wall.max()) + 1)
+        at = np.concatenate([np.repeat(given.iteration, 2), given.iteration[given.corner_row]])
+        pairs = np.column_stack([2 * given.wall, 2 * given.wall + 1]).ravel()
+        order = np.argsort(at, kind="stable")
+        self._nodes = np.concatenate([pairs, lines + given.corner])[order]
+        there = coo_array(
+            (np.ones(len(at)), (at[order], self._nodes)), shape=(n, self._nodes.max() + 1)
+        )
+        self._pattern = csc_array(there.T @ there.tocsr())
+        self._pattern.sort_indices()
+        pointer, row = self._pattern.indptr, self._pattern.indices
+        self._node_begin = 2 * self._begin + self._corner_begin
+        self._entry = entries(self._node_begin, self._nodes, pointer, row)
+        column = np.repeat(np.arange(len(pointer) - 1), np.diff(pointer))
+        self._diagonal = np.flatnonzero(row == column)
 
 
 def _arrays(state: Walls) -> Any:

@@ -4,7 +4,8 @@
 corner (k,): two points of each wall seen and the static corners, robot frame; `state` are yaw (i,),
 t (i, 2), centre (w, 2), angle (w,), across (w,) and along (c,).  Rows and corners of iteration `i`
 are those from `begin[i]` and `corner_begin[i]` on.  The unknowns that stay: 2 of each wall, its
-angle and its distance across, then one of each corner.
+angle and its distance across, then one of each corner; `nodes` (v,) lists those of iteration after
+iteration in this order, from ``2 begin[i] + corner_begin[i]`` on.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
-from relmap.core.kernels.joint import subtract
 from relmap.core.kernels.linear import inverse3, product
 
 Array = NDArray[np.float64]
@@ -119,20 +119,19 @@ def _one_scan(
     i: int,
     rows: tuple[int, int],
     corners: tuple[int, int],
-) -> tuple[Index, Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     """Return what one iteration says.
 
     Returns
     -------
-    nodes (u,), their matrix (u, u) and right side (u,), their coupling to the pose (u, 3), the
+    Of its nodes the matrix (u, u) and right side (u,), their coupling to the pose (u, 3), the
     matrix (3, 3) and right side (3,) of the pose.
     """
     _, wall, points, corner_row, corner_at, corner = seen
     first, m, k = rows[0], rows[1] - rows[0], corners[1] - corners[0]
     u = 2 * m + k
-    nodes, own, right = np.empty(u, dtype=np.int64), np.zeros((u, u)), np.zeros(u)
+    own, right = np.zeros((u, u)), np.zeros(u)
     coupling, pose, pose_right = np.zeros((u, 3)), np.zeros((3, 3)), np.zeros(3)
-    lines = 2 * len(state[3])
     for a in range(2 * m + k):
         # Two points of each wall, then the corners.
         lengthwise = a >= 2 * m
@@ -143,15 +142,35 @@ def _one_scan(
         off, by_yaw, by_x, by_y, by_angle = _residual(state, i, wall[r], x, y, lengthwise)
         line = 2 * (r - first)
         other = a if lengthwise else line + 1
-        nodes[line], nodes[line + 1] = 2 * wall[r], 2 * wall[r] + 1
         if lengthwise:
-            nodes[a] = lines + corner[q]
             off -= state[5][corner[q]]
         by = (by_angle, by_yaw, by_x, by_y)
         _add(own, right, coupling, pose, pose_right, line, other, w, off, by)
     for p in range(3):
         pose[p, p] += LOOSE * pose[p, p] + 1e-300
-    return nodes, own, right, coupling, pose, pose_right
+    return own, right, coupling, pose, pose_right
+
+
+@compiled
+def entries(
+    begin: Index, nodes: Index, pointer: NDArray[np.int32], row: NDArray[np.int32]
+) -> Index:
+    """Return where in a sparse matrix the pairs of nodes of each iteration are, one after another.
+
+    The matrix goes column by column: `row` (nnz,), ascending in each, from `pointer` on.
+    """
+    total = 0
+    for i in range(len(begin) - 1):
+        total += (begin[i + 1] - begin[i]) ** 2
+    found, at = np.empty(total, dtype=np.int64), 0
+    for i in range(len(begin) - 1):
+        for a in range(begin[i], begin[i + 1]):
+            low = pointer[nodes[a]]
+            column = row[low : pointer[nodes[a] + 1]]
+            for b in range(begin[i], begin[i + 1]):
+                found[at] = low + np.searchsorted(column, nodes[b])
+                at += 1
+    return found
 
 
 @compiled
@@ -161,55 +180,55 @@ def wall_equations(
     weights: tuple[Array, Array],
     begin: Index,
     corner_begin: Index,
-    buffer: Array,
-    layout: tuple[Index, Index, Index, Index],
-) -> Array:
-    """Add the normal equations of walls and corners to a matrix; return their right side (u,).
+    nodes: Index,
+    entry: Index,
+    matrix: Array,
+) -> tuple[Array, Array, Array]:
+    """Add the normal equations of walls and corners to a matrix, poses eliminated.
 
-    The first iteration stays where it is.
+    The first iteration stays where it is.  `entry` is as from `entries`.
+
+    Returns
+    -------
+    right (u,)
+        Right side.
+    away (v, 3)
+        By how much a step of each node moves the pose back; see `pose_steps`.
+    pose_step (i, 3)
+        The steps of the poses if no node moved.
     """
-    level, place, width, offset = layout
-    total = np.zeros(len(level))
+    total, at = np.zeros(nodes.max() + 1), 0
+    away, pose_step = np.zeros((len(nodes), 3)), np.zeros((len(begin) - 1, 3))
     for i in range(len(begin) - 1):
         rows, corners = (begin[i], begin[i + 1]), (corner_begin[i], corner_begin[i + 1])
-        nodes, part, right, coupling, pose, pose_right = _one_scan(
-            seen, state, weights, i, rows, corners
-        )
-        if i > 0:
-            inverse, positive = inverse3(pose)
-            if not positive:
-                continue
-            away = product(coupling, inverse)
-            for a in range(len(nodes)):
+        own, right, coupling, pose, pose_right = _one_scan(seen, state, weights, i, rows, corners)
+        first, m = 2 * begin[i] + corner_begin[i], len(right)
+        inverse, positive = inverse3(pose)
+        if i > 0 and positive:
+            away[first : first + m] = product(coupling, inverse)
+            for p in range(3):
+                for o in range(3):
+                    pose_step[i, p] += inverse[p, o] * pose_right[o]
+        for a in range(m):
+            node = nodes[first + a]
+            total[node] += right[a]
+            for p in range(3):
+                total[node] -= away[first + a, p] * pose_right[p]
+            for b in range(m):
+                value = own[a, b]
                 for p in range(3):
-                    right[a] -= away[a, p] * pose_right[p]
-                    for b in range(len(nodes)):
-                        part[a, b] -= away[a, p] * coupling[b, p]
-        subtract(-part, nodes, 1, buffer, level, place, width, offset)
-        for a in range(len(nodes)):
-            total[nodes[a]] += right[a]
-    return total
+                    value -= away[first + a, p] * coupling[b, p]
+                matrix[entry[at]] += value
+                at += 1
+    return total, away, pose_step
 
 
 @compiled
-def pose_steps(
-    seen: Seen,
-    state: State,
-    weights: tuple[Array, Array],
-    begin: Index,
-    corner_begin: Index,
-    step: Array,
-) -> Array:
+def pose_steps(begin: Index, nodes: Index, away: Array, pose_step: Array, step: Array) -> Array:
     """Return the steps (i, 3) of the poses that belong to a step (u,) of walls and corners."""
-    found = np.zeros((len(begin) - 1, 3))
-    for i in range(1, len(begin) - 1):
-        rows, corners = (begin[i], begin[i + 1]), (corner_begin[i], corner_begin[i + 1])
-        nodes, _, _, coupling, pose, pose_right = _one_scan(seen, state, weights, i, rows, corners)
-        inverse, positive = inverse3(pose)
-        for p in range(3):
-            for a in range(len(nodes)):
-                pose_right[p] -= coupling[a, p] * step[nodes[a]]
-        for p in range(3):
-            for o in range(3):
-                found[i, p] += inverse[p, o] * pose_right[o] if positive else 0.0
+    found = pose_step.copy()
+    for i in range(len(begin) - 1):
+        for a in range(begin[i], begin[i + 1]):
+            for p in range(3):
+                found[i, p] -= away[a, p] * step[nodes[a]]
     return found
