@@ -27,7 +27,7 @@ MEDIAN = 1.4826
 """The standard deviation of what is normal, in units of the median of its size."""
 KNOWN_BY = 4.0
 """Observations that what was assumed of a wall or corner counts for against what was seen of it."""
-ROUNDS = ((2, 20.0), (3, 8.0), (9, 4.0))
+ROUNDS = ((2, 20.0), (2, 8.0), (8, 4.0))
 """Most steps of each solution, between which the noise of each wall and corner is learnt, and the
 residual from which an observation is in doubt: none is before the rest has fallen into place."""
 LAST = (6, 4.0)
@@ -225,8 +225,9 @@ def refined(
     """
     given, state = assembled.given, assembled.state
     system = WallSystem(given)
-    for most, doubtful in rounds:
-        state = system.refine(state, most, doubtful, by_scan)
+    for k, (most, doubtful) in enumerate(rounds):
+        last = k == len(rounds) - 1
+        state = system.refine(state, most, doubtful, by_scan, settled=last)
         given = _reweighted(assembled.given, *system.residuals(state))
         system = system.reweighted(given)
     return replace(assembled, given=given, state=state)

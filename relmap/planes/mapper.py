@@ -26,7 +26,7 @@ from relmap.planes.registration import PlaneRegistration
 from relmap.planes.stitching import stitched
 from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
 
-WIDELY = ((2, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
+WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
 CLOSED = 3
 """How often loops are looked for, each time with less drift left."""

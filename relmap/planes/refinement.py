@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-SETTLED = 0.02
-"""Largest step, metres and radians, in typical standard deviations, of a settled solution."""
+SETTLED = 0.01
+"""Step, in typical standard deviations, of a settled solution: most unknowns do no more."""
+MOST = 0.9
+NEAR = 0.005
+"""Step, metres and radians, of a solution that is good enough to go on from with other weights."""
 USUAL = 3.0
 """No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
 SPREAD = 1 / np.sqrt(12)
@@ -115,7 +118,14 @@ class WallSystem:
         self._corner_begin = np.searchsorted(given.iteration[given.corner_row], every)
         self._prepare()
 
-    def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
+    def refine(
+        self,
+        state: Walls,
+        rounds: int,
+        doubtful: float,
+        by_scan: bool = True,
+        settled: bool = True,
+    ) -> Walls:
         """Return the state on which all observations agree best, by Gauss-Newton.
 
         The first iteration stays where it is.
@@ -131,8 +141,10 @@ class WallSystem:
             McClure, 1987): a wall taken for another one should not count at all.
         by_scan : bool
             Whether a scan that is off as a whole is taken for misplaced as yet, rather than wrong.
+        settled : bool
+            Whether it should settle, rather than come near only.
         """
-        settled = SETTLED * float(np.median(self._given.sd))
+        enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
         for _ in range(rounds):
             poses, lines, corners = self._step(state, self._weights(state, doubtful, by_scan))
             state = Walls(
@@ -143,7 +155,8 @@ class WallSystem:
                 state.across + lines[:, 1],
                 state.along + corners,
             )
-            if max(np.abs(step).max(initial=0.0) for step in (poses, lines, corners)) < settled:
+            step = np.concatenate([poses.ravel(), lines.ravel(), corners])
+            if np.quantile(np.abs(step), MOST) < enough:
                 break
         return state
 
