@@ -39,7 +39,6 @@ def map_scans(
     from relmap.planes import PlaneMapper
     from relmap.plots.planes import write_planes_png
     from relmap.results import EVALUATION, MAP_PNG, write_result
-    from relmap.segmentation import PlaneSegmenter
 
     with busy("reading"):
         log = open_scans(source, log_format)
@@ -59,9 +58,8 @@ def map_scans(
             yield from tracked(scans, len(log), "mapping")
             afterwards.enter_context(busy("refining and writing"))
 
-        run = run_plane_mapper(
-            PlaneMapper(settings), log, PlaneSegmenter(), about, shown, refine=refine
-        )
+        mapper = PlaneMapper(settings)
+        run = run_plane_mapper(mapper, log, about=about, progress=shown, refine=refine)
         write_result(staging, run.result)
         write_planes(staging, run.planes)
         write_planes_png(staging / MAP_PNG, run.planes, run.result.poses)

@@ -150,6 +150,7 @@ def building_command(
 def _write_building(folder: Path, building: Building) -> None:
     """Write a run into an existing folder."""
     from relmap.datasets import write_scans_npz
+    from relmap.datasets.scans import SensorView
     from relmap.files import atomic_write, write_tum
     from relmap.plots.building import write_building_png
     from relmap.tables import csv_text
@@ -158,7 +159,8 @@ def _write_building(folder: Path, building: Building) -> None:
     truth.mkdir()
     axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans the plane
     scans = [scan.points[:, axes] for scan in building.scans]
-    write_scans_npz(folder / "scans.npz", scans, building.stamps_s)
+    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
+    write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
     header = ("plane", "x0", "y0", "x1", "y1", "z0", "z1", "scans", "corner0", "corner1")
     rows = [
         [number, *wall, *seen]

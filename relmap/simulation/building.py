@@ -75,12 +75,15 @@ class Building:
         ``T_map_robot`` at each scan.
     stamps_s : (k,) float64
     scans : list of k BuildingScan
+    sensor : Sensor
+        What made them.
     """
 
     walls: NDArray[np.float64]
     trajectory: NDArray[np.float64]
     stamps_s: NDArray[np.float64]
     scans: list[BuildingScan]
+    sensor: Sensor
 
     def times_seen(self) -> NDArray[np.int64]:
         """Count in how many scans each wall was seen.
@@ -202,7 +205,7 @@ def simulate_building(
     scans = [_scan(plan, pose, look, rng) for pose in trajectory]
     walls = plan.walls - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
     stamps_s = STEP_S * np.arange(len(trajectory), dtype=np.float64)
-    return Building(walls, trajectory, stamps_s, scans)
+    return Building(walls, trajectory, stamps_s, scans, look.sensor)
 
 
 def building_scene(
