@@ -15,7 +15,7 @@ from relmap.datasets import Relations
 from relmap.datasets.textfile import require_path, shown
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_relations import relation_errors
-from relmap.files import read_tum
+from relmap.files import read_text, read_tum
 from relmap.planes.table import PlaneTable
 from relmap.results import Result
 from relmap.tables import Kind, read_table
@@ -36,7 +36,7 @@ class WallTruth:
     Attributes
     ----------
     ends : (w, 2, 2) float64, map frame of the truth, metres
-        Right to left as seen from the front.
+        Right to left as seen from the front; of walls that stand still.
     corner_scans : (w, 2) int64
         In how many scans each true end was seen.
     stamps_s : (k,) float64, poses : (k, 4, 4) float64
@@ -130,13 +130,16 @@ def read_wall_truth(path: Path) -> WallTruth:
     names = ("x0", "y0", "x1", "y1")
     columns: dict[str, Kind] = dict.fromkeys(names, "float")
     columns |= {"corner0": "int", "corner1": "int"}
+    if "status" in read_text(folder / "planes.csv").partition("\n")[0].split(","):
+        columns["status"] = "text"
     table = read_table(folder / "planes.csv", columns)
     ends = np.column_stack([table[name] for name in names]).reshape(-1, 2, 2)
     stamps_s, poses = np.empty(0), np.empty((0, 4, 4))
     if (folder / "trajectory.tum").exists():
         stamps_s, poses = read_tum(folder / "trajectory.tum")
     scans = np.column_stack([table["corner0"], table["corner1"]])
-    return WallTruth(ends, scans, stamps_s, poses)
+    still = table.get("status", np.full(len(ends), "static")) != "dynamic"
+    return WallTruth(ends[still], scans[still], stamps_s, poses)
 
 
 def evaluate_planes(result: Result, planes: PlaneTable, truth: WallTruth) -> PlaneEvaluation:

@@ -2,36 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.history import PlaneHistory
-from relmap.planes.refinement import WallEquations, Walls, WallSystem, medians
+from relmap.planes.refinement import WallEquations, Walls
 
 FLAT_M = 0.003
 SHARP_M = 0.01
 """How sure a wall and its corner can be at best, if there is any noise: nothing real is quite flat
 or sharp."""
-EXACT_M = 1e-7
-"""How sure they can be at best where there is none."""
-SHARPER = 0.1
-"""By how much the least noise is lowered at a time, down to what the observations show."""
 BLUNT = 3.0
 """How much less sure a corner is than its wall, to begin with."""
 OFTEN = 4
 """Sights that make a corner."""
-MEDIAN = 1.4826
-"""The standard deviation of what is normal, in units of the median of its size."""
-KNOWN_BY = 4.0
-"""Observations that what was assumed of a wall or corner counts for against what was seen of it."""
-ROUNDS = ((2, 20.0), (2, 8.0), (8, 4.0))
-"""Most steps of each solution, between which the noise of each wall and corner is learnt, and the
-residual from which an observation is in doubt: none is before the rest has fallen into place."""
-LAST = (6, 4.0)
-"""The same, of each solution with less noise than walls have at best."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +112,38 @@ class Assembled:
         weight = np.bincount(self.given.corner, 1 / self.given.corner_sd**2)
         return np.asarray(1 / np.sqrt(weight))
 
+    def only(self, kept: NDArray[np.bool_]) -> Assembled:
+        """Return what some of the rows (n,) showed, with all poses, without solving again."""
+        given, state = self.given, self.state
+        seen = kept[given.corner_row]
+        walls, wall = np.unique(given.wall[kept], return_inverse=True)
+        corners, corner = np.unique(given.corner[seen], return_inverse=True)
+        row = np.cumsum(kept) - 1
+        own = WallEquations(
+            given.iteration[kept],
+            wall,
+            given.ends[kept],
+            given.sd[kept],
+            row[given.corner_row[seen]],
+            given.corner_end[seen],
+            corner,
+            given.corner_sd[seen],
+        )
+        return replace(
+            self,
+            given=own,
+            state=replace(
+                state,
+                centre=state.centre[walls],
+                angle=state.angle[walls],
+                across=state.across[walls],
+                along=state.along[corners],
+            ),
+            walls=self.walls[walls],
+            corners=self.corners[corners],
+            rows=self.rows[kept],
+        )
+
     def poses(self, n: int) -> NDArray[np.float64]:
         """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where there is none."""
         poses = np.full((n, 4, 4), np.nan)
@@ -214,60 +232,3 @@ def _laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
     at = np.bincount(given.corner, reach) / np.bincount(given.corner)
     yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
     return Walls(yaw, t, centre, angle, np.zeros(len(angle)), at)
-
-
-def refined(
-    assembled: Assembled, rounds: Sequence[tuple[int, float]] = ROUNDS, by_scan: bool = True
-) -> Assembled:
-    """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is.
-
-    The arguments are those of `WallSystem.refine`.
-    """
-    given, state = assembled.given, assembled.state
-    system = WallSystem(given)
-    for k, (most, doubtful) in enumerate(rounds):
-        last = k == len(rounds) - 1
-        state = system.refine(state, most, doubtful, by_scan, settled=last)
-        given = _reweighted(assembled.given, *system.residuals(state))
-        system = system.reweighted(given)
-    return replace(assembled, given=given, state=state)
-
-
-def refined_to_the_noise(assembled: Assembled) -> Assembled:
-    """Solve for walls, corners and poses as accurately as the observations are.
-
-    Where they are better than real walls, the least noise is lowered bit by bit: what was found
-    wrong so far is out before the rest decides (graduated non-convexity; Blake and Zisserman,
-    1987).
-    """
-    best, share = refined(assembled), 1.0
-    while share * FLAT_M > max(assembled.typical_m, EXACT_M):
-        share *= SHARPER
-        given = replace(
-            assembled.given,
-            sd=share * assembled.given.sd,
-            corner_sd=share * assembled.given.corner_sd,
-        )
-        best = refined(replace(best, given=given), (LAST,), by_scan=False)
-    return best
-
-
-def _reweighted(
-    given: WallEquations, across: NDArray[np.float64], along: NDArray[np.float64]
-) -> WallEquations:
-    """Return the equations with the noise that each wall and corner shows in the residuals."""
-    wall = _learnt(given.wall, across.mean(axis=1) / given.sd)
-    corner = _learnt(given.corner, along / given.corner_sd)
-    return replace(
-        given, sd=given.sd * wall[given.wall], corner_sd=given.corner_sd * corner[given.corner]
-    )
-
-
-def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by what the standard deviations of each are to be multiplied, at least 1.
-
-    The median tells: single sights that are quite wrong are for the refinement to leave out.
-    """
-    n = np.bincount(of)
-    squares = n * (MEDIAN * medians(of, np.abs(residual))) ** 2
-    return np.asarray(np.sqrt(np.maximum((KNOWN_BY + squares) / (KNOWN_BY + n), 1.0)))

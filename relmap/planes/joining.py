@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from relmap.planes.assembly import Assembled, WallNumbers, directions
+from relmap.planes.refinement import quantiles
 
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
@@ -70,23 +71,9 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
     placed = np.einsum("nij,nej->nei", R, given.ends) + state.t[given.iteration][:, None]
     reach = np.einsum("nei,ni->ne", placed - state.centre[given.wall][:, None], along)
     return (
-        _quantiles(given.wall, reach[:, 0], OUTLYING),
-        -_quantiles(given.wall, -reach[:, 1], OUTLYING),
+        quantiles(given.wall, reach[:, 0], OUTLYING),
+        -quantiles(given.wall, -reach[:, 1], OUTLYING),
     )
-
-
-def _quantiles(
-    of: NDArray[np.int64], values: NDArray[np.float64], share: float
-) -> NDArray[np.float64]:
-    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
-    n = np.bincount(of)
-    ordered = values[np.lexsort((values, of))]
-    first = np.cumsum(n) - n
-    place = share * (n - 1)
-    below = np.floor(place).astype(np.int64)
-    above = np.minimum(below + 1, n - 1)
-    part = place - below
-    return np.asarray((1 - part) * ordered[first + below] + part * ordered[first + above])
 
 
 def _pairs(

@@ -246,3 +246,17 @@ def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.fl
     n = np.bincount(of)
     first = np.cumsum(n) - n
     return np.asarray(values[np.lexsort((values, of))][first + (n - 1) // 2])
+
+
+def quantiles(
+    of: NDArray[np.int64], values: NDArray[np.float64], share: float
+) -> NDArray[np.float64]:
+    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
+    n = np.bincount(of)
+    ordered = values[np.lexsort((values, of))]
+    first = np.cumsum(n) - n
+    place = share * (n - 1)
+    below = np.floor(place).astype(np.int64)
+    above = np.minimum(below + 1, n - 1)
+    part = place - below
+    return np.asarray((1 - part) * ordered[first + below] + part * ordered[first + above])

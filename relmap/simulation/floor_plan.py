@@ -55,18 +55,21 @@ class FloorPlan:
         Rectangles x_low, y_low, x_high, y_high without fixed walls inside.
     loop : (l, 2) float64, metres
         The line, counter-clockwise; from the last point it goes back to the first.
+    doors : (d, 2, 2) float64, metres
+        Both jambs of each door; the room is to the left of the way from the first to the second.
     """
 
     walls: NDArray[np.float64]
     floors: NDArray[np.float64]
     loop: NDArray[np.float64]
+    doors: NDArray[np.float64]
 
 
 def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
     """Draw a world: a building, or panels only."""
-    flat, floors, loop = _building(rng) if world == "building" else _field(rng)
+    flat, floors, loop, doors = _building(rng) if world == "building" else _field(rng)
     height = np.tile([0.0, rng.uniform(*HEIGHT_M)], (len(flat), 1))
-    return FloorPlan(np.hstack([flat, height]), floors, loop)
+    return FloorPlan(np.hstack([flat, height]), floors, loop, doors)
 
 
 def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,8 +80,8 @@ def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> N
     return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=2))
 
 
-def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of a corridor round a block, with rooms."""
+def _building(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return the walls (w, 4), floors, loop and doors of a corridor round a block, with rooms."""
     block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
     inner = _rooms_inside(block, rng)
@@ -93,17 +96,18 @@ def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     walls += [_cut(edge, doors) for edge in (*_edges(hall), *_edges(block)[:, ::-1])]
     panels = [_panels(room, int(rng.integers(MOST_PANELS + 1)), rng) for room in rooms]
     floors = np.vstack([rooms, _ring(hall, block)])
-    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2)
+    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2), doors
 
 
-def _field(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of panels in the open."""
+def _field(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return the walls (w, 4), floors, loop and doors, none, of panels in the open."""
     square = FIELD_M * np.array([-1.0, -1.0, 1.0, 1.0])
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = FIELD_LOOP_M * (1 + 0.12 * np.sin(2 * angle + rng.uniform(0, 2 * np.pi)))
     loop = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
-    return _panels(square, FIELD_PANELS, rng, obstacles=way), square[None], loop
+    panels = _panels(square, FIELD_PANELS, rng, obstacles=way)
+    return panels, square[None], loop, np.empty((0, 2, 2))
 
 
 def _rooms_inside(block: Array, rng: np.random.Generator) -> list[tuple[Array, int]]:
