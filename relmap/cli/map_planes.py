@@ -56,9 +56,10 @@ def map_scans(
     if interval is not None:
         log = log.between(*interval)
     about = _about(source, log_format, settings)
-    mapper, segmenter = PlaneMapper(settings), PlaneSegmenter()
+    mapper, view = PlaneMapper(settings), log.sensor
+    segmenter = PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
     every = frame_step(len(log)) if animate else 0
-    bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every)
+    bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every, view)
     stale = [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
     with staged_folder(out, stale) as staging, ExitStack() as afterwards:
 

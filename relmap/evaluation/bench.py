@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.datasets.scans import PointScan
+from relmap.datasets.scans import PointScan, SensorView
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_evaluate import WallTruth
 from relmap.evaluation.pose_fit import fit_poses
@@ -91,6 +91,8 @@ class BenchRecorder:
     truth : WallTruth, optional
     every : int
         A frame is kept after each so many scans; 0: none but the last, when asked for.
+    view : SensorView, optional
+        Where the sensor is on the robot; the segmenter sees from there.
 
     Attributes
     ----------
@@ -103,9 +105,11 @@ class BenchRecorder:
         segmenter: PlaneSegmenter,
         truth: WallTruth | None = None,
         every: int = 0,
+        view: SensorView | None = None,
     ) -> None:
         self._mapper, self._segmenter = mapper, segmenter
         self._truth, self._every = truth, every
+        self._view = view or SensorView()
         self._stamps_s: list[float] = []
         self._scan: PointScan | None = None
         self.frames: list[BenchFrame] = []
@@ -131,12 +135,14 @@ class BenchRecorder:
         T = np.eye(4)
         T[:2, :2], T[:2, 3] = R, t
         placed = np.isfinite(poses[:, 0, 0])
-        seen = self._segmenter.planes_
+        seen, view = self._segmenter.planes_, self._view
+        c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
+        ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
         return BenchFrame(
             scan.iteration,
             scan.points_robot[:, :2],
             self._segmenter.labels_,
-            seen.ends,
+            ends_robot,
             seen.end_type == "corner",
             walls,
             walls[planes.corner[mapped] >= 0],

@@ -62,19 +62,22 @@ class FloorPlan:
         Rectangles x_low, y_low, x_high, y_high without fixed walls inside.
     loop : (l, 2) float64, metres
         The line, counter-clockwise; from the last point it goes back to the first.
+    doors : (d, 2, 2) float64, metres
+        Both jambs of each door; the room is to the left of the way from the first to the second.
     """
 
     walls: NDArray[np.float64]
     floors: NDArray[np.float64]
     loop: NDArray[np.float64]
+    doors: NDArray[np.float64]
 
 
 def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
     """Draw a world: a building, panels only, or a long wall among panels."""
     draw = {"building": _building, "panels": _field, "long-wall": _long_wall}[world]
-    flat, floors, loop = draw(rng)
+    flat, floors, loop, doors = draw(rng)
     height = np.tile([0.0, rng.uniform(*HEIGHT_M)], (len(flat), 1))
-    return FloorPlan(np.hstack([flat, height]), floors, loop)
+    return FloorPlan(np.hstack([flat, height]), floors, loop, doors)
 
 
 def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,8 +88,8 @@ def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> N
     return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=2))
 
 
-def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of a corridor round a block, with rooms."""
+def _building(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return the walls (w, 4), floors, loop and doors of a corridor round a block, with rooms."""
     block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
     inner = _rooms_inside(block, rng)
@@ -101,21 +104,22 @@ def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     walls += [_cut(edge, doors) for edge in (*_edges(hall), *_edges(block)[:, ::-1])]
     panels = [_panels(room, int(rng.integers(MOST_PANELS + 1)), rng) for room in rooms]
     floors = np.vstack([rooms, _ring(hall, block)])
-    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2)
+    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2), doors
 
 
-def _field(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of panels in the open."""
+def _field(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return the walls (w, 4), floors, loop and doors, none, of panels in the open."""
     square = FIELD_M * np.array([-1.0, -1.0, 1.0, 1.0])
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = FIELD_LOOP_M * (1 + 0.12 * np.sin(2 * angle + rng.uniform(0, 2 * np.pi)))
     loop = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
-    return _panels(square, FIELD_PANELS, rng, obstacles=way), square[None], loop
+    panels = _panels(square, FIELD_PANELS, rng, obstacles=way)
+    return panels, square[None], loop, np.empty((0, 2, 2))
 
 
-def _long_wall(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of a long wall that stands alone, then panels.
+def _long_wall(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return walls, floors, loop and no doors: a long wall that stands alone, then panels.
 
     Half way along it a robot sees nothing but a part of it, and none of its ends.
     """
@@ -125,7 +129,8 @@ def _long_wall(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     ends = panels.reshape(-1, 2, 2)
     inside = (ends > LONG_BARE[:2]) & (ends < LONG_BARE[2:])
     bare = np.any(np.all(inside, axis=2), axis=1)
-    return np.vstack([LONG_WALL, panels[~bare]]), LONG_FIELD[None], loop
+    walls = np.vstack([LONG_WALL, panels[~bare]])
+    return walls, LONG_FIELD[None], loop, np.empty((0, 2, 2))
 
 
 def _rooms_inside(block: Array, rng: np.random.Generator) -> list[tuple[Array, int]]:
