@@ -48,7 +48,7 @@ def map_scans(
     from relmap.planefiles import write_planes
     from relmap.planes import PlaneMapper
     from relmap.plots.planes import write_planes_png
-    from relmap.results import EVALUATION, MAP_PNG, write_result
+    from relmap.results import MAP_PNG, write_result
     from relmap.segmentation import PlaneSegmenter
 
     with busy("reading"):
@@ -60,8 +60,7 @@ def map_scans(
     segmenter = PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
     every = frame_step(len(log)) if animate else 0
     bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every, view)
-    stale = [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
-    with staged_folder(out, stale) as staging, ExitStack() as afterwards:
+    with staged_folder(out, _stale(animate)) as staging, ExitStack() as afterwards:
 
         def shown(scans: Iterable[PointScan]) -> Iterator[PointScan]:
             yield from bench.watch(tracked(scans, len(log), "mapping"))
@@ -74,6 +73,13 @@ def map_scans(
         afterwards.close()
         _draw_bench(staging, bench, animate)
     return run
+
+
+def _stale(animate: bool) -> list[str]:
+    """Return the files of an earlier result that this one puts out of date."""
+    from relmap.results import EVALUATION
+
+    return [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
 
 
 def _about(source: Path, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
