@@ -67,6 +67,7 @@ def _draw_points(axes: Axes, maps: NoisyMaps) -> None:
             transform=axes.transAxes,
             fontsize=11,
             bbox={"facecolor": "white", "edgecolor": "none"},
+            zorder=10,
         )
 
 
