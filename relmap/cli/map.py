@@ -44,7 +44,8 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   point-clouds     a folder of .pcd or .ply files, one for each scan
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv and
-summary.json, and of walls also planes.csv.
+summary.json, and of walls also planes.csv and bench.png: the last scan, its planes, the map and
+its groups; with --animate the whole run like that in bench.gif.
 
 \b
 Examples:
@@ -100,11 +101,19 @@ def map_command(
             help="Settings of the mapper: the fields of relmap.MapperConfig, as field = value.",
         ),
     ] = None,
+    animate: Annotated[
+        bool,
+        typer.Option("--animate", help="Of walls, draw the whole run as an animation, bench.gif."),
+    ] = False,
 ) -> None:
     """Map a log; the arguments are explained in the help text."""
     if variant == "planes":
-        _map_planes(source, out, association, scans, log_format, config, registration, refine)
+        if association == "known" or registration is not None:
+            raise RelmapError("walls have no ids: --association and --registration are for points")
+        _map_planes(source, out, scans, log_format, config, refine, animate)
         return
+    if animate:
+        raise RelmapError("--animate draws walls: give --variant planes with it")
     run = map_input(source, out, association, scans, log_format, config, registration, refine)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
     apart = len(run.result.pieces) - 1
@@ -124,23 +133,21 @@ def _untied(pieces: int) -> str:
 def _map_planes(
     source: Path,
     out: Path,
-    association: Association,
     scans: str | None,
     log_format: str | None,
     config: Path | None,
-    registration: Registration | None,
     refine: bool,
+    animate: bool,
 ) -> None:
     """Map walls, and tell what came out."""
     from relmap.cli.map_planes import map_scans
 
-    if association == "known" or registration is not None:
-        raise RelmapError("walls have no ids: --association and --registration are for points")
-    run = map_scans(source, out, read_config(config), parse_scans(scans), log_format, refine)
+    interval = parse_scans(scans)
+    run = map_scans(source, out, read_config(config), interval, log_format, refine, animate)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
     apart = len(run.result.summary["pieces"]) - 1
     typer.echo(
-        f"wrote 8 files to {out}: {counts['planes_static']} walls with "
+        f"wrote {10 if animate else 9} files to {out}: {counts['planes_static']} walls with "
         f"{counts['corners_static']} corners mapped in {counts['iterations']} iterations, "
         f"median {timing['median_ms']:.2g} ms each beside segmentation" + _untied(apart)
     )
