@@ -38,15 +38,17 @@ std_sensor_pitch_deg={bearing_sd_deg}
 """
 
 
-def write_rawlog(path: Path, log: ObservationLog, range_m: float) -> None:
-    """Write observations (n, 3) as MRPT's range and bearing (yaw left, pitch down, radians).
+def write_rawlog(
+    path: Path, log: ObservationLog, range_m: float, T_robot_sensor: NDArray[np.float64]
+) -> None:
+    """Write observations (n, 3), sensor frame, as MRPT's range, yaw (left), pitch (down).
 
     The format is read off the files of MRPT's own demonstration: little-endian objects of a name,
     a version, fields and the byte 0x88.  `kf-slam` leaves the first scan out: it comes twice.
     """
     assert log.ids is not None
     scans = [
-        _scan(number, scan.points_robot, scan.ids, range_m)
+        _scan(number, scan.points_robot, scan.ids, range_m, T_robot_sensor)
         for number, scan in enumerate(log.scans())
         if scan.ids is not None
     ]
@@ -57,13 +59,17 @@ def _head(name: str, version: int) -> bytes:
     return bytes([0x80 | len(name)]) + name.encode() + bytes([version])
 
 
-def _pose() -> bytes:
-    """The sensor is the robot: no shift, and a quaternion that does not turn."""
-    return _head("CPose3D", 2) + struct.pack("<7d", 0, 0, 0, 1, 0, 0, 0)
+def _pose(T: NDArray[np.float64]) -> bytes:
+    x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    return _head("CPose3D", 2) + struct.pack("<7d", *T[:3, 3], w, x, y, z)
 
 
 def _scan(
-    number: int, points: NDArray[np.float64], ids: NDArray[np.int64], range_m: float
+    number: int,
+    points: NDArray[np.float64],
+    ids: NDArray[np.int64],
+    range_m: float,
+    T_robot_sensor: NDArray[np.float64],
 ) -> bytes:
     level = np.hypot(points[:, 0], points[:, 1])
     seen = np.zeros(len(ids), [("r", "<f4"), ("yaw", "<f4"), ("pitch", "<f4"), ("id", "<i4")])
@@ -75,7 +81,7 @@ def _scan(
         [
             _head("CSensoryFrame", 2) + struct.pack("<I", 1),
             _head("CObservationBearingRange", 3),
-            struct.pack("<ffff", 0.0, range_m, np.pi, np.pi) + _pose() + _END,
+            struct.pack("<ffff", 0.0, range_m, np.pi, np.pi) + _pose(T_robot_sensor) + _END,
             struct.pack("<q", 129_000_000_000_000_000 + 1_000_000 * number),
             b"\x00" + struct.pack("<fffI", 0.01, 0.01, 0.01, len(ids)),
             seen.tobytes() + struct.pack("<I", 0) + _END + _END,
@@ -95,9 +101,11 @@ def run_kfslam(
     method: int = 0,
     truth: str = "",
     every: int = 1,
+    T_robot_sensor: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], str]:
     """Run it; return the poses (k, 4, 4) of the iterations that it got to, and what it printed."""
-    write_rawlog(folder / "log.rawlog", log, 100.0)
+    on_robot = np.eye(4) if T_robot_sensor is None else T_robot_sensor
+    write_rawlog(folder / "log.rawlog", log, 100.0, on_robot)
     settings = {"range_sd_m": range_sd_m, "bearing_sd_deg": np.rad2deg(bearing_sd_rad)}
     text = _CONFIG.format(folder=folder, truth=truth, method=method, every=every, **settings)
     (folder / "config.ini").write_text(text)

@@ -174,6 +174,13 @@ def eight_truth(world: FigureEight) -> Truth:
     )
 
 
+def has_ids(data: Data) -> bool:
+    """Tell whether a log tells which landmark is which."""
+    if isinstance(data, Scans) or data.log.ids is None:
+        return False
+    return bool(np.any(data.log.ids >= 0))
+
+
 def require_ids(data: Data) -> None:
     """Make sure that a log tells which landmark is which.
 
@@ -184,5 +191,5 @@ def require_ids(data: Data) -> None:
     """
     if isinstance(data, Scans):
         raise RelmapError("--association known is for landmarks: point scans have no ids")
-    if data.log.ids is None or not (data.log.ids >= 0).any():
+    if not has_ids(data):
         raise RelmapError("--association known needs a log with ids, and this one has none")

@@ -35,8 +35,8 @@ ACCURACY = (
 """Figures that are the same in every run."""
 COST = ("median_ms", "mean_ms", "last_100_median_ms", "total_s", "memory_mb")
 """Figures that depend on the machine: processor time of one core, and what the process grew by."""
-WARM_UP = 30
-"""Iterations of the log that are run before, so that all is loaded and compiled."""
+WARM_UP = {"landmarks": 30, "scans": 4}
+"""Iterations of a log that are run before, so that all is loaded and compiled."""
 GUESSED_FROM = 200
 """Iterations that the noise of a log is estimated from."""
 FEW_M = 0.01
@@ -83,7 +83,8 @@ def run_method(
     """
     with threadpool_limits(1):
         setup = setup_for(data, sigma_m)
-        _run(info.make(setup), data, association, WARM_UP)
+        kind = "landmarks" if isinstance(data, Landmarks) else "scans"
+        _run(info.make(setup), data, association, WARM_UP[kind])
         method = info.make(setup)
         memory = PeakMemory()
         labels, durations_s, finish_s = _run(method, data, association)
