@@ -55,6 +55,7 @@ Methods for point scans:
 \b
 The figures:
   RMSE        of landmarks (of walls: corners) after the map was turned and shifted to fit [m]
+  of          how many of them there are: those that the method mapped
   cover       share of the landmarks seen at least ten times that are in the map
   ATE, RPE    error of the path, as a whole and from one step to the next [m]
   ms, mean    processor time of an iteration, median and mean [ms]; one thread
@@ -64,6 +65,7 @@ The figures:
 """
 
 COLUMNS = {
+    "of": "matched",
     "cover": "coverage",
     "ATE": "ate_m",
     "RPE": "rpe_m",
@@ -288,8 +290,10 @@ def shown(heading: str, value: float | None) -> str:
     """Return a figure as a person reads it."""
     if value is None:
         return "-"
+    if heading in ("of", "MB"):
+        return f"{value:.0f}"
     if heading == "cover":
         return f"{100 * value:.0f} %"
     if heading in ("RMSE", "ATE", "RPE"):
         return f"{value:.4f}"
-    return f"{value:.0f}" if value >= 100 or heading == "MB" else f"{value:.2g}"
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"

@@ -26,13 +26,14 @@ from relmap.results import Result, Tracks
 ACCURACY = (
     "landmark_rmse_m",
     "corner_rmse_m",
+    "matched",
     "coverage",
     "landmarks_per_true",
     "purity",
     "ate_m",
     "rpe_m",
 )
-"""Figures that are the same in every run."""
+"""Figures that are the same in every run; `matched` landmarks or corners are behind the RMSE."""
 COST = ("median_ms", "mean_ms", "last_100_median_ms", "total_s", "memory_mb")
 """Figures that depend on the machine: processor time of one core, and what the process grew by."""
 WARM_UP = {"landmarks": 30, "scans": 4}
@@ -173,7 +174,7 @@ def _of_landmarks(
     if data.truth is not None:
         figures |= _known(evaluate(result, data.truth, log).as_dict())
     if not len(method.map.landmark_ids):
-        figures |= dict.fromkeys(("coverage", "landmarks_per_true", "purity"))
+        figures |= dict.fromkeys(("matched", "coverage", "landmarks_per_true", "purity"))
     return MethodRun(result, None, figures | cost)
 
 
@@ -198,7 +199,9 @@ def _of_scans(method: Method, data: Scans, cost: dict[str, float | None]) -> Met
 
 
 def _known(figures: dict[str, Any]) -> dict[str, float | None]:
-    return {name: value for name, value in figures.items() if name in ACCURACY}
+    counts = figures["counts"]
+    matched = counts.get("matched_landmarks", counts.get("matched_corners"))
+    return {name: figures[name] for name in ACCURACY if name in figures} | {"matched": matched}
 
 
 def table_of(found: LandmarkMap, labels: NDArray[np.int64], log: ObservationLog) -> LandmarkTable:
