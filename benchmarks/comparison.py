@@ -35,7 +35,7 @@ MAPPING = [
     if "landmarks" in method.logs and method.name not in ("kiss-icp", "small-gicp")
 ]
 CURVES = ("relmap-points-live", "relmap-points-paper", "ekf-mrpt", "ekf")
-MOVING = ("relmap-points", "relmap-points-live", "ekf-mrpt", "ekf", "frame-to-map", "batch")
+MOVING = ("relmap-points", "relmap-points-live", "ekf-mrpt", "ekf", "frame-to-map")
 SHARE = 0.4
 
 

@@ -78,7 +78,7 @@ def test_printed_table_says_what_the_csv_says(compared: Path) -> None:
     assert lines[0] == (
         "figure eight, density 25, gaussian noise 0.05 m, 60 iterations, seed 0; association known"
     )
-    assert lines[1].split()[:6] == ["method", "RMSE", "of", "cover", "ATE", "RPE"]
+    assert lines[1].split()[:5] == ["method", "RMSE", "of", "RMSE10", "cover"]
     for line, row in zip(lines[3:], table(compared / "out" / "comparison.csv"), strict=False):
         cells = line.split()
         assert cells[0] == row["method"]

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
 from relmap.evaluation.baselines.frame_to_frame import FrameToFrame
 from relmap.evaluation.compare import landmark_error_curve
 from relmap.evaluation.methods.base import MethodInfo
 from relmap.evaluation.methods.registry import METHODS, check_method, find_method, fitting_methods
 from relmap.evaluation.methods.running import ACCURACY, COST, MethodRun, run_method, setup_for
+from relmap.evaluation.metrics import align, rms
 from relmap.evaluation.sources import BuildingSource, EightSource, Landmarks
+from relmap.evaluation.truth import Truth
 
 EIGHT = EightSource(iterations=150)
 OF_LANDMARKS = [method for method in METHODS if "landmarks" in method.logs]
@@ -71,8 +74,8 @@ def test_accuracy_is_the_same_in_every_run(eight: Landmarks, runs: dict[str, Met
         again = run_method(find_method(name), eight, "known")
         for figure in ACCURACY:
             assert again.figures[figure] == runs[name].figures[figure]
-        places = (run.result.landmarks.position for run in (again, runs[name]))
-        assert np.array_equal(*places, equal_nan=True)
+        mine, before = again.result.landmarks.position, runs[name].result.landmarks.position
+        assert np.array_equal(mine, before, equal_nan=True)
 
 
 def test_without_ids_the_paper_matches_worse(eight: Landmarks) -> None:
@@ -150,3 +153,39 @@ def test_who_can_be_given_what() -> None:
     names = [method.name for method in fitting_methods("landmarks", "nearest")]
     assert names[:3] == ["relmap-points", "relmap-points-live", "relmap-points-paper"]
     assert "ekf" not in names
+
+
+def test_error_of_what_was_seen_often(runs: dict[str, MethodRun], eight: Landmarks) -> None:
+    """Of the same landmarks for every method, by plain alignment."""
+    log, truth = eight.log, eight.truth
+    assert log.ids is not None
+    assert truth is not None
+    often = np.flatnonzero(np.bincount(log.ids) >= 10)
+    for name in ("frame-to-map", "batch"):
+        table = runs[name].result.landmarks
+        found = table.position[np.isin(table.landmark, often)]
+        R, t = align(found, truth.landmarks_map[often])
+        expected = rms(found @ R.T + t - truth.landmarks_map[often])
+        assert runs[name].figures["often_rmse_m"] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", [method.name for method in OF_LANDMARKS])
+def test_planar_worlds(name: str) -> None:
+    """The figure eight seen from above: every method knows the plane too."""
+    installed(find_method(name))
+    rng = np.random.default_rng(4)
+    places = rng.uniform(-20, 20, (25, 2))
+    path = np.column_stack([0.3 * np.arange(60), np.zeros(60)])
+    points = (places - path[:, None]).reshape(-1, 2) + rng.normal(0, 0.02, (1500, 2))
+    ids, k = np.tile(np.arange(25), 60), np.repeat(np.arange(60), 25)
+    log = ObservationLog(points, k, np.arange(1500), 0, 60, ids)
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    poses[:, :2, 3] = path
+    flat = np.column_stack([places, np.zeros(25)])
+    truth = Truth(np.arange(25), flat, np.full(25, "static"), np.arange(60.0), poses)
+    run = run_method(find_method(name), Landmarks(log, truth), "known")
+    if run.figures["landmark_rmse_m"] is not None:
+        assert run.figures["landmark_rmse_m"] < 0.05
+        assert run.figures["matched"] == 25
+    assert (run.figures["rpe_m"] or 9) < 0.1
+    assert np.allclose(run.result.poses[:, 2, 3], 0.0, atol=1e-6 if run.figures["matched"] else 1.0)

@@ -56,6 +56,7 @@ Methods for point scans:
 The figures:
   RMSE        of landmarks (of walls: corners) after the map was turned and shifted to fit [m]
   of          how many of them there are: those that the method mapped
+  RMSE10      the same of those seen at least ten times
   cover       share of the landmarks seen at least ten times that are in the map
   ATE, RPE    error of the path, as a whole and from one step to the next [m]
   ms, mean    processor time of an iteration, median and mean [ms]; one thread
@@ -66,6 +67,7 @@ The figures:
 
 COLUMNS = {
     "of": "matched",
+    "RMSE10": "often_rmse_m",
     "cover": "coverage",
     "ATE": "ate_m",
     "RPE": "rpe_m",
@@ -266,6 +268,8 @@ def print_rows(title: str, rows: Iterable[Compared]) -> None:
     corners = any(figures["corner_rmse_m"] is not None for _, figures in ran)
     of_map = "corner_rmse_m" if corners else "landmark_rmse_m"
     columns = {"RMSE": of_map} | COLUMNS
+    if corners:
+        del columns["RMSE10"]
     cells = [
         [name, *(shown(heading, figures[key]) for heading, key in columns.items())]
         for name, figures in ran
@@ -294,6 +298,6 @@ def shown(heading: str, value: float | None) -> str:
         return f"{value:.0f}"
     if heading == "cover":
         return f"{100 * value:.0f} %"
-    if heading in ("RMSE", "ATE", "RPE"):
+    if heading in ("RMSE", "RMSE10", "ATE", "RPE"):
         return f"{value:.4f}"
     return f"{value:.0f}" if value >= 100 else f"{value:.2g}"

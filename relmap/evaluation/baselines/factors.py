@@ -47,9 +47,9 @@ class Factors:
 
     def pose(self, R: NDArray[np.float64], t: NDArray[np.float64]) -> Any:
         """Return gtsam's ``T_map_robot`` of R (d, d), t (d,)."""
-        T = np.eye(self._d + 1)
-        T[: self._d, : self._d], T[: self._d, self._d] = R, t
-        return (self._gtsam.Pose2 if self._d == 2 else self._gtsam.Pose3)(T)
+        if self._d == 2:
+            return self._gtsam.Pose2(t[0], t[1], np.arctan2(R[1, 0], R[0, 0]))
+        return self._gtsam.Pose3(self._gtsam.Rot3(R), t)
 
     def prior(self, k: int, pose: Any) -> Any:
         """Return the factor that holds the first pose, that of iteration `k`."""
