@@ -127,3 +127,24 @@ def run_kfslam(
     poses[:, :3, :3] = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
     poses[:, :3, 3] = rows[:, :3]
     return poses, done.stdout
+
+
+if __name__ == "__main__":
+    # python -m tests.kfslam: processor time of iterations 800 to 900 of a figure eight, density 25.
+    import resource
+    import tempfile
+
+    from relmap.simulation import simulate_figure_eight
+
+    eight = simulate_figure_eight().log
+    for number, update in ((0, "full update"), (1, "one scalar at a time, as its config has it")):
+        took_s = []
+        for iterations in (800, 900):
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            with tempfile.TemporaryDirectory() as name:
+                run_kfslam(
+                    Path(name), eight.between(0, iterations), 0.05, 0.05 / 40, number, every=10**6
+                )
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            took_s.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+        print(f"kf-slam, {update}: {10 * (took_s[1] - took_s[0]):.1f} ms an iteration")
