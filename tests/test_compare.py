@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -121,6 +124,9 @@ def test_a_log_without_truth(place: Path) -> None:
         (["nowhere.csv"], "nowhere.csv"),
         (["log.csv", "--truth", "nowhere"], "nowhere"),
         (["log.csv", "--sigma", "-1"], "--sigma is -1.0"),
+        (["log.csv", "--sigma", "0"], "--sigma is 0.0"),
+        (["log.csv", "--density", "100"], "are for --simulate"),
+        (["--simulate", "building", "--dynamic", "0.4"], "for the figure eight"),
         (["--simulate", "figure-eight", "--dynamic", "2"], "dynamic is 2.0"),
         (["--simulate", "figure-eight", "--truth", "truth"], "are for INPUT"),
     ],
@@ -160,3 +166,32 @@ def test_what_goes_wrong_in_one_method_is_told_of_it() -> None:
 def test_help_names_every_method() -> None:
     for method in METHODS:
         assert method.name in HELP
+
+
+def test_interrupted_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
+    """Ctrl-C reaches every process of the terminal; nothing is left behind, running or written."""
+    process = subprocess.Popen(
+        [*RELMAP, "compare", "--simulate", "figure-eight", "--methods", "ekf", "-o", "out"],
+        cwd=tmp_path,
+        env=child_env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not list(tmp_path.glob("out/.relmap-*")) and process.poll() is None:
+        time.sleep(0.02)
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
+    printed, complained = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert printed == ""
+    assert complained == "relmap: interrupted\n"
+    assert names(tmp_path) == []
+    for _ in range(200):
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("a process was left behind")

@@ -174,6 +174,7 @@ def test_grid() -> None:
         ({"method": "ekf", "world": "moon"}, "figure-eight or building"),
         ({"method": "ekf", "association": "nearest"}, "which landmark is which"),
         ({"method": "relmap-planes", "world": "building"}, "association = 'nearest'"),
+        ({"method": "relmap-planes", "world": "building", "density": 5}, "of the figure eight"),
         ({"method": "relmap-planes"}, "cannot map a log of landmarks"),
     ],
 )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from relmap.cli.console import Out
+from relmap.cli.plaintable import print_plain, shown
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -65,6 +66,7 @@ The figures:
   MB          how much the process grew
 """
 
+DENSITY = 25.0
 COLUMNS = {
     "of": "matched",
     "RMSE10": "often_rmse_m",
@@ -82,7 +84,7 @@ COLUMNS = {
 def compare_command(
     out: Out,
     source: Annotated[
-        Path | None, typer.Argument(metavar="[INPUT]", help="The log: a file or a folder.")
+        Path | None, typer.Argument(metavar="INPUT", help="The log: a file or a folder.")
     ] = None,
     simulate: Annotated[
         World | None, typer.Option(help="Simulate this world instead of reading a log.")
@@ -123,7 +125,7 @@ def compare_command(
     ] = None,
     density: Annotated[
         float, typer.Option(help="Of the figure eight: landmarks per 100 m of the path.")
-    ] = 25.0,
+    ] = DENSITY,
     iterations: Annotated[
         int | None, typer.Option(help="Of a simulated world; one loop where left out.")
     ] = None,
@@ -141,12 +143,18 @@ def compare_command(
     if (source is None) == (simulate is None):
         raise RelmapError("compare takes either INPUT, a log, or --simulate with a world")
     if source is not None:
+        simulated = (density, iterations, noise, dynamic, seed)
+        if simulated != (DENSITY, None, "gaussian", 0.0, 0):
+            raise RelmapError(
+                "--density, --iterations, --noise, --dynamic and --seed are for --simulate"
+            )
+        if sigma is not None and not 0 < sigma < 1000:
+            raise RelmapError(f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
         given = FileSource(source, log_format, parse_scans(scans), truth)
     else:
         if truth is not None or scans is not None or log_format is not None:
             raise RelmapError("--truth, --scans and --format are for INPUT, not for --simulate")
         given = _simulated(str(simulate), density, iterations, noise, sigma, dynamic, seed)
-    _check_sigma(sigma)
     names = [name.strip() for name in methods.split(",")] if methods is not None else None
     rows = compare_into(out, given, names, association, sigma if source else sigma or 0.05)
     ran = sum(row.run is not None for row in rows)
@@ -166,14 +174,11 @@ def _simulated(
 
     spread = 0.05 if sigma is None else sigma
     if world == "building":
+        if (density, dynamic) != (DENSITY, 0.0):
+            raise RelmapError("--density and --dynamic are for the figure eight")
         return BuildingSource(iterations, noise, spread, seed)
     loop = 900 if iterations is None else iterations
     return EightSource(density, loop, noise, spread, dynamic, seed)
-
-
-def _check_sigma(sigma: float | None) -> None:
-    if sigma is not None and not 0 <= sigma < 1000:
-        raise RelmapError(f"--sigma is {sigma}; it must lie in [0, 1000) metres")
 
 
 def compare_into(
@@ -278,26 +283,3 @@ def print_rows(title: str, rows: Iterable[Compared]) -> None:
     for row in rows:
         if row.run is None:
             typer.echo(f"{row.method}: {row.note}")
-
-
-def print_plain(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table on stdout at its own width, the first column to the left."""
-    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    typer.echo(title)
-    for cells in (header, ["-" * width for width in widths], *rows):
-        first, *others = zip(cells, widths, strict=True)
-        line = [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)]
-        typer.echo("  ".join(line).rstrip())
-
-
-def shown(heading: str, value: float | None) -> str:
-    """Return a figure as a person reads it."""
-    if value is None:
-        return "-"
-    if heading in ("of", "MB"):
-        return f"{value:.0f}"
-    if heading == "cover":
-        return f"{100 * value:.0f} %"
-    if heading in ("RMSE", "RMSE10", "ATE", "RPE"):
-        return f"{value:.4f}"
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"

@@ -185,7 +185,7 @@ def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     """Print the medians over the seeds, one row for each combination of the rest."""
     import numpy as np
 
-    from relmap.cli.compare import print_plain, shown
+    from relmap.cli.plaintable import print_plain, shown
     from relmap.evaluation.sweep_spec import varying
 
     keys = [key for key in varying(list(cells)) if key != "method"]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -109,19 +111,33 @@ def _in_own_process(
     child = context.Process(
         target=_run_and_send, args=(sender, name, source, association, sigma_m), daemon=True
     )
-    child.start()
+    with _deaf_to_interrupts():
+        child.start()
     sender.close()
     try:
         outcome: Compared = receiver.recv()
     except EOFError:
         child.join()
         outcome = Compared(name, None, f"failed: its process ended with code {child.exitcode}")
+    except KeyboardInterrupt:
+        child.terminate()
+        raise
     finally:
-        if child.is_alive():
-            child.join(timeout=5)
-            child.terminate()
         child.join()
     return outcome
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let processes begun now not hear Ctrl-C, which goes to all of a terminal: we end them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _run_and_send(
@@ -131,8 +147,6 @@ def _run_and_send(
     association: Association,
     sigma_m: float | None,
 ) -> None:
-    # Ctrl-C goes to all processes of a terminal; the parent ends this one.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         run = run_method(find_method(name), source.load(), association, sigma_m)
         outcome = Compared(name, run)

@@ -106,6 +106,10 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
         count *= len(values)
     if count > MOST_CELLS:
         raise RelmapError(f"the grid has {count} cells; at most {MOST_CELLS} are run")
+    if "building" in choices[KEYS.index("world")]:
+        for key in ("density", "dynamic"):
+            if key in spec:
+                raise RelmapError(f"key {key} is of the figure eight; a building has none")
     cells = [Cell(*values) for values in itertools.product(*choices)]
     for world, association, method in sorted({(c.world, c.association, c.method) for c in cells}):
         _check(world, association, method)
