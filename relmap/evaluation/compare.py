@@ -150,7 +150,7 @@ def _run_and_send(
     try:
         run = run_method(find_method(name), source.load(), association, sigma_m)
         outcome = Compared(name, run)
-    except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
+    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
         outcome = Compared(name, None, "failed: " + " ".join(str(error).split())[:200])
     sender.send(outcome)
 

@@ -58,7 +58,7 @@ def run_cell(cell: Cell) -> Finished:
         data = cell.source().load()
         sigma_m = cell.sigma or None
         figures = run_method(info, data, cast(Association, cell.association), sigma_m).figures
-    except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
+    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
         return Finished(none, "failed: " + " ".join(str(error).split())[:200])
     return Finished({name: figures[name] for name in none})
 
