@@ -15,9 +15,19 @@ from relmap.evaluation.methods.registry import check_method, find_method
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
 from relmap.files import read_text
 
-WORLDS = ("figure-eight", "building")
-ASSOCIATIONS = ("known", "nearest")
 MOST_CELLS = 1_000_000
+_LIMITS: dict[str, tuple[float, float, str]] = {
+    "sigma": (0.0, 1e3, "0 to 1000 metres"),
+    "density": (1e-3, 1e5, "0.001 to 100000"),
+    "dynamic": (0.0, 1.0, "a share, 0 to 1"),
+    "iterations": (0, 10**7, "0, for one loop, to 10000000"),
+    "seed": (0, 2**63, "0 or more"),
+}
+_CHOICES = {
+    "world": ("figure-eight", "building"),
+    "association": ("known", "nearest"),
+    "noise": ("gaussian", "uniform"),
+}
 
 
 @dataclass(frozen=True)
@@ -138,9 +148,20 @@ def _choices(key: str, given: Any) -> list[Any]:
         if isinstance(value, bool) or not isinstance(value, right):
             raise RelmapError(f"{key} is {value!r}; it must be {names[kind]} or a list of such")
     values = [kind(value) for value in values]
+    for value in values:
+        _check_value(key, value)
     if not values or len(set(values)) < len(values):
         raise RelmapError(f"{key} is {given!r}; it must list different values, one at least")
     return values
+
+
+def _check_value(key: str, value: Any) -> None:
+    if key in _CHOICES and value not in _CHOICES[key]:
+        raise RelmapError(f"{key} is {value!r}; it must be {' or '.join(_CHOICES[key])}")
+    if key in _LIMITS:
+        lowest, highest, said = _LIMITS[key]
+        if not lowest <= value <= highest:
+            raise RelmapError(f"{key} is {value!r}; it must be {said}")
 
 
 def _span(key: str, text: str) -> list[int]:
@@ -151,12 +172,6 @@ def _span(key: str, text: str) -> list[int]:
 
 
 def _check(world: str, association: str, method: str) -> None:
-    for key, value, known in (
-        ("world", world, WORLDS),
-        ("association", association, ASSOCIATIONS),
-    ):
-        if value not in known:
-            raise RelmapError(f"{key} is {value!r}; it must be {' or '.join(known)}")
     if world == "building":
         if association == "known":
             raise RelmapError("walls have no ids: a building needs association = 'nearest'")
