@@ -11,12 +11,13 @@ LINTED := $(wildcard relmap tests examples benchmarks)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test lint types format clean
+.PHONY: help demo test bench lint types format clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make demo     install relmap into $(DEMO_VENV) and run its demo, which fills the folder demo'
 	@echo 'make test     ruff, mypy and every test, in $(TEST_VENV) (ARGS="-k name" goes to pytest)'
+	@echo 'make bench    accuracy and time as ratios, beside benchmarks/gate_baseline.json'
 	@echo 'make lint     ruff check and ruff format --check'
 	@echo 'make types    mypy --strict'
 	@echo 'make format   let ruff mend and format what it can'
@@ -30,6 +31,10 @@ demo: $(DEMO_VENV)/.ready
 test: lint types
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m pytest \
 		-n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
+
+# Takes some minutes and a quiet machine; never part of the tests.
+bench: $(TEST_VENV)/.ready
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python benchmarks/gate.py $(ARGS)
 
 lint: $(TEST_VENV)/.ready
 	@$(TEST_VENV)/bin/python -m ruff check $(LINTED)

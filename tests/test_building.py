@@ -12,7 +12,7 @@ from relmap.simulation.building import SENSOR_HEIGHT_M
 from relmap.simulation.floor_plan import World, make_floor_plan, wall_distances
 from relmap.simulation.sensor import Sampling, Sensor
 
-WORLDS: tuple[World, ...] = ("building", "panels")
+WORLDS: tuple[World, ...] = ("building", "panels", "long-wall")
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +57,18 @@ def test_the_building_is_closed_but_for_doors_between_its_rooms() -> None:
         ranges = building_scene(seed, 721, 0.0, sampling="laser", sensor=far).ranges_m
         assert ranges is not None
         assert np.isfinite(ranges).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_half_way_along_the_long_wall_nothing_else_is_in_view(seed: int) -> None:
+    run = simulate_building(points=1, sigma=0.0, seed=seed, world="long-wall")
+    bare = [
+        bool((scan.seen.wall == 0).all() and "corner" not in scan.seen.end_type)
+        for scan in run.scans
+        if len(scan.seen.wall)
+    ]
+    twice = "".join("x" if alone else "." for alone in [*bare, *bare])
+    assert 40 <= max(map(len, twice.split("."))) <= 70
 
 
 def test_panels_have_two_sides_and_stand_free() -> None:

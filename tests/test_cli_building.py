@@ -34,7 +34,7 @@ def test_it_writes_scans_and_truth(world: Path) -> None:
     assert names(world / "truth") == ["planes.csv", "trajectory.tum"]
     run = simulate_building(points=200, iterations=40, seed=3)
     with np.load(world / "scans.npz") as scans:
-        assert set(scans) == {"points", "iteration", "stamps_s"}
+        assert set(scans) == {"points", "iteration", "stamps_s", "view_rad", "range_m"}
         assert scans["points"].shape == (8000, 3)
         assert scans["iteration"].tolist() == np.repeat(np.arange(40), 200).tolist()
         assert scans["stamps_s"].tolist() == run.stamps_s.tolist()
@@ -55,6 +55,7 @@ def test_what_it_writes_is_a_log_of_point_scans(world: Path) -> None:
     log = open_scans(world)
     for scan, true in zip(log.scans(), run.scans, strict=True):
         assert scan.points_robot.tobytes() == true.points.tobytes()
+    assert (log.sensor.view_rad, log.sensor.range_m) == (run.sensor.view_rad, run.sensor.range_m)
 
 
 def test_the_same_seed_writes_the_same_bytes(world: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from relmap.datasets import open_scans
+from relmap.datasets.scans import SensorView
 from tests.logs import put
 from tests.scanlogs import (
     CORRECTED,
@@ -119,6 +120,7 @@ def test_mrpt_laser(tmp_path: Path) -> None:
         assert points_of(log) == [[[0.2, -1], [2.2, 0], [0.2, 3]], [[0.2, -1], [0.2, 3]]]
         assert log.poses is not None
         np.testing.assert_allclose(log.poses[1, :2, 3], [2, 2])
+        assert log.sensor == SensorView(view_rad=np.pi, range_m=80.0, x_m=0.2)
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,15 @@ def test_what_is_written_reads_back_bit_by_bit(
     assert [path.name for path in folder.iterdir()] == ["scans.npz"]
 
 
+def test_limits_of_the_sensor_must_be_positive_numbers(tmp_path: Path) -> None:
+    log = open_scans(npz(tmp_path / "scans.npz", view_rad=np.float64(2.0)))
+    assert (log.sensor.view_rad, log.sensor.range_m) == (2.0, None)
+    for wrong in (np.array([2.0]), np.float64(0.0), np.float64(np.nan), np.array("far")):
+        message = failure(npz(tmp_path / "scans.npz", range_m=wrong))
+        assert "array range_m" in message
+        assert "expected one positive number" in message
+
+
 def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
     points = np.arange(9, dtype=np.float32).reshape(3, 3)
     path = npz(tmp_path / "a.npz", points=points, iteration=np.array([1, 0, 1]))

@@ -26,6 +26,7 @@ TRUTH is
   the folder of I-SLSJF's simulation (slsjf-sim)
   the folder of Victoria Park: trees as another program mapped them, a reference and no truth
   the folder of DLR's circles: ids without places, so there is no RMSE
+  of walls also a log of point scans, for its poses, or a .relations file of checked relations
 
 \b
 Example:
@@ -40,6 +41,7 @@ The figures:
   landmarks_per_true  mapped landmarks per true one; above 1, some stand there twice
   purity              share of observations given to the right landmark
   ate_m, rpe_m        error of the robot's path: as a whole, and from one step to the next
+  relation_m, _rad    of walls: mean error against checked relations between poses
 """
 
 FIGURES = {
@@ -52,8 +54,11 @@ FIGURES = {
 }
 
 
-PLANE_FIGURES = {"corner_rmse_m": "corner RMSE [m]"} | {
-    key: name for key, name in FIGURES.items() if key not in ("landmark_rmse_m", "purity")
+PLANE_FIGURES = {
+    "corner_rmse_m": "corner RMSE [m]",
+    **{k: name for k, name in FIGURES.items() if k not in ("landmark_rmse_m", "purity")},
+    "relation_m": "relations [m]",
+    "relation_rad": "relations [rad]",
 }
 
 
@@ -121,14 +126,15 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
 
 def _evaluate_planes(folder: Path, truth: Path) -> PlaneEvaluation:
     from relmap.evaluation.metrics import match_stamps
-    from relmap.evaluation.plane_evaluate import evaluate_planes, match_corners, read_wall_truth
+    from relmap.evaluation.plane_evaluate import evaluate_planes, match_corners
+    from relmap.evaluation.plane_truth import read_plane_truth
     from relmap.files import atomic_write
     from relmap.planefiles import read_planes
     from relmap.plots.planes import write_planes_png
     from relmap.results import EVALUATION, MAP_PNG, json_text, read_result
 
     result = read_result(folder)
-    planes, walls = read_planes(folder), read_wall_truth(truth)
+    planes, walls = read_planes(folder), read_plane_truth(truth)
     evaluation = evaluate_planes(result, planes, walls)
     atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
     mine, other = match_stamps(result.stamps_s, walls.stamps_s)

@@ -46,6 +46,8 @@ class Job:
         Whether the journal is there already, and to be gone on with.
     onto : Path or None
         Result folder whose map the log is added to.
+    animate : bool
+        Of walls, whether to draw the whole run.
     stopped : callable
         Tells whether to stop before the log is at its end.
     """
@@ -61,6 +63,7 @@ class Job:
     folder: Path = field(default_factory=Path.cwd)
     resumed: bool = False
     onto: Path | None = None
+    animate: bool = False
     stopped: Callable[[], bool] = _never
 
     @property
@@ -74,6 +77,7 @@ class Job:
             "scans": self.interval,
             "format": self.log_format,
             "refine": self.refine,
+            "animate": self.animate,
         }
 
     @classmethod
@@ -103,6 +107,7 @@ class Job:
                 interval=None if interval is None else (int(interval[0]), int(interval[1])),
                 log_format=run["format"],
                 refine=bool(run["refine"]),
+                animate=bool(run["animate"]),
                 journal=path.absolute(),
                 folder=Path(run["folder"]),
                 resumed=True,

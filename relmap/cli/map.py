@@ -45,8 +45,10 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   point-clouds     a folder of .pcd or .ply files, one for each scan
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv,
-summary.json and mapper.npz, the state to go on from, and of walls also planes.csv.  Ctrl-C ends the
-mapping early and writes what was mapped so far; pressed again it ends at once.
+summary.json and mapper.npz, the state to go on from, and of walls also planes.csv and bench.png:
+the last scan, its planes, the map and its groups; with --animate the whole run like that in
+bench.gif.  Ctrl-C ends the mapping early and writes what was mapped so far; pressed again it ends
+at once.
 
 \b
 Examples:
@@ -120,12 +122,18 @@ def map_command(
             "mapping goes on from there.",
         ),
     ] = None,
+    animate: Annotated[
+        bool,
+        typer.Option("--animate", help="Of walls, draw the whole run as an animation, bench.gif."),
+    ] = False,
 ) -> None:
     """Map a log; the arguments are explained in the help text."""
     planes = variant == "planes"
     _check_onto(onto, planes, journal, config, registration)
     if planes and (association == "known" or registration is not None):
         raise RelmapError("walls have no ids: --association and --registration are for points")
+    if animate and not planes:
+        raise RelmapError("--animate draws walls: give --variant planes with it")
     with stoppable() as stopped:
         job = Job(
             source=source,
@@ -137,6 +145,7 @@ def map_command(
             refine=refine,
             journal=journal,
             onto=onto,
+            animate=animate,
             stopped=stopped,
         )
         if planes:

@@ -14,8 +14,14 @@ from relmap.cli.job import Job, journaled_labels
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.datasets.scans import PointScan
+    from relmap.datasets.scans import PointScan, ScanLog
+    from relmap.evaluation.bench import BenchRecorder
+    from relmap.evaluation.plane_evaluate import WallTruth
     from relmap.evaluation.plane_run import PlaneRun
+    from relmap.planes import PlaneMapper
+
+BENCH_PNG = "bench.png"
+BENCH_GIF = "bench.gif"
 
 
 def report_planes(job: Job) -> None:
@@ -31,15 +37,16 @@ def report_planes(job: Job) -> None:
     summary = map_scans(job).result.summary
     counts, timing = summary["counts"], summary["timing"]
     typer.echo(
-        f"{stopped_after(summary)}wrote 9 files to {job.out}: {counts['planes_static']} walls with "
-        f"{counts['corners_static']} corners mapped in {counts['iterations']} iterations, "
-        f"{each(timing['median_ms'])} beside segmentation" + untied(len(summary["pieces"]) - 1)
+        f"{stopped_after(summary)}wrote {11 if job.animate else 10} files to {job.out}: "
+        f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
+        f"{counts['iterations']} iterations, {each(timing['median_ms'])} beside segmentation"
+        + untied(len(summary["pieces"]) - 1)
     )
     leave(job, summary)
 
 
 def map_scans(job: Job) -> PlaneRun:
-    """Map a log of point scans into a result folder.
+    """Map a log of point scans into a result folder, with pictures.
 
     Raises
     ------
@@ -48,38 +55,61 @@ def map_scans(job: Job) -> PlaneRun:
         then as it was.
     """
     from relmap.cli.console import busy
-    from relmap.datasets import open_scans
+    from relmap.evaluation.bench import BenchRecorder, frame_step
     from relmap.evaluation.plane_run import run_plane_mapper
     from relmap.files import staged_folder
-    from relmap.planefiles import write_planes
     from relmap.planes import PlaneMapper
-    from relmap.plots.planes import write_planes_png
-    from relmap.results import EVALUATION, MAP_PNG, MAPPER, write_result
     from relmap.segmentation import PlaneSegmenter
 
-    source = job.at(job.source)
-    with busy("reading"):
-        log = open_scans(source, job.log_format)
-    if job.interval is not None:
-        log = log.between(*job.interval)
-    about = _about(job, source)
-    with staged_folder(job.at(job.out), stale=[EVALUATION]) as staging, ExitStack() as afterwards:
-
-        def shown(scans: Iterable[PointScan]) -> Iterator[PointScan]:
-            yield from job.scans(scans, len(log))
-            afterwards.enter_context(busy("refining and writing"))
-
-        seen = journaled_labels(job)
-        if len(seen) > len(log):
-            raise RelmapError(f"{source} has {len(log)} scans, fewer than journal {job.journal}")
+    source, log, seen = job.at(job.source), _read(job), journaled_labels(job)
+    if len(seen) > len(log):
+        raise RelmapError(f"{source} has {len(log)} scans, fewer than journal {job.journal}")
+    view, stale = log.sensor, _stale(job.animate)
+    segmenter = PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+    every = frame_step(len(log)) if job.animate else 0
+    with staged_folder(job.at(job.out), stale) as staging, ExitStack() as afterwards:
         mapper = job.mapper(PlaneMapper)
         afterwards.callback(mapper.close)
-        run = run_plane_mapper(mapper, log, PlaneSegmenter(), about, shown, job.refine, seen)
-        write_result(staging, run.result)
-        mapper.save(staging / MAPPER)
-        write_planes(staging, run.planes)
-        write_planes_png(staging / MAP_PNG, run.planes, run.result.poses)
+        before_s = log.stamps_s[: len(seen)].tolist()
+        bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every, view, before_s)
+
+        def shown(scans: Iterable[PointScan]) -> Iterator[PointScan]:
+            yield from bench.watch(job.scans(scans, len(log)))
+            afterwards.enter_context(busy("refining and writing"))
+
+        about = _about(job, source)
+        run = run_plane_mapper(mapper, log, segmenter, about, shown, job.refine, seen)
+        _write(staging, run, mapper)
+        afterwards.close()
+        _draw_bench(staging, bench, job.animate)
     return run
+
+
+def _read(job: Job) -> ScanLog:
+    from relmap.cli.console import busy
+    from relmap.datasets import open_scans
+
+    with busy("reading"):
+        log = open_scans(job.at(job.source), job.log_format)
+    return log if job.interval is None else log.between(*job.interval)
+
+
+def _write(folder: Path, run: PlaneRun, mapper: PlaneMapper) -> None:
+    from relmap.planefiles import write_planes
+    from relmap.plots.planes import write_planes_png
+    from relmap.results import MAP_PNG, MAPPER, write_result
+
+    write_result(folder, run.result)
+    mapper.save(folder / MAPPER)
+    write_planes(folder, run.planes)
+    write_planes_png(folder / MAP_PNG, run.planes, run.result.poses)
+
+
+def _stale(animate: bool) -> list[str]:
+    """Return the files of an earlier result that this one puts out of date."""
+    from relmap.results import EVALUATION
+
+    return [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
 
 
 def _about(job: Job, source: Path) -> dict[str, Any]:
@@ -93,3 +123,33 @@ def _about(job: Job, source: Path) -> dict[str, Any]:
         "seed": 0,
         "configuration": asdict(job.settings),
     }
+
+
+def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
+    """Draw the last scan, and where asked for, the animation."""
+    from relmap.cli.console import tracked
+    from relmap.plots.bench import write_bench_gif, write_bench_png
+
+    last = bench.last()
+    if last is None:
+        return
+    write_bench_png(folder / BENCH_PNG, last)
+    if animate:
+        frames = [*bench.frames, last]
+        write_bench_gif(
+            folder / BENCH_GIF, frames, lambda frames: tracked(frames, len(frames), "drawing")
+        )
+
+
+def _truth_beside(source: Path) -> WallTruth | None:
+    """Return the true walls of a simulated log, to draw them; None where there are none."""
+    from relmap.evaluation.plane_evaluate import read_wall_truth
+
+    folder = source if source.is_dir() else source.parent
+    if not (folder / "truth" / "planes.csv").is_file():
+        return None
+    try:
+        return read_wall_truth(folder)
+    except RelmapError as error:
+        typer.echo(f"relmap: the true walls are not drawn: {error}", err=True)
+        return None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Noise = Literal["gaussian", "uniform"]
 Sampling = Literal["surface", "rays", "laser"]
-World = Literal["building", "panels"]
+World = Literal["building", "panels", "long-wall"]
 
 app = typer.Typer(
     help="Simulate a robot in a world whose truth is known.",
@@ -128,8 +128,12 @@ def building_command(
     ] = None,
     loops: Annotated[int, typer.Option(help="How often the robot drives round.")] = 1,
     world: Annotated[
-        World, typer.Option(help="A building, or free-standing panels only.")
+        World,
+        typer.Option(help="A building, free-standing panels only, or a long wall among panels."),
     ] = "building",
+    moving: Annotated[
+        int, typer.Option(help="Hang so many swinging doors; of panels, so many slide and turn.")
+    ] = 0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same world.")] = 0,
 ) -> None:
     """Write a simulated building; the arguments are explained in the help text."""
@@ -138,7 +142,9 @@ def building_command(
     from relmap.simulation import simulate_building
 
     with staged_folder(out) as staging, busy("simulating"):
-        building = simulate_building(points, sigma, noise, sampling, iterations, seed, world, loops)
+        building = simulate_building(
+            points, sigma, noise, sampling, iterations, seed, world, loops, moving=moving
+        )
         _write_building(staging, building)
     count = sum(len(scan.points) for scan in building.scans)
     typer.echo(
@@ -149,7 +155,10 @@ def building_command(
 
 def _write_building(folder: Path, building: Building) -> None:
     """Write a run into an existing folder."""
+    import numpy as np
+
     from relmap.datasets import write_scans_npz
+    from relmap.datasets.scans import SensorView
     from relmap.files import atomic_write, write_tum
     from relmap.plots.building import write_building_png
     from relmap.tables import csv_text
@@ -158,13 +167,15 @@ def _write_building(folder: Path, building: Building) -> None:
     truth.mkdir()
     axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans the plane
     scans = [scan.points[:, axes] for scan in building.scans]
-    write_scans_npz(folder / "scans.npz", scans, building.stamps_s)
-    header = ("plane", "x0", "y0", "x1", "y1", "z0", "z1", "scans", "corner0", "corner1")
+    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
+    write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
+    ends = ("plane", "x0", "y0", "x1", "y1", "z0", "z1")
+    header = (*ends, "scans", "corner0", "corner1", "status")
+    status = np.where(building.moving, "dynamic", "static").tolist()
+    walls, seen = building.walls.tolist(), building.times_seen().tolist()
     rows = [
-        [number, *wall, *seen]
-        for number, (wall, seen) in enumerate(
-            zip(building.walls.tolist(), building.times_seen().tolist(), strict=True)
-        )
+        [number, *wall, *times, moves]
+        for number, (wall, times, moves) in enumerate(zip(walls, seen, status, strict=True))
     ]
     atomic_write(truth / "planes.csv", csv_text(header, rows))
     write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)

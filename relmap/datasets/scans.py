@@ -16,6 +16,9 @@ from relmap.datasets.textfile import shown
 
 _LOG = logging.getLogger(__name__)
 
+FIXED = 1e-3
+"""What the pose of a laser on the robot may vary by, as logs round it: metres and radians."""
+
 
 @dataclass(frozen=True, eq=False)
 class PointScan:
@@ -39,6 +42,27 @@ class PointScan:
     T_reference_robot: NDArray[np.float64] | None
 
 
+@dataclass(frozen=True)
+class SensorView:
+    """What is known of the sensor of a log; all its scans have the same.
+
+    Attributes
+    ----------
+    view_rad : float or None
+        Horizontal field of view, radians, centred ahead of it.
+    range_m : float or None
+        Greatest horizontal range, metres.
+    x_m, y_m, yaw_rad : float
+        Where it is on the robot.
+    """
+
+    view_rad: float | None = None
+    range_m: float | None = None
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class ScanLog:
     """The point scans of a whole run; the points of a scan may be read only when asked for.
@@ -56,6 +80,7 @@ class ScanLog:
         T_reference_robot of each scan: the poses the log gives for comparison, exact or not.
     first_iteration : int
         Number of the first scan.
+    sensor : SensorView
     """
 
     dimension: int
@@ -63,6 +88,7 @@ class ScanLog:
     points_of: Callable[[int], NDArray[np.float64]]
     poses: NDArray[np.float64] | None = None
     first_iteration: int = 0
+    sensor: SensorView = SensorView()
 
     def __len__(self) -> int:
         """Return the number of scans, empty ones included."""
@@ -134,6 +160,7 @@ def stored_scans(
     offsets: NDArray[np.int64],
     stamps_s: NDArray[np.float64],
     poses: NDArray[np.float64] | None = None,
+    sensor: SensorView | None = None,
 ) -> ScanLog:
     """Make a log of points that are all in memory.
 
@@ -145,12 +172,14 @@ def stored_scans(
     stamps_s : (k,) float64
     poses : (k, 4, 4) float64, optional
         T_reference_robot.
+    sensor : SensorView, optional
     """
     return ScanLog(
         points_robot.shape[1],
         stamps_s,
         lambda index: points_robot[offsets[index] : offsets[index + 1]],
         poses,
+        sensor=sensor or SensorView(),
     )
 
 
@@ -183,7 +212,25 @@ def laser_scans(
     x, y, yaw = T_robot_laser[scan].T
     points = np.column_stack([x + r * np.cos(bearing + yaw), y + r * np.sin(bearing + yaw)])
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return stored_scans(points, offsets, stamps_s, poses)
+    sensor = _laser_view(bearings_rad, limit_m, T_robot_laser)
+    return stored_scans(points, offsets, stamps_s, poses, sensor)
+
+
+def _laser_view(
+    bearings_rad: list[NDArray[np.float64]], limit_m: float, T_robot_laser: NDArray[np.float64]
+) -> SensorView:
+    """Return what all scans have in common; nothing where the laser is not fixed on the robot."""
+    if np.ptp(T_robot_laser, axis=0).max() > FIXED:
+        return SensorView()
+    half = min(min(-bearings.min(), bearings.max()) for bearings in bearings_rad)
+    x, y, yaw = T_robot_laser[0].tolist()
+    return SensorView(
+        view_rad=2 * float(half) if half > 0 else None,
+        range_m=float(limit_m) if np.isfinite(limit_m) else None,
+        x_m=x,
+        y_m=y,
+        yaw_rad=yaw,
+    )
 
 
 def planar_poses(

@@ -2,7 +2,8 @@
 
 ``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
 each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
-time of every scan, seconds, ascending; a scan without a point is an empty one.
+time of every scan, seconds, ascending; a scan without a point is an empty one. ``view_rad`` and
+``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown, unreadable
 
 FILE_NAME = "scans.npz"
@@ -40,6 +41,8 @@ _DAMAGE = (
 )
 """What reading a damaged zip file raises."""
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
+_LIMITS = ("view_rad", "range_m")
+"""What a log may tell of its sensor."""
 
 
 class ScansNpz:
@@ -69,16 +72,25 @@ class ScansNpz:
         require_path(file)
         arrays = _read_arrays(file)
         points, iteration, stamps_s = (arrays[name] for name in _KINDS)
+        limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
         _check_shapes(file, points, iteration, stamps_s)
         _check_values(file, points, iteration, stamps_s)
         order = np.argsort(iteration, kind="stable")
         offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
         points_robot = points[order].astype(np.float64, copy=False)
-        return stored_scans(points_robot, offsets.astype(np.int64), stamps_s.astype(np.float64))
+        return stored_scans(
+            points_robot,
+            offsets.astype(np.int64),
+            stamps_s.astype(np.float64),
+            sensor=SensorView(**limits),
+        )
 
 
 def write_scans_npz(
-    path: Path, scans: list[NDArray[np.float64]], stamps_s: NDArray[np.float64]
+    path: Path,
+    scans: list[NDArray[np.float64]],
+    stamps_s: NDArray[np.float64],
+    sensor: SensorView | None = None,
 ) -> None:
     """Write scans so that reading them gives the same numbers; the same scans give the same bytes.
 
@@ -88,6 +100,8 @@ def write_scans_npz(
         The file; it appears whole or not at all.
     scans : list of k (n, 3) or (n, 2) float64, robot frame, metres
     stamps_s : (k,) float64
+    sensor : SensorView, optional
+        Its field of view and range are written where they are known.
 
     Raises
     ------
@@ -96,10 +110,13 @@ def write_scans_npz(
     """
     counts = [len(points) for points in scans]
     iteration = np.repeat(np.arange(len(scans), dtype=np.int64), counts)
+    known = {name: getattr(sensor, name, None) for name in _LIMITS}
+    limits = {name: np.float64(limit) for name, limit in known.items() if limit is not None}
+    arrays = {"points": np.concatenate(scans), "iteration": iteration, "stamps_s": stamps_s}
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
-            np.savez(file, points=np.concatenate(scans), iteration=iteration, stamps_s=stamps_s)
+            np.savez(file, allow_pickle=False, **arrays, **limits)
         part.replace(path)
     except OSError as error:
         reason = error.strerror or error
@@ -120,7 +137,8 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
         if size > MAX_BYTES:
             raise ValueError(f"{size} bytes when unpacked, more than {MAX_BYTES}")
         with np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in _KINDS}
+            there = [name for name in _LIMITS if name in content.files]
+            arrays = {name: content[name] for name in (*_KINDS, *there)}
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise unreadable(file, error) from error
     except _DAMAGE as error:
@@ -129,6 +147,13 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
             f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
         ) from error
     return arrays
+
+
+def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
+    """Return a limit of the sensor that a log tells."""
+    if array.shape == () and array.dtype.kind in "fiu" and 0 < float(array) < np.inf:
+        return float(array)
+    raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")
 
 
 def _check_shapes(

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid, fixes_rotation
 from relmap.core.errors import RelmapError
+from relmap.datasets import Relations
 from relmap.datasets.textfile import require_path, shown
 from relmap.evaluation import metrics
-from relmap.files import read_tum
+from relmap.evaluation.plane_relations import relation_errors
+from relmap.files import read_text, read_tum
 from relmap.planes.table import PlaneTable
 from relmap.results import Result
 from relmap.tables import Kind, read_table
@@ -34,17 +36,20 @@ class WallTruth:
     Attributes
     ----------
     ends : (w, 2, 2) float64, map frame of the truth, metres
-        Right to left as seen from the front.
+        Right to left as seen from the front; of walls that stand still.
     corner_scans : (w, 2) int64
         In how many scans each true end was seen.
     stamps_s : (k,) float64, poses : (k, 4, 4) float64
         Empty where no path is known.
+    relations : tuple of Relations
+        Checked relations between poses, by several clocks; see `relation_errors`.
     """
 
     ends: NDArray[np.float64]
     corner_scans: NDArray[np.int64]
     stamps_s: NDArray[np.float64]
     poses: NDArray[np.float64]
+    relations: tuple[Relations, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,8 @@ class PlaneEvaluation:
         Absolute trajectory error: RMSE of the positions after rigid alignment.
     rpe_m : float or None
         Relative pose error from one scan to the next: RMSE of its shift.
+    relation_m, relation_rad : float or None
+        Mean error against checked relations between poses.
     counts : dict
         What the figures rest on: `false_corners` are mapped where no true corner is.
     """
@@ -75,6 +82,8 @@ class PlaneEvaluation:
     purity: None
     ate_m: float | None
     rpe_m: float | None
+    relation_m: float | None
+    relation_rad: float | None
     counts: dict[str, int]
 
     def as_dict(self) -> dict[str, Any]:
@@ -121,13 +130,16 @@ def read_wall_truth(path: Path) -> WallTruth:
     names = ("x0", "y0", "x1", "y1")
     columns: dict[str, Kind] = dict.fromkeys(names, "float")
     columns |= {"corner0": "int", "corner1": "int"}
+    if "status" in read_text(folder / "planes.csv").partition("\n")[0].split(","):
+        columns["status"] = "text"
     table = read_table(folder / "planes.csv", columns)
     ends = np.column_stack([table[name] for name in names]).reshape(-1, 2, 2)
     stamps_s, poses = np.empty(0), np.empty((0, 4, 4))
     if (folder / "trajectory.tum").exists():
         stamps_s, poses = read_tum(folder / "trajectory.tum")
     scans = np.column_stack([table["corner0"], table["corner1"]])
-    return WallTruth(ends, scans, stamps_s, poses)
+    still = table.get("status", np.full(len(ends), "static")) != "dynamic"
+    return WallTruth(ends[still], scans[still], stamps_s, poses)
 
 
 def evaluate_planes(result: Result, planes: PlaneTable, truth: WallTruth) -> PlaneEvaluation:
@@ -154,14 +166,17 @@ def evaluate_planes(result: Result, planes: PlaneTable, truth: WallTruth) -> Pla
             "false_corners": matched.n_false,
             "due_corners": len(due),
         }
+    relation = relation_errors(result.stamps_s, result.poses, truth.relations)
     return PlaneEvaluation(
-        rmse,
-        coverage,
-        per_true,
-        None,
-        metrics.ate(poses, true_poses, planar=True),
-        metrics.rpe(poses, true_poses, other),
-        counts,
+        corner_rmse_m=rmse,
+        coverage=coverage,
+        landmarks_per_true=per_true,
+        purity=None,
+        ate_m=metrics.ate(poses, true_poses, planar=True),
+        rpe_m=metrics.rpe(poses, true_poses, other),
+        relation_m=None if relation is None else relation[0],
+        relation_rad=None if relation is None else relation[1],
+        counts=counts,
     )
 
 
@@ -182,7 +197,7 @@ def match_corners(
     """
     row, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
     position, normal = planes.ends[row, end], planes.normal[row]
-    if not fixes_rotation(true_poses[:, :2, 3]) or not len(row):
+    if not fixes_rotation(true_poses[:, :2, 3]) or not len(row) or not len(truth.ends):
         return None
     along = truth.ends[:, 1] - truth.ends[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)

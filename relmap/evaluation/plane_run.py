@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.landmarks import Piece
-from relmap.datasets.scans import PointScan, ScanLog
+from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation.run import interruption, timing, versions
 from relmap.planes import PlaneMapper
 from relmap.planes.table import PlaneTable
@@ -42,7 +43,7 @@ class PlaneRun:
 def run_plane_mapper(
     mapper: PlaneMapper,
     log: ScanLog,
-    segmenter: PlaneSegmenter,
+    segmenter: PlaneSegmenter | None = None,
     about: dict[str, Any] | None = None,
     progress: Progress | None = None,
     refine: bool = True,
@@ -55,7 +56,8 @@ def run_plane_mapper(
     mapper : PlaneMapper
         A fresh one, or one that has taken in the first scans of the log.
     log : ScanLog
-    segmenter : PlaneSegmenter
+    segmenter : PlaneSegmenter, optional
+        One that knows what the log tells of its sensor where left out.
     about : dict, optional
         What else the summary should tell.
     progress : callable, optional
@@ -70,11 +72,13 @@ def run_plane_mapper(
     RelmapError
         Where a scan of the log is damaged.
     """
-    first, n_input = log.first_iteration, len(log)
+    first, n_input, view = log.first_iteration, len(log), log.sensor
     scans: Iterable[PointScan] = ()
     if len(seen) < n_input:
         scans = log.between(first + len(seen), first + n_input).scans()
-    new, durations_s = _mapped(mapper, segmenter, progress(scans) if progress else scans)
+    segmenter = segmenter or PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+    scans = progress(scans) if progress else scans
+    new, durations_s = _mapped(mapper, segmenter, scans, view)
     walls = [*seen, *new]
     log = log.between(first, first + len(walls))
     mapper.finish()
@@ -110,17 +114,40 @@ def run_plane_mapper(
 
 
 def _mapped(
-    mapper: PlaneMapper, segmenter: PlaneSegmenter, scans: Iterable[PointScan]
+    mapper: PlaneMapper, segmenter: PlaneSegmenter, scans: Iterable[PointScan], view: SensorView
 ) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
     """Return the walls of each scan, and the seconds for segmenting and mapping it, (k, 2)."""
     walls, durations_s = [], []
     for scan in scans:
         began = perf_counter()
-        segmenter.fit(scan.points_robot)
+        planes = _segmented(segmenter, scan.points_robot, view)
         segmented = perf_counter()
-        walls.append(mapper.update(segmenter.planes_))
+        walls.append(mapper.update(planes))
         durations_s.append([segmented - began, perf_counter() - segmented])
     return walls, np.array(durations_s).reshape(-1, 2)
+
+
+def _segmented(
+    segmenter: PlaneSegmenter, points_robot: NDArray[np.float64], view: SensorView
+) -> SimpleNamespace:
+    """Return the planes of a scan as the mapper takes them, seen from where the sensor is.
+
+    A wall whose front looks at the sensor, but not at the robot's centre, is left out.
+    """
+    c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
+    R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])
+    points_sensor = points_robot.copy()
+    points_sensor[:, :2] = (points_robot[:, :2] - t) @ R
+    found = segmenter.fit(points_sensor).planes_
+    ends = found.ends @ R.T + t
+    front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
+    return SimpleNamespace(
+        ends=ends[front],
+        end_type=found.end_type[front],
+        noise=found.noise[front],
+        n_points=found.n_points[front],
+        z_extent=found.z_extent[front],
+    )
 
 
 def _median_ms(seconds: NDArray[np.float64]) -> float | None:

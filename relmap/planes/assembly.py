@@ -2,32 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.history import PlaneHistory
-from relmap.planes.refinement import WallEquations, Walls, medians, refine_walls
+from relmap.planes.refinement import WallEquations, Walls
 
 FLAT_M = 0.003
 SHARP_M = 0.01
 """How sure a wall and its corner can be at best, if there is any noise: nothing real is quite flat
 or sharp."""
-EXACT_M = 1e-7
-"""How sure they can be at best where there is none."""
 BLUNT = 3.0
 """How much less sure a corner is than its wall, to begin with."""
 OFTEN = 4
 """Sights that make a corner."""
-MEDIAN = 1.4826
-"""The standard deviation of what is normal, in units of the median of its size."""
-KNOWN_BY = 4.0
-"""Observations that what was assumed of a wall or corner counts for against what was seen of it."""
-ROUNDS = ((2, 20.0), (3, 8.0), (9, 4.0))
-"""Most steps of each solution, between which the noise of each wall and corner is learnt, and the
-residual from which an observation is in doubt: none is before the rest has fallen into place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +70,8 @@ class Assembled:
     ----------
     given : WallEquations
         Compact numbers: of iterations, walls and corners.
+    typical_m : float
+        Noise of a typical observation of a wall, by itself.
     state : Walls
     iterations, walls, corners : int64 arrays
         What the compact numbers stand for.
@@ -90,6 +82,7 @@ class Assembled:
     """
 
     given: WallEquations
+    typical_m: float
     state: Walls
     iterations: NDArray[np.int64]
     walls: NDArray[np.int64]
@@ -118,6 +111,38 @@ class Assembled:
         """How sure the average behind each corner is, along its wall; (c,) metres."""
         weight = np.bincount(self.given.corner, 1 / self.given.corner_sd**2)
         return np.asarray(1 / np.sqrt(weight))
+
+    def only(self, kept: NDArray[np.bool_]) -> Assembled:
+        """Return what some of the rows (n,) showed, with all poses, without solving again."""
+        given, state = self.given, self.state
+        seen = kept[given.corner_row]
+        walls, wall = np.unique(given.wall[kept], return_inverse=True)
+        corners, corner = np.unique(given.corner[seen], return_inverse=True)
+        row = np.cumsum(kept) - 1
+        own = WallEquations(
+            given.iteration[kept],
+            wall,
+            given.ends[kept],
+            given.sd[kept],
+            row[given.corner_row[seen]],
+            given.corner_end[seen],
+            corner,
+            given.corner_sd[seen],
+        )
+        return replace(
+            self,
+            given=own,
+            state=replace(
+                state,
+                centre=state.centre[walls],
+                angle=state.angle[walls],
+                across=state.across[walls],
+                along=state.along[corners],
+            ),
+            walls=self.walls[walls],
+            corners=self.corners[corners],
+            rows=self.rows[kept],
+        )
 
     def poses(self, n: int) -> NDArray[np.float64]:
         """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where there is none."""
@@ -158,65 +183,52 @@ def assemble(
     Assembled or None
         None where no iteration has a pose.
     """
-    rows = np.flatnonzero(np.isfinite(poses[history.iteration, 0, 0]) & ~moving[history.plane])
+    usable = np.isfinite(poses[history.iteration, 0, 0]) & ~moving[history.plane]
+    wall = numbers.wall_of[history.plane]
+    seen = np.bincount(wall[usable], minlength=len(numbers.wall_of))
+    rows = np.flatnonzero(usable & (seen[wall] >= OFTEN))
     if not len(rows):
         return None
     iterations, iteration = np.unique(history.iteration[rows], return_inverse=True)
-    walls, wall = np.unique(numbers.wall_of[history.plane[rows]], return_inverse=True)
+    walls, wall = np.unique(wall[rows], return_inverse=True)
+    row, end, corners, corner = _corners(history.corner[rows], numbers.corner_of)
+    sd = np.hypot(history.sd[rows], FLAT_M)
+    corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     ends = history.ends[rows]
-    corner = history.corner[rows]
-    corner = np.where(corner >= 0, numbers.corner_of[corner], -1)
-    times = np.bincount(corner[corner >= 0], minlength=len(numbers.corner_of))
+    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd)
+    state = _laid_out(given, poses[iterations])
+    typical = float(np.median(history.sd[rows]))
+    every = np.arange(len(numbers.corner_of))
+    return Assembled(given, typical, state, iterations, walls, corners, rows, every)
+
+
+def _corners(
+    corner: NDArray[np.int64], corner_of: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and end of each sight of a corner seen often; those corners, and which it is."""
+    corner = np.where(corner >= 0, corner_of[corner], -1)
+    times = np.bincount(corner[corner >= 0], minlength=len(corner_of))
     row, end = np.nonzero((corner >= 0) & (times[corner] >= OFTEN))
     corners, compact = np.unique(corner[row, end], return_inverse=True)
-    typical = float(np.median(history.sd[rows]))
-    flat, sharp = min(FLAT_M, typical), min(SHARP_M, BLUNT * typical)
-    sd = np.hypot(history.sd[rows], max(flat, EXACT_M))
-    corner_sd = np.hypot(BLUNT * history.sd[rows][row], max(sharp, EXACT_M))
-    given = WallEquations(iteration, wall, ends, sd, row, end, compact, corner_sd)
-    R, t = poses[iterations, :2, :2], poses[iterations, :2, 3]
-    placed = np.einsum("nij,nej->nei", R[iteration], ends) + t[iteration][:, None]
-    weight = 1 / sd**2
-    total = np.bincount(wall, weight)
+    return row, end, corners, compact
+
+
+def _laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
+    """Return walls and corners as the average of what was seen of them, by given poses."""
+    R, t = poses[:, :2, :2], poses[:, :2, 3]
+    placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)
+    placed += t[given.iteration][:, None]
+    weight = 1 / given.sd**2
+    total = np.bincount(given.wall, weight)
     centre = np.column_stack(
-        [np.bincount(wall, weight * axis) / total for axis in placed.mean(axis=1).T]
+        [np.bincount(given.wall, weight * axis) / total for axis in placed.mean(axis=1).T]
     )
     along = placed[:, 1] - placed[:, 0]
-    x, y = (np.bincount(wall, weight * axis) for axis in along.T)
+    x, y = (np.bincount(given.wall, weight * axis) for axis in along.T)
     angle = np.arctan2(x, -y)
-    of = wall[row]
-    reach = ((placed[row, end] - centre[of]) * directions(angle)[1][of]).sum(axis=1)
-    at = np.bincount(compact, reach) / np.bincount(compact)
-    state = Walls(np.arctan2(R[:, 1, 0], R[:, 0, 0]), t, centre, angle, np.zeros(len(walls)), at)
-    every = np.arange(len(numbers.corner_of))
-    return Assembled(given, state, iterations, walls, corners, rows, every)
-
-
-def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]] = ROUNDS) -> Assembled:
-    """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is."""
-    given, state = assembled.given, assembled.state
-    for most, doubtful in rounds:
-        state = refine_walls(given, state, most, doubtful)
-        given = _reweighted(assembled.given, state)
-    return replace(assembled, given=given, state=state)
-
-
-def _reweighted(given: WallEquations, state: Walls) -> WallEquations:
-    """Return the equations with the noise that each wall and corner shows in the residuals."""
-    from relmap.planes.refinement import across_residuals, along_residuals
-
-    wall = _learnt(given.wall, across_residuals(given, state) / given.sd)
-    corner = _learnt(given.corner, along_residuals(given, state) / given.corner_sd)
-    return replace(
-        given, sd=given.sd * wall[given.wall], corner_sd=given.corner_sd * corner[given.corner]
-    )
-
-
-def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by what the standard deviations of each are to be multiplied, at least 1.
-
-    The median tells: single sights that are quite wrong are for the refinement to leave out.
-    """
-    n = np.bincount(of)
-    squares = n * (MEDIAN * medians(of, np.abs(residual))) ** 2
-    return np.asarray(np.sqrt(np.maximum((KNOWN_BY + squares) / (KNOWN_BY + n), 1.0)))
+    of = given.wall[given.corner_row]
+    off = placed[given.corner_row, given.corner_end] - centre[of]
+    reach = (off * directions(angle)[1][of]).sum(axis=1)
+    at = np.bincount(given.corner, reach) / np.bincount(given.corner)
+    yaw = np.arctan2(R[:, 1, 0], R[:, 0, 0])
+    return Walls(yaw, t, centre, angle, np.zeros(len(angle)), at)

@@ -12,6 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from relmap.planes.assembly import Assembled, WallNumbers, directions
+from relmap.planes.refinement import quantiles
 
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
@@ -69,11 +70,10 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
     R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
     placed = np.einsum("nij,nej->nei", R, given.ends) + state.t[given.iteration][:, None]
     reach = np.einsum("nei,ni->ne", placed - state.centre[given.wall][:, None], along)
-    order = np.argsort(given.wall, kind="stable")
-    parts = np.split(reach[order], np.cumsum(np.bincount(given.wall))[:-1])
-    low = np.array([np.quantile(part[:, 0], OUTLYING) for part in parts])
-    high = np.array([np.quantile(part[:, 1], 1 - OUTLYING) for part in parts])
-    return low, high
+    return (
+        quantiles(given.wall, reach[:, 0], OUTLYING),
+        -quantiles(given.wall, -reach[:, 1], OUTLYING),
+    )
 
 
 def _pairs(
@@ -94,6 +94,8 @@ def _pairs(
     middle = (begin + end) / 2
     tilt = (along[b] * normal[a]).sum(axis=1)
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
+    if not len(a):
+        return np.empty((0, 2), dtype=np.int64)  # scipy's sparse arrays index nothing badly
     both = _seen_together(assembled, a, b)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)

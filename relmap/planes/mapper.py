@@ -16,7 +16,7 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable
 from relmap.core.pose import trajectory
 from relmap.core.registration import Registration
 from relmap.durable import DurableMapper
-from relmap.planes.assembly import Assembled, WallNumbers, assemble, refined
+from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.basis import relative_map
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
@@ -24,18 +24,19 @@ from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.merging import CornerMerger
 from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.registration import PlaneRegistration
+from relmap.planes.solving import refined, refined_to_the_noise, tracks_astray
 from relmap.planes.stitching import stitched
 from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
     from relmap.journal import RecordedScan
 
-WIDELY = ((2, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
+WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
 CLOSED = 3
 """How often loops are looked for, each time with less drift left."""
 ROUGHLY = ((2, 20.0), (2, 8.0), (2, 5.0))
-"""Solutions that walls are joined by; see `relmap.planes.assembly.ROUNDS`."""
+"""Solutions that walls are joined by; see `relmap.planes.solving.ROUNDS`."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
 
@@ -97,6 +98,7 @@ class PlaneMapper(DurableMapper):
         )
         self._segmenter = segmenter
         self._refined_walls: tuple[Assembled, WallNumbers] | None = None
+        self._astray = np.empty(0, dtype=np.int64)
 
     def update(self, points: Any, ids: ArrayLike | None = None) -> NDArray[np.int64]:
         """Take in one iteration.
@@ -127,6 +129,7 @@ class PlaneMapper(DurableMapper):
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = None
+        self._astray = np.empty(0, dtype=np.int64)
         self._planes.see(seen)
         super().update(self._planes.points_robot)
         walls = self._planes.planes.copy()
@@ -141,6 +144,7 @@ class PlaneMapper(DurableMapper):
         """
         self._note_call("refine")
         # Who is who is found out anew, where the walls come to lie.
+        self._astray = np.empty(0, dtype=np.int64)
         numbers = WallNumbers.apart(self._planes.n_planes, len(self._planes.wall_end))
         assembled = self._assembled(numbers)
         if assembled is None:
@@ -157,7 +161,10 @@ class PlaneMapper(DurableMapper):
             best, numbers, changed = self._joined(best, numbers, join_walls(best, numbers), ROUGHLY)
             if not changed:
                 break
-        self._refined_walls = refined(best), numbers
+        best = refined_to_the_noise(best)
+        self._astray = tracks_astray(best, self._planes.history)
+        track = self._planes.history.plane[best.rows]
+        self._refined_walls = best.only(~np.isin(track, self._astray)), numbers
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now."""
@@ -188,11 +195,19 @@ class PlaneMapper(DurableMapper):
         return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
 
     @property
+    def group_walls(self) -> list[NDArray[np.int64]]:
+        """Numbers of the walls that each group ties to one another, in the order of mapping."""
+        own = self._numbers if self._refined_walls is None else self._refined_walls[1]
+        wall = own.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
+        return [np.unique(wall[group.landmarks // 2]) for group in self.groups]
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         if self._refined_walls is None:
             return self._path
-        return self._refined_walls[0].poses(self._planes.history.n_iterations)
+        poses = self._refined_walls[0].poses(self._planes.history.n_iterations)
+        return stitched([poses], self._planes.history.motion)
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         return self.update(of_journal(scan.values))
@@ -262,10 +277,15 @@ class PlaneMapper(DurableMapper):
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
-        """Which plane tracks were seen moving: all their corners that could be told do; (p,)."""
+        """Which plane tracks were seen moving: all their corners that could be told do; (p,).
+
+        Or, once the map is refined, they are not where it has them.
+        """
         dynamic = self._builder.dynamics.dynamic[::2] | self._builder.dynamics.dynamic[1::2]
         at_rest = (self._builder.map.weights[::2] > 0) & ~dynamic
         n = self._planes.n_planes
         planes = self._planes.wall_end[self._planes.chosen] // 2
         moves = np.bincount(planes[dynamic], minlength=n) > 0
-        return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))
+        moves &= np.bincount(planes[at_rest], minlength=n) == 0
+        moves[self._astray] = True
+        return np.asarray(moves)

@@ -6,13 +6,14 @@ As with points it is a rough one, good for telling who is who, and forgotten aft
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.planes.matching import Match, match_walls
+from relmap.planes.matching import Match
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.tracks import PlaneTracks, wrapped
+from relmap.planes.tracks import PlaneTracks
 
 ROUGHLY = 3.0
 """Tolerances of a guess, in units of those of the final match."""
@@ -22,11 +23,16 @@ TURN_RAD = np.deg2rad(45.0)
 HELD = 1e-2
 """Weight of going on as before, where nothing that is seen tells: a wall's is 1."""
 ROUNDS = 3
+GUESSES = 3
+"""Motions of the wider search that are looked at closely."""
 CONTENT = 0.8
 """Share of what could agree that must, before a wider search is spared."""
 DOUBT = 2.0
 """Walls and corners more that must agree on a sudden motion than on going on as before: single
 walls look alike."""
+TIE = 0.1
+"""Standing still must agree by so much better than going on: along a single partial wall nothing
+but rounding tells the two apart."""
 SUDDEN_M = 0.75
 LEVER_M = 3.0
 """A turn is as sudden as the way that it takes a wall at this distance."""
@@ -72,13 +78,18 @@ def place(
     (motion, match) or None
         None where no wall agrees.
     """
-    tried = [_settled(tracks, seen, guess) for guess in (before, STILL)]
-    best = max(tried, key=lambda found: found[1].score)
+    from relmap.planes.kernels.matching import guesses
+
+    arrays = _arrays(tracks), _seen(seen)
+    best, still = (_settled(*arrays, guess) for guess in (before, STILL))
+    if still[1].score > best[1].score + TIE:
+        best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(_worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
-        for guess in _guesses(tracks, seen, best[1].score):
-            found = _settled(tracks, seen, guess)
+        motions, scores = guesses(*arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
+        for motion in motions[scores > best[1].score]:
+            found = _settled(*arrays, PlanarMotion(float(motion[0]), motion[1:]))
             if found[1].score > best[1].score + _doubt(found[0], before):
                 best = found
     return best if len(best[1].tracks) else None
@@ -103,63 +114,21 @@ def _worth(
     )
 
 
-def _settled(
-    tracks: PlaneTracks, seen: PlaneObservation, motion: PlanarMotion
-) -> tuple[PlanarMotion, Match]:
+def _arrays(tracks: PlaneTracks) -> Any:
+    """Return what the kernels know of tracks."""
+    return tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at
+
+
+def _seen(seen: PlaneObservation) -> Any:
+    """Return what the kernels know of the walls of a scan."""
+    return seen.ends, seen.along, seen.normal, seen.size, seen.sd, seen.static
+
+
+def _settled(tracks: Any, seen: Any, guess: PlanarMotion) -> tuple[PlanarMotion, Match]:
     """Fit a guess to what agrees with it, and see again what agrees."""
-    widened = ROUGHLY
-    for _ in range(ROUNDS):
-        match = match_walls(tracks.carried(motion.yaw, motion.t), seen, widened)
-        if not len(match.tracks):
-            return motion, match
-        motion = motion.then(_correction(tracks.carried(motion.yaw, motion.t), seen, match))
-        widened = max(1.0, widened / 2)
-    return motion, match_walls(tracks.carried(motion.yaw, motion.t), seen)
+    from relmap.planes.kernels.matching import settled
 
-
-def _correction(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> PlanarMotion:
-    """Return the small motion that brings tracks onto the walls that they match (least squares)."""
-    i, j = match.tracks, match.walls
-    normal, ends = tracks.normal[i], seen.ends[j]
-    # Both ends of a wall seen lie on the line of its track.
-    n = np.repeat(normal, 2, axis=0)
-    p = ends.reshape(-1, 2)
-    rows = [np.column_stack([n[:, 1] * p[:, 0] - n[:, 0] * p[:, 1], n])]
-    rights = [(n * p).sum(axis=1) - np.repeat(tracks.offset[i], 2)]
-    weights = [np.repeat(1 / (1 + (tracks.sd[i] / LEAST_M) ** 2), 2)]
-    # A corner seen again lies at its place along the wall.
-    both = np.isfinite(tracks.corner_at[i, :, 0]) & seen.static[j]
-    k, end = np.nonzero(both)
-    u, c = seen.along[j[k]], tracks.corner_at[i[k], end]
-    off = (u * (ends[k, end] - c)).sum(axis=1)
-    near = np.abs(off) < 0.5
-    rows.append(np.column_stack([u[:, 1] * c[:, 0] - u[:, 0] * c[:, 1], u])[near])
-    rights.append(off[near])
-    weights.append(np.full(near.sum(), 0.3))
-    rows.append(np.column_stack([np.zeros(2), np.eye(2)]))
-    rights.append(np.zeros(2))
-    weights.append(np.full(2, HELD))
-    A, b, w = np.concatenate(rows), np.concatenate(rights), np.concatenate(weights)
-    normal_matrix = A.T @ (A * w[:, None]) + 1e-9 * np.eye(3)
-    yaw, x, y = np.linalg.solve(normal_matrix, A.T @ (w * b))
-    return PlanarMotion(float(yaw), np.array([x, y]))
-
-
-def _guesses(tracks: PlaneTracks, seen: PlaneObservation, score: float) -> list[PlanarMotion]:
-    """Return the most promising motions that bring a corner onto a corner, best first."""
-    row, end = np.nonzero(np.isfinite(tracks.corner_at[:, :, 0]))
-    wall, side = np.nonzero(seen.static)
-    a, b = np.nonzero(end[:, None] == side)
-    row, end, wall = row[a], end[a], wall[b]
-    angle = np.arctan2(seen.normal[wall, 1], seen.normal[wall, 0])
-    yaw = wrapped(angle - tracks.angle[row])
-    c, s = np.cos(yaw), np.sin(yaw)
-    at = tracks.corner_at[row, end]
-    turned = np.column_stack([c * at[:, 0] - s * at[:, 1], s * at[:, 0] + c * at[:, 1]])
-    t = seen.ends[wall, end] - turned
-    far = np.hypot(t[:, 0], t[:, 1])
-    order = np.argsort(far + np.abs(yaw), kind="stable")
-    possible = order[(far[order] < REACH_M) & (np.abs(yaw[order]) < TURN_RAD)]
-    scored = [(match_walls(tracks.carried(yaw[k], t[k]), seen, ROUGHLY).score, k) for k in possible]
-    promising = [k for found, k in sorted(scored, key=lambda pair: -pair[0])[:3] if found > score]
-    return [PlanarMotion(float(yaw[k]), t[k]) for k in promising]
+    start = np.array([guess.yaw, *guess.t])
+    motion, track_of, score = settled(tracks, seen, start, ROUGHLY, ROUNDS, HELD, LEAST_M)
+    walls = np.flatnonzero(track_of >= 0)
+    return PlanarMotion(float(motion[0]), motion[1:]), Match(track_of[walls], walls, score)

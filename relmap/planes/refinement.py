@@ -9,15 +9,20 @@ nuisance, as in `relmap.core.refinement`.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-SETTLED = 1e-3
-"""Largest step, metres and radians, in typical standard deviations, of a settled solution."""
+SETTLED = 0.01
+"""Step, in typical standard deviations, of a settled solution: most unknowns do no more."""
+MOST = 0.9
+NEAR = 0.005
+"""Step, metres and radians, of a solution that is good enough to go on from with other weights."""
 USUAL = 3.0
 """No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
 SPREAD = 1 / np.sqrt(12)
@@ -25,8 +30,10 @@ SPREAD = 1 / np.sqrt(12)
 
 A line fitted to points spread evenly over the wall is as sure as if it were fitted to these two,
 each twice as uncertain (in variance) as the middle."""
-HELD = 1e-9
-"""What holds an unknown that nothing does, as a share of the largest weight."""
+
+LOOSE, LEAST = 1e-12, 1e-9
+"""What holds an unknown that hangs by too little, as a share of what holds it otherwise, and in
+weights of an observation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,146 +89,156 @@ class Walls:
     along: NDArray[np.float64]
 
 
-def refine_walls(given: WallEquations, state: Walls, rounds: int, doubtful: float) -> Walls:
-    """Return the state on which all observations agree best, by Gauss-Newton.
-
-    The first iteration stays where it is.
+class WallSystem:
+    """The equations of the walls of one set of observations, poses eliminated.
 
     Parameters
     ----------
     given : WallEquations
-    state : Walls
-        Where to start.
-    rounds : int
-        Most steps.
-    doubtful : float
-        Residual, in standard deviations, from which one counts less and less (Geman and McClure,
-        1987): a wall taken for another one should not count at all.
+        In the order of iterations.
     """
-    settled = SETTLED * float(np.median(given.sd))
-    for _ in range(rounds):
-        step = _step(given, state, doubtful)
-        i, w = len(state.yaw), len(state.angle)
-        state = Walls(
-            state.yaw + step[: 3 * i : 3],
-            state.t + np.column_stack([step[1 : 3 * i : 3], step[2 : 3 * i : 3]]),
-            state.centre,
-            state.angle + step[3 * i : 3 * i + 2 * w : 2],
-            state.across + step[3 * i + 1 : 3 * i + 2 * w : 2],
-            state.along + step[3 * i + 2 * w :],
+
+    def __init__(self, given: WallEquations) -> None:
+        middle = given.ends.mean(axis=1, keepdims=True)
+        points = middle + SPREAD * np.array([[-1.0], [1.0]]) * (
+            given.ends[:, 1:] - given.ends[:, :1]
         )
-        if np.abs(step).max(initial=0.0) < settled:
-            break
-    return state
+        corner_at = given.ends[given.corner_row, given.corner_end]
+        self._given = given
+        self._seen = (
+            given.iteration,
+            given.wall,
+            points,
+            given.corner_row,
+            corner_at,
+            given.corner,
+        )
+        every = np.arange(given.iteration[-1] + 2)
+        self._begin = np.searchsorted(given.iteration, every)
+        self._corner_begin = np.searchsorted(given.iteration[given.corner_row], every)
+        self._prepare()
+
+    def refine(
+        self,
+        state: Walls,
+        rounds: int,
+        doubtful: float,
+        by_scan: bool = True,
+        settled: bool = True,
+    ) -> Walls:
+        """Return the state on which all observations agree best, by Gauss-Newton.
+
+        The first iteration stays where it is.
+
+        Parameters
+        ----------
+        state : Walls
+            Where to start.
+        rounds : int
+            Most steps.
+        doubtful : float
+            Residual, in standard deviations, from which one counts less and less (Geman and
+            McClure, 1987): a wall taken for another one should not count at all.
+        by_scan : bool
+            Whether a scan that is off as a whole is taken for misplaced as yet, rather than wrong.
+        settled : bool
+            Whether it should settle, rather than come near only.
+        """
+        enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
+        for _ in range(rounds):
+            poses, lines, corners = self._step(state, self._weights(state, doubtful, by_scan))
+            state = Walls(
+                state.yaw + poses[:, 0],
+                state.t + poses[:, 1:],
+                state.centre,
+                state.angle + lines[:, 0],
+                state.across + lines[:, 1],
+                state.along + corners,
+            )
+            step = np.concatenate([poses.ravel(), lines.ravel(), corners])
+            if np.quantile(np.abs(step), MOST) < enough:
+                break
+        return state
+
+    def reweighted(self, given: WallEquations) -> WallSystem:
+        """Return the system of the same observations with other standard deviations."""
+        system = copy(self)
+        system._given = given
+        return system
+
+    def residuals(self, state: Walls) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
+        from relmap.planes.kernels.refinement import residuals
+
+        return residuals(self._seen, _arrays(state))
+
+    def _weights(
+        self, state: Walls, doubtful: float, by_scan: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        from relmap.planes.kernels.refinement import scan_medians
+
+        sd, corner_sd = np.sqrt(2) * self._given.sd[:, None], self._given.corner_sd
+        across, along = self.residuals(state)
+        across, along = np.abs(across) / sd, np.abs(along) / corner_sd
+        usual = np.full(len(self._begin) - 1, np.median(np.concatenate([across.ravel(), along])))
+        if by_scan:
+            of_scan = scan_medians(across, along, self._begin, self._corner_begin)
+            usual = np.maximum(usual, of_scan)
+        limit = np.maximum(doubtful, USUAL * usual)
+        at = limit[self._given.iteration]
+        return (
+            1 / (sd * (1 + (across / at[:, None]) ** 2)) ** 2,
+            1 / (corner_sd * (1 + (along / at[self._given.corner_row]) ** 2)) ** 2,
+        )
+
+    def _step(
+        self, state: Walls, weights: tuple[NDArray[np.float64], NDArray[np.float64]]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the next step of poses (i, 3), lines (w, 2) and corners (c,)."""
+        from relmap.planes.kernels.refinement import pose_steps, wall_equations
+
+        system = self._seen, _arrays(state), weights, self._begin, self._corner_begin, self._nodes
+        matrix = self._pattern.copy()
+        matrix.data = np.zeros(len(matrix.data))
+        right, away, alone = wall_equations(*system, self._entry, matrix.data)
+        matrix.data[self._diagonal] *= 1 + LOOSE
+        matrix.data[self._diagonal] += LEAST
+        # The matrix is positive definite: pivoting would only fill it.
+        factor = splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            options={"SymmetricMode": True, "DiagPivotThresh": 0.0},
+        )
+        step = factor.solve(right)
+        lines = 2 * len(state.angle)
+        poses = pose_steps(self._node_begin, self._nodes, away, alone, step)
+        return poses, step[:lines].reshape(-1, 2), step[lines:]
+
+    def _prepare(self) -> None:
+        """Find out which unknowns stand together in the equations, and where."""
+        from relmap.planes.kernels.refinement import entries
+
+        given, n = self._given, len(self._begin) - 1
+        lines = 2 * (int(given.wall.max()) + 1)
+        at = np.concatenate([np.repeat(given.iteration, 2), given.iteration[given.corner_row]])
+        pairs = np.column_stack([2 * given.wall, 2 * given.wall + 1]).ravel()
+        order = np.argsort(at, kind="stable")
+        self._nodes = np.concatenate([pairs, lines + given.corner])[order]
+        there = coo_array(
+            (np.ones(len(at)), (at[order], self._nodes)), shape=(n, self._nodes.max() + 1)
+        )
+        self._pattern = csc_array(there.T @ there.tocsr())
+        self._pattern.sort_indices()
+        pointer, row = self._pattern.indptr, self._pattern.indices
+        self._node_begin = 2 * self._begin + self._corner_begin
+        self._entry = entries(self._node_begin, self._nodes, pointer, row)
+        column = np.repeat(np.arange(len(pointer) - 1), np.diff(pointer))
+        self._diagonal = np.flatnonzero(row == column)
 
 
-def _step(given: WallEquations, state: Walls, doubtful: float) -> NDArray[np.float64]:
-    """Return the next step of all unknowns: poses (3 each), lines (2 each), corners."""
-    i, w, c = len(state.yaw), len(state.angle), len(state.along)
-    middle = given.ends.mean(axis=1)
-    half = SPREAD * (given.ends[:, 1] - given.ends[:, 0])
-    row = np.arange(len(given.wall))
-    blocks = [
-        _across(given, state, row, middle - half),
-        _across(given, state, row, middle + half),
-        _along(given, state),
-    ]
-    sd = np.concatenate([np.sqrt(2) * given.sd, np.sqrt(2) * given.sd, given.corner_sd])
-    residual = np.concatenate([block[0] for block in blocks])
-    weight = 1 / sd**2
-    off = np.abs(residual) / sd
-    at = np.concatenate([given.iteration, given.iteration, given.iteration[given.corner_row]])
-    usual = np.maximum(medians(at, off)[at], np.median(off))
-    weight /= (1 + (off / np.maximum(doubtful, USUAL * usual)) ** 2) ** 2
-    columns = np.concatenate([block[1] for block in blocks])
-    values = np.concatenate([block[2] for block in blocks])
-    n, width = columns.shape
-    A = coo_array(
-        (values.ravel(), (np.repeat(np.arange(n), width), columns.ravel())),
-        shape=(n, 3 * i + 2 * w + c),
-    ).tocsc()
-    held = np.full(A.shape[1], HELD * weight.max(initial=1.0))
-    held[:3] = 1e6 * weight.max(initial=1.0)
-    WA = A.multiply(weight[:, None]).tocsc()
-    H = csc_array(A.T @ WA)
-    H.setdiag(H.diagonal() + held)
-    # The matrix is positive definite: pivoting would only fill it.
-    factor = splu(
-        H,
-        permc_spec="MMD_AT_PLUS_A",
-        options={"SymmetricMode": True, "DiagPivotThresh": 0.0},
-    )
-    return np.asarray(factor.solve(-(WA.T @ residual)))
-
-
-def _across(
-    given: WallEquations, state: Walls, row: NDArray[np.int64], points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return residuals (n,) of points to their lines, and derivatives: columns, values (n, 6)."""
-    at, wall = given.iteration[row], given.wall[row]
-    turned, arm = _placed(state, at, points)
-    normal = np.column_stack([np.cos(state.angle[wall]), np.sin(state.angle[wall])])
-    along = np.column_stack([normal[:, 1], -normal[:, 0]])
-    off = turned - state.centre[wall]
-    residual = (normal * off).sum(axis=1) - state.across[wall]
-    lines = 3 * len(state.yaw) + 2 * wall
-    columns = np.column_stack([3 * at, 3 * at + 1, 3 * at + 2, lines, lines + 1, lines])
-    values = np.column_stack(
-        [
-            (normal * arm).sum(axis=1),
-            normal,
-            -(along * off).sum(axis=1),
-            -np.ones(len(row)),
-            np.zeros(len(row)),
-        ]
-    )
-    return residual, columns, values
-
-
-def _along(
-    given: WallEquations, state: Walls
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return residuals (k,) of corners along their lines, and derivatives (k, 6)."""
-    row = given.corner_row
-    at, wall = given.iteration[row], given.wall[row]
-    placed, arm = _placed(state, at, given.ends[row, given.corner_end])
-    normal = np.column_stack([np.cos(state.angle[wall]), np.sin(state.angle[wall])])
-    along = np.column_stack([normal[:, 1], -normal[:, 0]])
-    off = placed - state.centre[wall]
-    residual = (along * off).sum(axis=1) - state.along[given.corner]
-    lines = 3 * len(state.yaw) + 2 * wall
-    corner = 3 * len(state.yaw) + 2 * len(state.angle) + given.corner
-    columns = np.column_stack([3 * at, 3 * at + 1, 3 * at + 2, lines, lines + 1, corner])
-    values = np.column_stack(
-        [
-            (along * arm).sum(axis=1),
-            along,
-            (normal * off).sum(axis=1),
-            np.zeros(len(row)),
-            -np.ones(len(row)),
-        ]
-    )
-    return residual, columns, values
-
-
-def _placed(
-    state: Walls, at: NDArray[np.int64], points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points (n, 2) in the map frame, and their derivatives by the yaw."""
-    c, s = np.cos(state.yaw[at]), np.sin(state.yaw[at])
-    x, y = points.T
-    turned = np.column_stack([c * x - s * y, s * x + c * y])
-    return turned + state.t[at], np.column_stack([-turned[:, 1], turned[:, 0]])
-
-
-def across_residuals(given: WallEquations, state: Walls) -> NDArray[np.float64]:
-    """Return how far the middles of observed walls are from their lines; (n,) metres."""
-    return _across(given, state, np.arange(len(given.wall)), given.ends.mean(axis=1))[0]
-
-
-def along_residuals(given: WallEquations, state: Walls) -> NDArray[np.float64]:
-    """Return how far observed corners are from their places, along their lines; (k,) metres."""
-    return _along(given, state)[0]
+def _arrays(state: Walls) -> Any:
+    """Return what the kernels know of a state."""
+    return state.yaw, state.t, state.centre, state.angle, state.across, state.along
 
 
 def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -229,3 +246,17 @@ def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.fl
     n = np.bincount(of)
     first = np.cumsum(n) - n
     return np.asarray(values[np.lexsort((values, of))][first + (n - 1) // 2])
+
+
+def quantiles(
+    of: NDArray[np.int64], values: NDArray[np.float64], share: float
+) -> NDArray[np.float64]:
+    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
+    n = np.bincount(of)
+    ordered = values[np.lexsort((values, of))]
+    first = np.cumsum(n) - n
+    place = share * (n - 1)
+    below = np.floor(place).astype(np.int64)
+    above = np.minimum(below + 1, n - 1)
+    part = place - below
+    return np.asarray((1 - part) * ordered[first + below] + part * ordered[first + above])

@@ -21,6 +21,7 @@ from relmap.simulation.floor_plan import (
     make_floor_plan,
     wall_distances,
 )
+from relmap.simulation.moving_walls import make_moving
 from relmap.simulation.noise import Noise
 from relmap.simulation.sensor import (
     DEPTH_SENSOR,
@@ -70,17 +71,22 @@ class Building:
     ----------
     walls : (w, 6) float64, map frame, metres
         x0, y0, x1, y1, z0, z1; the two ends go from right to left as seen from the wall's front.
-        A wall with two sides is two walls.
+        A wall with two sides is two walls. Those that move are where they are in the first scan.
+    moving : (w,) bool
     trajectory : (k, 4, 4) float64
         ``T_map_robot`` at each scan.
     stamps_s : (k,) float64
     scans : list of k BuildingScan
+    sensor : Sensor
+        What made them.
     """
 
     walls: NDArray[np.float64]
+    moving: NDArray[np.bool_]
     trajectory: NDArray[np.float64]
     stamps_s: NDArray[np.float64]
     scans: list[BuildingScan]
+    sensor: Sensor
 
     def times_seen(self) -> NDArray[np.int64]:
         """Count in how many scans each wall was seen.
@@ -161,6 +167,7 @@ def simulate_building(
     *,
     sensor: Sensor | None = None,
     sample_ends: bool = False,
+    moving: int = 0,
 ) -> Building:
     """Drive round the corridor of a building, or round among panels.
 
@@ -176,17 +183,19 @@ def simulate_building(
         Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
     iterations : int, optional
         Number of scans; as many as the loops take where left out. One loop is 250 to 310 in a
-        building, some 200 among panels.
+        building, some 200 among panels, 390 along the long wall and back.
     seed : int
         Seed of everything random.
-    world : "building" or "panels"
-        Corridors and rooms, or free-standing panels only.
+    world : "building", "panels" or "long-wall"
+        Corridors and rooms, free-standing panels only, or a long wall alone, then panels.
     loops : int
         How often the robot drives round.
     sensor : Sensor, optional
         Range and field of view: 8 m and 90 degrees (`laser`: 180) where left out.
     sample_ends : bool
         With `surface`, put a point on each end of every stretch that has two points or more.
+    moving : int
+        Hang so many doors that swing, or among panels let so many of them slide and turn.
 
     Raises
     ------
@@ -195,14 +204,17 @@ def simulate_building(
     """
     look = _Look(points, sigma, noise, sampling, sensor or _default_sensor(sampling), sample_ends)
     look.validate()
-    _validate_run(iterations, seed, world, loops)
+    _validate_run(iterations, seed, world, loops, moving)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, rng)
-    scans = [_scan(plan, pose, look, rng) for pose in trajectory]
-    walls = plan.walls - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
+    # Movers have a generator of their own: the rest of the world is the same with and without them.
+    plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
+    scans = [_scan(movers.at(plan.walls, k), pose, look, rng) for k, pose in enumerate(trajectory)]
+    walls = movers.at(plan.walls, 0) - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
+    moves = np.isin(np.arange(len(walls)), movers.row)
     stamps_s = STEP_S * np.arange(len(trajectory), dtype=np.float64)
-    return Building(walls, trajectory, stamps_s, scans)
+    return Building(walls, moves, trajectory, stamps_s, scans, look.sensor)
 
 
 def building_scene(
@@ -226,10 +238,10 @@ def building_scene(
     """
     look = _Look(points, sigma, noise, sampling, sensor or _default_sensor(sampling), sample_ends)
     look.validate()
-    _validate_run(None, seed, "building", 1)
+    _validate_run(None, seed, "building", 1, 0)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan("building", rng)
-    return _scan(plan, _random_pose(plan, rng), look, rng)
+    return _scan(plan.walls, _random_pose(plan, rng), look, rng)
 
 
 def _default_sensor(sampling: str) -> Sensor:
@@ -253,26 +265,30 @@ def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> NDArray[np.float6
 
 
 def _scan(
-    plan: FloorPlan, T_map_robot: NDArray[np.float64], look: _Look, rng: np.random.Generator
+    walls: NDArray[np.float64],
+    T_map_robot: NDArray[np.float64],
+    look: _Look,
+    rng: np.random.Generator,
 ) -> BuildingScan:
-    ends_map = plan.walls[:, :4].reshape(-1, 2, 2)
+    ends_map = walls[:, :4].reshape(-1, 2, 2)
     ends_robot = (ends_map - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
     seen = seen_walls(ends_robot, look.sensor.range_m, look.sensor.view_rad / 2)
-    z_robot = plan.walls[0, 4:] - SENSOR_HEIGHT_M
+    z_robot = walls[0, 4:] - SENSOR_HEIGHT_M
     sample = look.sample(seen, z_robot, rng)
     wall = seen.wall[sample.stretch]
     return BuildingScan(sample.points, wall, seen, sample.stretch, sample.ranges_m)
 
 
-def _validate_run(iterations: int | None, seed: int, world: str, loops: int) -> None:
+def _validate_run(iterations: int | None, seed: int, world: str, loops: int, moving: int) -> None:
     _require(
         (seed >= 0, f"seed is {seed}; it must not be negative"),
         (
             iterations is None or 1 <= iterations <= 10**6,
             f"iterations is {iterations}; it must lie in [1, 1000000]",
         ),
-        (world in get_args(World), f"world is {world!r}; it must be building or panels"),
+        (world in get_args(World), f"world is {world!r}; it must be building, panels or long-wall"),
         (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
+        (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
     )
 
 

@@ -1,4 +1,4 @@
-"""The world of vertical walls: a building of corridors and rooms, or panels in the open.
+"""The world of vertical walls: a building of corridors and rooms, panels, or one long wall.
 
 A wall is the segment (x0, y0) to (x1, y1) from z0 to z1. Its front is to the left of the way from
 the first end to the second, so that its ends go from right to left as seen from there. A thin wall
@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-World = Literal["building", "panels"]
+World = Literal["building", "panels", "long-wall"]
 Array = NDArray[np.float64]
 
 CORRIDOR_M = 2.4
@@ -37,6 +37,13 @@ FIELD_M = 12.0
 FIELD_LOOP_M = 7.0
 FIELD_PANELS = 40
 """In the open, so many panels stand within `FIELD_M` of the middle of a round way."""
+LONG_WALL = np.array([8.0, -1.6, 26.0, -1.6])
+LONG_LOOP = np.array([0.0, 0.0, 32.0, 9.0])
+"""Beside one side of this round way a long wall stands alone, ..."""
+LONG_BARE = np.array([7.0, -8.0, 27.0, 6.4])
+"""... with nothing else in this rectangle; around it, and beyond, are panels."""
+LONG_FIELD = np.array([-7.0, -8.0, 39.0, 17.0])
+LONG_PANELS = 70
 HEIGHT_M = (2.4, 3.0)
 TRIALS = 30
 """So often a place for a panel is looked for."""
@@ -55,18 +62,22 @@ class FloorPlan:
         Rectangles x_low, y_low, x_high, y_high without fixed walls inside.
     loop : (l, 2) float64, metres
         The line, counter-clockwise; from the last point it goes back to the first.
+    doors : (d, 2, 2) float64, metres
+        Both jambs of each door; the room is to the left of the way from the first to the second.
     """
 
     walls: NDArray[np.float64]
     floors: NDArray[np.float64]
     loop: NDArray[np.float64]
+    doors: NDArray[np.float64]
 
 
 def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
-    """Draw a world: a building, or panels only."""
-    flat, floors, loop = _building(rng) if world == "building" else _field(rng)
+    """Draw a world: a building, panels only, or a long wall among panels."""
+    draw = {"building": _building, "panels": _field, "long-wall": _long_wall}[world]
+    flat, floors, loop, doors = draw(rng)
     height = np.tile([0.0, rng.uniform(*HEIGHT_M)], (len(flat), 1))
-    return FloorPlan(np.hstack([flat, height]), floors, loop)
+    return FloorPlan(np.hstack([flat, height]), floors, loop, doors)
 
 
 def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,8 +88,8 @@ def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> N
     return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=2))
 
 
-def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of a corridor round a block, with rooms."""
+def _building(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return the walls (w, 4), floors, loop and doors of a corridor round a block, with rooms."""
     block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
     inner = _rooms_inside(block, rng)
@@ -93,17 +104,33 @@ def _building(rng: np.random.Generator) -> tuple[Array, Array, Array]:
     walls += [_cut(edge, doors) for edge in (*_edges(hall), *_edges(block)[:, ::-1])]
     panels = [_panels(room, int(rng.integers(MOST_PANELS + 1)), rng) for room in rooms]
     floors = np.vstack([rooms, _ring(hall, block)])
-    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2)
+    return np.vstack([*walls, *panels]), floors, _rounded((hall + block) / 2), doors
 
 
-def _field(rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return the walls (w, 4), floors and loop of panels in the open."""
+def _field(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return the walls (w, 4), floors, loop and doors, none, of panels in the open."""
     square = FIELD_M * np.array([-1.0, -1.0, 1.0, 1.0])
     angle = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = FIELD_LOOP_M * (1 + 0.12 * np.sin(2 * angle + rng.uniform(0, 2 * np.pi)))
     loop = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
-    return _panels(square, FIELD_PANELS, rng, obstacles=way), square[None], loop
+    panels = _panels(square, FIELD_PANELS, rng, obstacles=way)
+    return panels, square[None], loop, np.empty((0, 2, 2))
+
+
+def _long_wall(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return walls, floors, loop and no doors: a long wall that stands alone, then panels.
+
+    Half way along it a robot sees nothing but a part of it, and none of its ends.
+    """
+    loop = _rounded(LONG_LOOP)
+    way = np.hstack([loop[::4], np.roll(loop[::4], -1, axis=0)])
+    panels = _panels(LONG_FIELD, LONG_PANELS, rng, obstacles=np.vstack([way, LONG_WALL]))
+    ends = panels.reshape(-1, 2, 2)
+    inside = (ends > LONG_BARE[:2]) & (ends < LONG_BARE[2:])
+    bare = np.any(np.all(inside, axis=2), axis=1)
+    walls = np.vstack([LONG_WALL, panels[~bare]])
+    return walls, LONG_FIELD[None], loop, np.empty((0, 2, 2))
 
 
 def _rooms_inside(block: Array, rng: np.random.Generator) -> list[tuple[Array, int]]:

@@ -9,9 +9,10 @@ from relmap.core.alignment import fit_rigid, fixes_rotation
 from relmap.core.growing import GrowingArray
 from relmap.core.landmarks import LandmarkMap, in_space
 from relmap.core.registration import KnownAssociation
+from relmap.evaluation.methods.base import Method, MethodInfo, Poses, identified
 
 
-class FrameToMap:
+class FrameToMap(Method):
     """Fits every scan to the map by least squares, then averages the scan into the map.
 
     Each landmark is the mean of all its observations so far, each brought into the map with the
@@ -23,33 +24,40 @@ class FrameToMap:
         self._registration = KnownAssociation()
         self._means: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
         self._counts: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._poses = Poses()
 
-    def update(self, points_robot: NDArray[np.float64], ids: NDArray[np.int64]) -> None:
+    def update(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
         """Take in one scan: points (n, 2) or (n, 3), robot frame, metres; ids (n,)."""
-        landmarks = self._registration.match(points_robot, ids)
-        landmarks, points = landmarks[landmarks >= 0], points_robot[landmarks >= 0]
-        if not len(landmarks):
-            return
-        if not len(self._means):
+        labels, seen = identified(ids, len(points_robot))
+        landmarks, points = self._registration.match(points_robot, labels)[seen], points_robot[seen]
+        if len(landmarks) and not len(self._means):
             self._means = GrowingArray(np.float64, points.shape[1:])
-        self._means.resize(int(landmarks.max()) + 1, np.nan)
-        self._counts.resize(int(landmarks.max()) + 1, 0)
-        placed = self._placed(landmarks, points)
-        if placed is not None:
-            self._average_in(landmarks, placed)
+        self._means.resize(int(landmarks.max(initial=-1)) + 1, np.nan)
+        self._counts.resize(int(landmarks.max(initial=-1)) + 1, 0)
+        pose = self._pose(landmarks, points)
+        if pose is None:
+            self._poses.append_none()
+            return labels
+        R, t = pose
+        self._poses.append(R, t)
+        self._average_in(landmarks, points @ R.T + t)
+        return labels
 
-    def _placed(
+    def _pose(
         self, landmarks: NDArray[np.int64], points: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Return the points in the map frame, or None where the map fixes no pose."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Return ``T_map_robot`` as R and t, or None where the map fixes no pose."""
+        if not len(points):
+            return None
         if not self._counts.values.any():
-            return points
+            return np.eye(points.shape[1]), np.zeros(points.shape[1])
         known = self._counts.values[landmarks] > 0
         there = self._means.values[landmarks[known]]
         if not known.any() or not fixes_rotation(there):
             return None
-        R, t = fit_rigid(points[known], there)
-        return points @ R.T + t
+        return fit_rigid(points[known], there)
 
     def _average_in(self, landmarks: NDArray[np.int64], placed: NDArray[np.float64]) -> None:
         counts, means = self._counts.values, self._means.values
@@ -64,3 +72,16 @@ class FrameToMap:
         mapped = self._counts.values > 0
         order = np.argsort(labels)[mapped[np.argsort(labels)]]
         return LandmarkMap(labels[order], in_space(self._means.values[order]))
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """The pose that each scan was fitted with."""
+        return self._poses.values
+
+
+METHOD = MethodInfo(
+    "frame-to-map",
+    "fits every scan to the map, then averages it in",
+    lambda setup: FrameToMap(),
+    needs_ids=True,
+)

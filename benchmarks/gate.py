@@ -1,0 +1,209 @@
+"""What must not get worse: ratios beside a committed baseline, `make bench`.
+
+    python benchmarks/gate.py [--update]
+
+Each figure is a ratio, so that it says the same on every machine, with the direction in which it is
+better and the share by which it may be worse than `gate_baseline.json`.  Accuracy is the same in
+every run; times are processor time, the best of several runs.  The exit code is 1 where a figure
+is worse than that.  --update writes what is found as the new baseline.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from relmap.evaluation.methods.base import Association
+from relmap.evaluation.methods.registry import find_method
+from relmap.evaluation.methods.running import run_method
+from relmap.evaluation.sources import BuildingSource, EightSource, Source
+
+BASELINE = Path(__file__).with_name("gate_baseline.json")
+SEEDS = range(5)
+REPEATS = 3
+ACCURATE, TIMED = 0.03, 0.35
+"""Shares by which an accuracy and a time may be worse."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A figure, the direction in which it is better, and how much worse it may be."""
+
+    name: str
+    better: str  # "lower" or "higher"
+    tolerance: float
+    measure: Callable[[], float]
+
+
+def figure(method: str, source: Source, name: str, association: Association = "known") -> float:
+    value = run_method(find_method(method), source.load(), association).figures[name]
+    return float("nan") if value is None else value
+
+
+def errors(method: str, sources: Iterable[Source]) -> np.ndarray:
+    return np.array([figure(method, source, "landmark_rmse_m") for source in sources])
+
+
+def eights(**settings: float) -> list[EightSource]:
+    return [EightSource(seed=seed, **settings) for seed in SEEDS]
+
+
+def error_ratio(method: str, other: str) -> float:
+    """Return the median over the seeds of the error of one method over that of another."""
+    return float(np.median(errors(method, eights()) / errors(other, eights())))
+
+
+def moving_ratio(method: str) -> float:
+    """Return the median error with 40 % moving landmarks over that with none."""
+    moving = np.median(errors(method, eights(dynamic=0.4)))
+    return float(moving / np.median(errors(method, eights())))
+
+
+def worst_without_ids(name: str, worst: Callable[[list[float]], float]) -> float:
+    return worst([figure("relmap-points", s, name, "nearest") for s in eights()])
+
+
+def time_ratio(method: str, other: str, name: str) -> float:
+    """Return the time of one method over that of another, each the best of some runs."""
+    source = EightSource()
+    times = [[figure(m, source, name) for m in (method, other)] for _ in range(REPEATS)]
+    mine, its = np.min(times, axis=0)
+    return float(mine / its)
+
+
+def growth() -> float:
+    """Return the time of the last 100 iterations over that of all, at density 100."""
+    source = EightSource(density=100.0, iterations=1800)
+    data = source.load()
+    runs = [run_method(find_method("relmap-points"), data, "known") for _ in range(REPEATS)]
+    return min(run.figures["last_100_median_ms"] / run.figures["median_ms"] for run in runs)
+
+
+def corner_ratio() -> float:
+    """Return the corner error of the refined walls over that of the paper's recipe."""
+    source = BuildingSource(iterations=80)
+    pair = [
+        figure(method, source, "corner_rmse_m", "nearest")
+        for method in ("relmap-planes", "relmap-planes-paper")
+    ]
+    return pair[0] / pair[1]
+
+
+METRICS = (
+    Metric(
+        "landmark error, refined over batch",
+        "lower",
+        ACCURATE,
+        lambda: error_ratio("relmap-points", "batch"),
+    ),
+    Metric(
+        "landmark error, live over batch",
+        "lower",
+        ACCURATE,
+        lambda: error_ratio("relmap-points-live", "batch"),
+    ),
+    Metric(
+        "landmark error, EKF as MRPT ships it over refined",
+        "higher",
+        ACCURATE,
+        lambda: error_ratio("ekf-mrpt", "relmap-points"),
+    ),
+    Metric(
+        "landmark error, refined, 40 % moving over none",
+        "lower",
+        ACCURATE,
+        lambda: moving_ratio("relmap-points"),
+    ),
+    Metric(
+        "purity without ids, worst seed",
+        "higher",
+        0.001,
+        lambda: worst_without_ids("purity", min),
+    ),
+    Metric(
+        "landmarks per true one without ids, worst seed",
+        "lower",
+        ACCURATE,
+        lambda: worst_without_ids("landmarks_per_true", max),
+    ),
+    Metric("corner error, refined over the paper's recipe", "lower", 0.2, corner_ratio),
+    Metric(
+        "time of an iteration, median, relmap over frame-to-map",
+        "lower",
+        TIMED,
+        lambda: time_ratio("relmap-points", "frame-to-map", "median_ms"),
+    ),
+    Metric(
+        "time of the log, relmap over frame-to-map",
+        "lower",
+        TIMED,
+        lambda: time_ratio("relmap-points", "frame-to-map", "total_s"),
+    ),
+    Metric(
+        "time of the last 100 iterations, EKF over relmap",
+        "higher",
+        TIMED,
+        lambda: time_ratio("ekf-mrpt", "relmap-points", "last_100_median_ms"),
+    ),
+    Metric("time of an iteration, last 100 over all, density 100", "lower", TIMED, growth),
+)
+
+
+def is_worse(value: float, baseline: float, better: str, tolerance: float) -> bool:
+    """Tell whether a figure is worse than the baseline by more than the tolerance."""
+    if not np.isfinite(value):
+        return True
+    if better == "lower":
+        return value > baseline * (1 + tolerance)
+    return value < baseline * (1 - tolerance)
+
+
+def gate(measured: dict[str, float], baseline: dict[str, dict[str, float | str]]) -> list[str]:
+    """Print every figure beside its baseline; return the names of those that got worse."""
+    print(f"{'figure':58}  {'found':>8}  {'baseline':>8}  better   may be worse by")
+    worse = []
+    for name, value in measured.items():
+        if name not in baseline:
+            print(f"{name:58}  {value:8.4g}  {'-':>8}  (no baseline: run with --update)")
+            worse.append(name)
+            continue
+        known = baseline[name]
+        bad = is_worse(value, known["value"], known["better"], known["tolerance"])
+        print(
+            f"{name:58}  {value:8.4g}  {known['value']:8.4g}  {known['better']:7}  "
+            f"{100 * known['tolerance']:.3g} %{'   WORSE' if bad else ''}"
+        )
+        if bad:
+            worse.append(name)
+    return worse
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--update", action="store_true", help="write the baseline anew")
+    update = parser.parse_args().update
+    measured = {metric.name: metric.measure() for metric in METRICS}
+    if update:
+        told = {
+            metric.name: {
+                "value": float(f"{measured[metric.name]:.5g}"),
+                "better": metric.better,
+                "tolerance": metric.tolerance,
+            }
+            for metric in METRICS
+        }
+        BASELINE.write_text(json.dumps(told, indent=2) + "\n")
+    worse = gate(measured, json.loads(BASELINE.read_text()))
+    if worse:
+        print(f"worse than the baseline: {'; '.join(worse)}", file=sys.stderr)
+    return 1 if worse else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,180 @@
+"""The test bench of Fig. 5: what a plane mapper sees, segments and maps, scan by scan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.datasets.scans import PointScan, SensorView
+from relmap.evaluation import metrics
+from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.evaluation.pose_fit import fit_poses
+from relmap.planes import PlaneMapper
+from relmap.segmentation import PlaneSegmenter
+
+FRAMES = 80
+"""An animation has about so many, spread over the run."""
+
+
+@dataclass(frozen=True, eq=False)
+class BenchFrame:
+    """One scan, and the map after it: in the robot frame and, as named, in the frame of the world.
+
+    The frame of the world is that of the truth where it is known, else that of the map.
+
+    Attributes
+    ----------
+    iteration : int
+    points_robot : (n, 2) float64, metres
+    label : (n,) int64
+        Segmented plane of each point, -1 for none.
+    ends_robot : (m, 2, 2) float64, metres
+        Ends of the segmented planes, right to left.
+    static_end : (m, 2) bool
+        Whether an end is the wall's own.
+    walls, corners : (w, 2, 2), (c, 2) float64, metres, world
+        As mapped.
+    links : (l, 2, 2) float64, metres, world
+        From the middle of each group to the walls that it ties.
+    path : (k, 2) float64, metres, world
+        Of the iterations that have a pose.
+    T_world_robot : (4, 4) float64
+        NaN where the scan has no pose.
+    true_walls : (t, 2, 2) float64, metres, world
+        Empty where they are not known.
+    """
+
+    COLUMNS: ClassVar = ("what", "number", "x0", "y0", "x1", "y1")
+
+    iteration: int
+    points_robot: NDArray[np.float64]
+    label: NDArray[np.int64]
+    ends_robot: NDArray[np.float64]
+    static_end: NDArray[np.bool_]
+    walls: NDArray[np.float64]
+    corners: NDArray[np.float64]
+    links: NDArray[np.float64]
+    path: NDArray[np.float64]
+    T_world_robot: NDArray[np.float64]
+    true_walls: NDArray[np.float64]
+
+    def rows(self) -> Iterator[tuple[object, ...]]:
+        """Yield a line for all that is drawn, as `COLUMNS` name them; points with their plane."""
+        for label, point in zip(self.label.tolist(), self.points_robot.tolist(), strict=True):
+            yield "point (robot)", label, *point, "", ""
+        for what, lines in (
+            ("plane (robot)", self.ends_robot),
+            ("wall", self.walls),
+            ("true wall", self.true_walls),
+            ("link", self.links),
+        ):
+            for number, line in enumerate(lines.reshape(-1, 4).tolist()):
+                yield what, number, *line
+        for what, places in (("corner", self.corners), ("pose", self.path)):
+            for number, place in enumerate(places.tolist()):
+                yield what, number, *place, "", ""
+
+
+class BenchRecorder:
+    """Looks at a mapper between one scan and the next.
+
+    Parameters
+    ----------
+    mapper : PlaneMapper
+    segmenter : PlaneSegmenter
+        Those of the run.
+    truth : WallTruth, optional
+    every : int
+        A frame is kept after each so many scans; 0: none but the last, when asked for.
+    view : SensorView, optional
+        Where the sensor is on the robot; the segmenter sees from there.
+    before_s : iterable of float
+        Times of the scans that the mapper has taken in already, seconds.
+
+    Attributes
+    ----------
+    frames : list of BenchFrame
+    """
+
+    def __init__(
+        self,
+        mapper: PlaneMapper,
+        segmenter: PlaneSegmenter,
+        truth: WallTruth | None = None,
+        every: int = 0,
+        view: SensorView | None = None,
+        before_s: Iterable[float] = (),
+    ) -> None:
+        self._mapper, self._segmenter = mapper, segmenter
+        self._truth, self._every = truth, every
+        self._view = view or SensorView()
+        self._stamps_s = list(before_s)
+        self._scan: PointScan | None = None
+        self.frames: list[BenchFrame] = []
+
+    def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
+        """Yield the scans of a run; keep a frame now and then, once the scan has been mapped."""
+        for scan in scans:
+            yield scan
+            self._scan = scan
+            self._stamps_s.append(scan.stamp_s)
+            if self._every and len(self._stamps_s) % self._every == 0:
+                self.frames.append(self._frame(scan))
+
+    def last(self) -> BenchFrame | None:
+        """Return the last scan with the map as it is now; None where there was no scan."""
+        return None if self._scan is None else self._frame(self._scan)
+
+    def _frame(self, scan: PointScan) -> BenchFrame:
+        poses, planes = self._mapper.trajectory, self._mapper.planes
+        mapped = planes.status == "static"
+        R, t = self._world(poses)
+        walls = planes.ends[mapped] @ R.T + t
+        T = np.eye(4)
+        T[:2, :2], T[:2, 3] = R, t
+        placed = np.isfinite(poses[:, 0, 0])
+        seen, view = self._segmenter.planes_, self._view
+        c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
+        ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
+        return BenchFrame(
+            scan.iteration,
+            scan.points_robot[:, :2],
+            self._segmenter.labels_,
+            ends_robot,
+            seen.end_type == "corner",
+            walls,
+            walls[planes.corner[mapped] >= 0],
+            self._links(planes.plane[mapped], walls.mean(axis=1)),
+            poses[placed, :2, 3] @ R.T + t,
+            T @ poses[-1],
+            np.empty((0, 2, 2)) if self._truth is None else self._truth.ends,
+        )
+
+    def _world(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the motion R (2, 2), t (2,) from the map into the frame of the world."""
+        placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
+        if self._truth is not None and len(placed):
+            stamps_s = np.array(self._stamps_s)[placed]
+            mine, other = metrics.match_stamps(stamps_s, self._truth.stamps_s)
+            if len(mine):
+                return fit_poses(poses[placed[mine]], self._truth.poses[other])
+        return np.eye(2), np.zeros(2)
+
+    def _links(self, walls: NDArray[np.int64], middles: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return lines (l, 2, 2) from the middle of each group to its walls' middles."""
+        links = [np.empty((0, 2, 2))]
+        for members in self._mapper.group_walls:
+            at = middles[np.isin(walls, members)]
+            if len(at) > 1:
+                links.append(np.stack([np.broadcast_to(at.mean(axis=0), at.shape), at], axis=1))
+        return np.concatenate(links)
+
+
+def frame_step(n_scans: int, frames: int = FRAMES) -> int:
+    """Return after how many scans each a frame is kept, for about so many frames of a run."""
+    return max(1, math.ceil(n_scans / frames))

@@ -1,0 +1,38 @@
+"""How much memory a stretch of work takes at most, as the operating system tells it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+_STATUS = Path("/proc/self/status")
+_RESET = Path("/proc/self/clear_refs")
+KB_PER_MB = 1024
+
+
+class PeakMemory:
+    """Watches this process from when it is made; Linux alone tells."""
+
+    def __init__(self) -> None:
+        # Where the peak cannot be set back, it is that of the whole process so far.
+        with suppress(OSError):
+            _RESET.write_text("5")
+        self._before = _told("VmRSS")
+
+    @property
+    def grown_mb(self) -> float | None:
+        """Peak less what there was before, megabytes; None where the system does not tell."""
+        peak = _told("VmHWM")
+        if peak is None or self._before is None:
+            return None
+        return max(peak - self._before, 0) / KB_PER_MB
+
+
+def _told(name: str) -> int | None:
+    """Return a line of the process's status, kilobytes."""
+    try:
+        lines = _STATUS.read_text().splitlines()
+    except OSError:
+        return None
+    found = [line.split()[1] for line in lines if line.startswith(f"{name}:")]
+    return int(found[0]) if found else None

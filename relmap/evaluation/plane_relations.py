@@ -1,0 +1,97 @@
+"""The error of a path against relations between poses that were checked by hand.
+
+R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.datasets import Relations, read_relations
+from relmap.datasets.textfile import open_text
+
+RELATIONS = ".relations"
+CLOCKS = ("ROBOTLASER1", -3, -1)
+"""Lines of a CARMEN log that tell both clocks, and where: the robot's, and the logger's."""
+
+
+def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
+    """Read relations by the robot's clock and, where that is known, by the logger's.
+
+    Raises
+    ------
+    RelmapError
+        Where the file is no file of relations.
+    """
+    relations = read_relations(path)
+    stem = path.name.removesuffix(RELATIONS)
+    for name in (f"{stem}.log.gz", f"{stem}.log"):
+        if (path.parent / name).is_file():
+            kind, robot, logger = CLOCKS
+            with open_text(path.parent / name) as stream:
+                cells = [line.split() for line in stream if line.startswith(kind)]
+            try:
+                times = np.array([[float(row[robot]), float(row[logger])] for row in cells])
+            except (ValueError, IndexError):
+                continue
+            if len(times):
+                begin_s, end_s = (
+                    np.interp(when, *times.T) for when in (relations.begin_s, relations.end_s)
+                )
+                return relations, Relations(begin_s, end_s, relations.T_begin_end)
+    return (relations,)
+
+
+def relation_errors(
+    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], relations: tuple[Relations, ...]
+) -> tuple[float, float] | None:
+    """Return the mean error of a path against checked relations (Kuemmerle et al., 2009).
+
+    Parameters
+    ----------
+    stamps_s : (k,) float64, ascending
+    poses : (k, 4, 4) float64
+        ``T_map_robot``; between them it is interpolated.
+    relations : tuple of Relations
+        The same ones by several clocks; that of the stamps is the one with most of them inside.
+
+    Returns
+    -------
+    (metres, radians) or None
+        None where no relation lies within the stamps.
+    """
+    if not len(stamps_s) or not relations:
+        return None
+    inside = [
+        (one.begin_s >= stamps_s[0])
+        & (one.end_s <= stamps_s[-1])
+        & (one.end_s >= stamps_s[0])
+        & (one.begin_s <= stamps_s[-1])
+        for one in relations
+    ]
+    best = int(np.argmax([rows.sum() for rows in inside]))
+    rows, own = inside[best], relations[best]
+    if not rows.any():
+        return None
+    T_begin = _poses_at(stamps_s, poses, own.begin_s[rows])
+    T_end = _poses_at(stamps_s, poses, own.end_s[rows])
+    off = np.linalg.inv(own.T_begin_end[rows]) @ np.linalg.inv(T_begin) @ T_end
+    shift = np.hypot(off[:, 0, 3], off[:, 1, 3])
+    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
+    return float(shift.mean()), float(turn.mean())
+
+
+def _poses_at(
+    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], when: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return planar poses at some times, between those of the scans."""
+    yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
+    x, y, angle = (np.interp(when, stamps_s, values) for values in (*poses[:, :2, 3].T, yaw))
+    at = np.tile(np.eye(4), (len(when), 1, 1))
+    at[:, 0, 0] = at[:, 1, 1] = np.cos(angle)
+    at[:, 1, 0], at[:, 0, 1] = np.sin(angle), -np.sin(angle)
+    at[:, 0, 3], at[:, 1, 3] = x, y
+    return at

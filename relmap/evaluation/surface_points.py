@@ -1,0 +1,157 @@
+"""The same surface points of walls in every scan: what walls and points can both be mapped from.
+
+A simulated scanner draws new points in each scan, and no point is ever seen again.  Here the points
+belong to the walls: each is a landmark, seen whenever its stretch of the wall is, with new noise
+each time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.evaluation.truth import Truth
+from relmap.simulation import Building, BuildingScan
+
+
+@dataclass(frozen=True, eq=False)
+class SurfacePoints:
+    """A run past fixed points on walls, as both variants take it.
+
+    Attributes
+    ----------
+    scans : ScanLog
+        Without telling which point is which.
+    points : ObservationLog
+        The same points, ids for the evaluation only.
+    walls_truth : WallTruth
+    points_truth : Truth
+    spacing_m : float
+        Each square of this side on a wall has one point.
+    sigma : float
+        Standard deviation of each coordinate, metres.
+    """
+
+    scans: ScanLog
+    points: ObservationLog
+    walls_truth: WallTruth
+    points_truth: Truth
+    spacing_m: float
+    sigma: float
+
+    def before(self, end: int) -> SurfacePoints:
+        """Return the first iterations alone; the truth stays."""
+        return replace(self, scans=self.scans.between(0, end), points=self.points.between(0, end))
+
+
+def scan_surface_points(
+    building: Building, spacing_m: float, sigma: float, seed: int
+) -> SurfacePoints:
+    """Let a robot that drives through a building see fixed points of its walls.
+
+    Parameters
+    ----------
+    building : Building
+        Its way, and what it sees of which wall; its own points are not used.
+    spacing_m : float
+        Side of the squares that have one point each, somewhere in them, metres.
+    sigma : float
+        Standard deviation of the normal noise of each coordinate, metres.
+    seed : int
+        Seed of points and noise.
+
+    Raises
+    ------
+    RelmapError
+        Where the spacing is not positive or the noise is negative.
+    """
+    if not (0 < spacing_m < np.inf and 0 <= sigma < np.inf):
+        raise RelmapError(
+            f"spacing is {spacing_m} and sigma {sigma}; "
+            "they must be a positive length and a length of 0 or more, metres"
+        )
+    rng = np.random.default_rng(seed)
+    places, wall, along = _points_on(building.walls, spacing_m, rng)
+    seen = [
+        rng.permutation(_in_view(scan, T, building.walls, wall, along))
+        for scan, T in zip(building.scans, building.trajectory, strict=True)
+    ]
+    points = np.concatenate(
+        [
+            (places[rows] - T[:3, 3]) @ T[:3, :3] + sigma * rng.standard_normal((len(rows), 3))
+            for rows, T in zip(seen, building.trajectory, strict=True)
+        ]
+    )
+    counts = [len(rows) for rows in seen]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    log = ObservationLog(
+        points,
+        np.repeat(np.arange(len(seen)), counts),
+        np.arange(len(points)),
+        0,
+        len(seen),
+        np.concatenate(seen),
+        building.stamps_s,
+    )
+    ends = building.walls[:, :4].reshape(-1, 2, 2)
+    return SurfacePoints(
+        stored_scans(points, offsets, building.stamps_s, building.trajectory),
+        log,
+        WallTruth(ends, building.times_seen()[:, 1:], building.stamps_s, building.trajectory),
+        Truth(
+            np.arange(len(places)),
+            places,
+            np.full(len(places), "static"),
+            building.stamps_s,
+            building.trajectory,
+        ),
+        spacing_m,
+        sigma,
+    )
+
+
+def _points_on(
+    walls: NDArray[np.float64], spacing_m: float, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return points (n, 3), map frame; their walls (n,); how far along, from 0 to 1, (n,)."""
+    places, owner, along = [], [], []
+    for number, wall in enumerate(walls):
+        first, last = wall[:2], wall[2:4]
+        length, height = float(np.linalg.norm(last - first)), float(wall[5] - wall[4])
+        columns = max(1, round(length / spacing_m))
+        rows = max(1, round(height / spacing_m))
+        n = columns * rows
+        t = (np.arange(n) % columns + rng.uniform(0, 1, n)) / columns
+        z = wall[4] + height * (np.arange(n) // columns + rng.uniform(0, 1, n)) / rows
+        places.append(np.column_stack([first + t[:, None] * (last - first), z]))
+        owner.append(np.full(n, number))
+        along.append(t)
+    return np.concatenate(places), np.concatenate(owner), np.concatenate(along)
+
+
+def _in_view(
+    scan: BuildingScan,
+    T_map_robot: NDArray[np.float64],
+    walls: NDArray[np.float64],
+    wall: NDArray[np.int64],
+    along: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Return the points of the stretches of walls that are seen, ascending."""
+    seen = scan.seen
+    first = walls[seen.wall, :2]
+    across = walls[seen.wall, 2:4] - first
+    ends_map = seen.ends @ T_map_robot[:2, :2].T + T_map_robot[:2, 3]
+    reach = ((ends_map - first[:, None]) * across[:, None]).sum(axis=2)
+    reach /= (across**2).sum(axis=1)[:, None]
+    begin, end = np.searchsorted(wall, seen.wall), np.searchsorted(wall, seen.wall, side="right")
+    rows = [
+        b + np.flatnonzero((along[b:e] >= low) & (along[b:e] <= high))
+        for b, e, (low, high) in zip(begin, end, reach, strict=True)
+    ]
+    return np.sort(np.concatenate([*rows, np.empty(0, dtype=np.int64)]))

@@ -1,0 +1,1 @@
+"""The hot loops of mapping walls, compiled; see `relmap.core.kernels`."""

@@ -1,0 +1,106 @@
+"""Solving for walls, corners and poses, while learning how noisy each wall and corner is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.assembly import BLUNT, FLAT_M, Assembled
+from relmap.planes.history import PlaneHistory
+from relmap.planes.refinement import WallEquations, WallSystem, medians, quantiles
+
+EXACT_M = 1e-7
+"""How sure walls can be at best where there is no noise."""
+SHARPER = 0.1
+"""By how much the least noise is lowered at a time, down to what the observations show."""
+MEDIAN = 1.4826
+"""The standard deviation of what is normal, in units of the median of its size."""
+KNOWN_BY = 4.0
+"""Observations that what was assumed of a wall or corner counts for against what was seen of it."""
+ROUNDS = ((2, 20.0), (2, 8.0), (8, 4.0))
+"""Most steps of each solution, between which the noise of each wall and corner is learnt, and the
+residual from which an observation is in doubt: none is before the rest has fallen into place."""
+LAST = (6, 4.0)
+"""The same, of each solution with less noise than walls have at best."""
+ASTRAY_M, ASTRAY, MOSTLY = 0.04, 6.0, 0.75
+"""A track moved that is farther from its place in the map, and by more typical residuals, in more
+than a quarter of its sights."""
+
+
+def refined(
+    assembled: Assembled, rounds: Sequence[tuple[int, float]] = ROUNDS, by_scan: bool = True
+) -> Assembled:
+    """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is.
+
+    The arguments are those of `WallSystem.refine`.
+    """
+    given, state = assembled.given, assembled.state
+    system = WallSystem(given)
+    for k, (most, doubtful) in enumerate(rounds):
+        last = k == len(rounds) - 1
+        state = system.refine(state, most, doubtful, by_scan, settled=last)
+        given = _reweighted(assembled.given, *system.residuals(state))
+        system = system.reweighted(given)
+    return replace(assembled, given=given, state=state)
+
+
+def refined_to_the_noise(assembled: Assembled) -> Assembled:
+    """Solve for walls, corners and poses as accurately as the observations are.
+
+    Where they are better than real walls, the least noise is lowered bit by bit: what was found
+    wrong so far is out before the rest decides (graduated non-convexity; Blake and Zisserman,
+    1987).
+    """
+    best, share = refined(assembled), 1.0
+    while share * FLAT_M > max(assembled.typical_m, EXACT_M):
+        share *= SHARPER
+        given = replace(
+            assembled.given,
+            sd=share * assembled.given.sd,
+            corner_sd=share * assembled.given.corner_sd,
+        )
+        best = refined(replace(best, given=given), (LAST,), by_scan=False)
+    return best
+
+
+def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
+    """Return the plane tracks that are not where the refined map has them, time and again.
+
+    Such have moved, though binning could not tell them from what stood still.
+    """
+    given = assembled.given
+    across, along = WallSystem(given).residuals(assembled.state)
+    track = history.plane[assembled.rows]
+    astray = [np.empty(0, dtype=np.int64)]
+    for of, off in (
+        (track, np.abs(across).max(axis=1)),
+        (track[given.corner_row], np.abs(along) / BLUNT),
+    ):
+        tracks, row = np.unique(of, return_inverse=True)
+        limit = max(ASTRAY_M, ASTRAY * float(np.median(off))) if len(off) else ASTRAY_M
+        astray.append(tracks[quantiles(row, off, MOSTLY) > limit])
+    return np.unique(np.concatenate(astray))
+
+
+def _reweighted(
+    given: WallEquations, across: NDArray[np.float64], along: NDArray[np.float64]
+) -> WallEquations:
+    """Return the equations with the noise that each wall and corner shows in the residuals."""
+    wall = _learnt(given.wall, across.mean(axis=1) / given.sd)
+    corner = _learnt(given.corner, along / given.corner_sd)
+    return replace(
+        given, sd=given.sd * wall[given.wall], corner_sd=given.corner_sd * corner[given.corner]
+    )
+
+
+def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by what the standard deviations of each are to be multiplied, at least 1.
+
+    The median tells: single sights that are quite wrong are for the refinement to leave out.
+    """
+    n = np.bincount(of)
+    squares = n * (MEDIAN * medians(of, np.abs(residual))) ** 2
+    return np.asarray(np.sqrt(np.maximum((KNOWN_BY + squares) / (KNOWN_BY + n), 1.0)))

@@ -1,0 +1,79 @@
+"""Methods side by side: how far off each is, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from relmap.plots.paper import BLUE, GREY, ORANGE, blank, finish
+from relmap.plots.sheet import write_png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Figures = Mapping[str, float | None]
+OURS = "relmap"
+"""What the names of relmap's own methods begin with."""
+ROW_IN = 0.34
+
+
+def write_comparison_png(path: Path, rows: Sequence[tuple[str, Figures]], title: str) -> None:
+    """Draw a comparison into a PNG file; see `plot_comparison`.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    write_png(path, lambda: plot_comparison(rows, title))
+
+
+def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
+    """Draw the errors of map and path, and the time taken, of every method.
+
+    Parameters
+    ----------
+    rows : sequence of (str, mapping)
+        Name and figures of each method, from top to bottom.
+    title : str
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    of_map = "corner_rmse_m" if any(f.get("corner_rmse_m") for _, f in rows) else "landmark_rmse_m"
+    what = "corner" if of_map == "corner_rmse_m" else "landmark"
+    panels = [
+        (of_map, f"{what} RMSE [m]"),
+        ("ate_m", "error of the path (ATE) [m]"),
+        ("total_s", "processor time of the whole log [s]"),
+    ]
+    shown = [(key, name) for key, name in panels if any(f.get(key) for _, f in rows)] or panels[2:]
+    figure = blank(2.0 + 3.3 * len(shown), 1.5 + ROW_IN * len(rows))
+    figure.suptitle(title, fontsize=10)
+    all_axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, (key, name) in zip(all_axes, shown, strict=True):
+        _draw(axes, rows, key)
+        finish(axes, "", name, "")
+        axes.grid(visible=False, axis="y")
+    all_axes[0].set_yticks(range(len(rows)), [method for method, _ in rows])
+    all_axes[0].set_ylim(len(rows) - 0.5, -0.5)
+    return figure
+
+
+def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
+    """Draw one figure of every method as a bar from the smallest on, in logarithmic scale."""
+    axes.set_xscale("log")
+    values = [f.get(key) for _, f in rows]
+    known = [value for value in values if value]
+    least = min(known, default=1.0) / 3
+    axes.set_xlim(least, 4 * max(known, default=1.0))
+    for row, ((method, _), value) in enumerate(zip(rows, values, strict=True)):
+        if not value:
+            axes.text(least * 1.05, row, "no figure", va="center", fontsize=7, color=GREY)
+            continue
+        colour = BLUE if method.startswith(OURS) else ORANGE
+        axes.barh(row, value - least, left=least, height=0.62, color=colour)
+        axes.text(value * 1.08, row, f"{value:.3g}", va="center", fontsize=7)

@@ -1,0 +1,197 @@
+"""``relmap compare``: the table, the files, and one line for what goes wrong."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from relmap.cli import main
+from relmap.cli.compare import HELP
+from relmap.evaluation.compare import CSV_COLUMNS, compare
+from relmap.evaluation.methods.base import MethodInfo
+from relmap.evaluation.methods.registry import METHODS, find_method
+from relmap.evaluation.sources import EightSource
+from tests.commands import RELMAP, Check, names, table
+
+SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory, child_env: dict[str, str]) -> Path:
+    """A comparison as a user makes it; stdout and stderr are beside it."""
+    folder = tmp_path_factory.mktemp("compare")
+    chosen = "relmap-points,relmap-points-live,frame-to-map,ekf"
+    done = subprocess.run(
+        [*RELMAP, *SHORT, "--methods", chosen, "-o", "out"],
+        cwd=folder,
+        env=child_env,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    (folder / "printed").write_text(done.stdout)
+    return folder
+
+
+def test_files(compared: Path) -> None:
+    assert names(compared / "out") == [
+        "comparison.csv",
+        "comparison.png",
+        "map-ekf.png",
+        "map-frame-to-map.png",
+        "map-relmap-points-live.png",
+        "map-relmap-points.png",
+    ]
+    for picture in (compared / "out").glob("*.png"):
+        assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_csv_holds_every_figure_in_full(compared: Path) -> None:
+    rows = table(compared / "out" / "comparison.csv")
+    assert list(rows[0]) == list(CSV_COLUMNS)
+    assert [row["method"] for row in rows] == [
+        "relmap-points",
+        "relmap-points-live",
+        "frame-to-map",
+        "ekf",
+    ]
+    for row in rows:
+        assert row["association"] == "known"
+        assert 0.005 < float(row["landmark_rmse_m"]) < 0.1
+        assert row["corner_rmse_m"] == ""
+        assert row["note"] == ""
+        assert float(row["coverage"]) == 1.0
+        assert float(row["memory_mb"]) >= 0.0 if sys.platform == "linux" else True
+        for name in ("ate_m", "rpe_m", "median_ms", "mean_ms", "last_100_median_ms", "total_s"):
+            assert float(row[name]) > 0
+
+
+def test_printed_table_says_what_the_csv_says(compared: Path) -> None:
+    lines = (compared / "printed").read_text().splitlines()
+    assert lines[0] == (
+        "figure eight, density 25, gaussian noise 0.05 m, 60 iterations, seed 0; association known"
+    )
+    assert lines[1].split()[:5] == ["method", "RMSE", "of", "RMSE10", "cover"]
+    for line, row in zip(lines[3:], table(compared / "out" / "comparison.csv"), strict=False):
+        cells = line.split()
+        assert cells[0] == row["method"]
+        assert cells[1] == f"{float(row['landmark_rmse_m']):.4f}"
+        assert len(line) <= 100
+    assert lines[-1] == "wrote comparison.csv and 5 pictures to out"
+
+
+def test_a_log_with_its_truth_beside_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    eight = str(tmp_path / "eight")
+    assert main(["simulate", "figure-eight", "--iterations", "50", "-o", eight]) == 0
+    out = tmp_path / "out"
+    arguments = ["--association", "nearest", "--scans", "0:40", "-o", str(out)]
+    assert main(["compare", eight, "--methods", "relmap-points-live", *arguments]) == 0
+    assert "iterations 0:40; association nearest" in capsys.readouterr().out
+    (row,) = table(out / "comparison.csv")
+    assert float(row["landmark_rmse_m"]) < 0.1
+    assert float(row["purity"]) == 1.0
+
+
+def test_a_log_without_truth(place: Path) -> None:
+    (place / "truth" / "landmarks.csv").unlink()
+    (place / "truth").rmdir()
+    assert main(["compare", "log.csv", "--methods", "relmap-points-live", "-o", "c"]) == 0
+    (row,) = table(place / "c" / "comparison.csv")
+    assert row["landmark_rmse_m"] == row["ate_m"] == ""
+    assert float(row["total_s"]) > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "either INPUT, a log, or --simulate"),
+        (["log.csv", "--simulate", "building"], "either INPUT, a log, or --simulate"),
+        (["log.csv", "--methods", "ekv"], "unknown method 'ekv'; did you mean ekf?"),
+        (["log.csv", "--methods", "ekf"], "which landmark is which: --association known"),
+        (["log.csv", "--association", "known"], "needs a log with ids"),
+        (["log.csv", "--methods", "relmap-planes"], "cannot map a log of landmarks"),
+        (["log.csv", "--methods", "relmap-points,relmap-points"], "is named twice"),
+        (["nowhere.csv"], "nowhere.csv"),
+        (["log.csv", "--truth", "nowhere"], "nowhere"),
+        (["log.csv", "--sigma", "-1"], "--sigma is -1.0"),
+        (["log.csv", "--sigma", "0"], "--sigma is 0.0"),
+        (["log.csv", "--density", "100"], "are for --simulate"),
+        (["--simulate", "building", "--dynamic", "0.4"], "for the figure eight"),
+        (["--simulate", "figure-eight", "--dynamic", "2"], "dynamic is 2.0"),
+        (["--simulate", "figure-eight", "--truth", "truth"], "are for INPUT"),
+    ],
+)
+def test_refused_in_one_line(refused: Check, arguments: list[str], said: str) -> None:
+    assert said in refused("compare", *arguments, "-o", "c")
+
+
+def test_what_is_missing_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = "gtsam is not installed: pip install 'relmap[peers]'"
+    monkeypatch.setattr(
+        MethodInfo, "missing", property(lambda self: missing if self.needs else None)
+    )
+    chosen = ["--methods", "isam2,frame-to-map", "-o", str(tmp_path)]
+    assert main([*SHORT, *chosen]) == 0
+    printed = capsys.readouterr()
+    assert f"isam2: not run: {missing}" in printed.out
+    assert printed.err == f"relmap: isam2 not run: {missing}\n"
+    with (tmp_path / "comparison.csv").open() as stream:
+        notes = [row["note"] for row in csv.DictReader(stream)]
+    assert notes == [f"not run: {missing}", ""]
+    assert main([*SHORT, "--methods", "isam2", "-o", str(tmp_path / "none")]) == 2
+    assert not (tmp_path / "none").exists()
+
+
+def test_what_goes_wrong_in_one_method_is_told_of_it() -> None:
+    """Three landmarks in two iterations: batch least squares has nothing to go on."""
+    source = EightSource(density=0.3, iterations=3)
+    rows = list(compare(source, [find_method("batch"), find_method("frame-to-frame")], "known"))
+    assert rows[0].run is None
+    assert rows[0].note.startswith("failed: ")
+    assert rows[1].run is not None
+
+
+def test_help_names_every_method() -> None:
+    for method in METHODS:
+        assert method.name in HELP
+
+
+def test_interrupted_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
+    """Ctrl-C reaches every process of the terminal; nothing is left behind, running or written."""
+    process = subprocess.Popen(
+        [*RELMAP, "compare", "--simulate", "figure-eight", "--methods", "ekf", "-o", "out"],
+        cwd=tmp_path,
+        env=child_env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not list(tmp_path.glob("out/.relmap-*")) and process.poll() is None:
+        time.sleep(0.02)
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
+    printed, complained = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert printed == ""
+    assert complained == "relmap: interrupted\n"
+    assert names(tmp_path) == []
+    for _ in range(200):
+        try:
+            os.killpg(process.pid, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    pytest.fail("a process was left behind")

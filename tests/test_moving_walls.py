@@ -1,0 +1,98 @@
+"""Doors that swing and panels that slide: simulated, and what the plane mapper makes of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper, RelmapError
+from relmap.evaluation.plane_evaluate import WallTruth, match_corners
+from relmap.simulation import Building, simulate_building
+from relmap.simulation.floor_plan import World, make_floor_plan
+from relmap.simulation.moving_walls import make_moving
+
+SEEN = 10
+"""Scans in which a wall must have been seen before anything is asked of it."""
+
+
+def crossings(a: NDArray[np.float64], b: NDArray[np.float64]) -> int:
+    """Count the proper crossings of segments (n, 4) and (m, 4)."""
+    p, q, r, s = a[:, None, :2], a[:, None, 2:4], b[None, :, :2], b[None, :, 2:4]
+
+    def side(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> object:
+        u, v = y - x, z - x
+        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+    over = (side(p, q, r) * side(p, q, s) < 0) & (side(r, s, p) * side(r, s, q) < 0)  # type: ignore[operator]
+    return int(over.sum())
+
+
+@pytest.mark.parametrize("world", ["building", "panels"])
+def test_movers_are_rigid_and_hit_nothing(world: World) -> None:
+    for seed in range(12):
+        plan = make_floor_plan(world, np.random.default_rng(seed))
+        plan, movers = make_moving(plan, world, 6, np.random.default_rng(seed))
+        assert len(movers.row) >= 6
+        moves = np.isin(np.arange(len(plan.walls)), movers.row)
+        lengths = []
+        for iteration in range(0, 60, 5):
+            walls = movers.at(plan.walls, iteration)
+            np.testing.assert_array_equal(walls[~moves], plan.walls[~moves])
+            lengths.append(np.linalg.norm(walls[moves, 2:4] - walls[moves, :2], axis=1))
+            assert crossings(walls[moves], walls[~moves]) == 0
+            assert crossings(walls[moves], walls[moves]) == 0
+        np.testing.assert_allclose(lengths, np.tile(lengths[0], (len(lengths), 1)), atol=1e-12)
+
+
+def test_the_rest_of_the_world_is_the_same() -> None:
+    still, moved = (simulate_building(points=10, seed=3, iterations=5, moving=n) for n in (0, 4))
+    assert not still.moving.any()
+    assert moved.moving.sum() == 8
+    np.testing.assert_array_equal(moved.walls[~moved.moving], still.walls)
+    np.testing.assert_array_equal(moved.trajectory, still.trajectory)
+
+
+def test_a_negative_number_of_movers_is_refused() -> None:
+    with pytest.raises(RelmapError, match="moving is -1"):
+        simulate_building(moving=-1)
+
+
+@pytest.mark.parametrize(
+    ("world", "moving", "seed"),
+    [("building", 6, 20), ("building", 6, 22), ("panels", 2, 24), ("panels", 2, 27)],
+)
+def test_moving_walls_leave_the_map(world: World, moving: int, seed: int) -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=seed, world=world, moving=moving)
+    mapper = PlaneMapper()
+    numbers = [mapper.update(scan.seen) for scan in building.scans]
+    mapper.finish()
+    mapper.refine()
+    wall = np.concatenate([scan.seen.wall for scan in building.scans])
+    number = mapper.landmarks_of(np.concatenate(numbers))
+    status = dict(zip(mapper.planes.plane.tolist(), mapper.planes.status.tolist(), strict=True))
+    movers = [w for w in np.flatnonzero(building.moving) if (wall == w).sum() >= SEEN]
+    assert movers
+    for mover in movers:
+        found = {status[n] for n in number[wall == mover].tolist()}
+        assert "dynamic" in found
+        assert "static" not in found
+    for n, kind in status.items():
+        if kind == "dynamic":
+            assert building.moving[np.bincount(wall[number == n]).argmax()]
+    assert_exact(mapper, building)
+
+
+def assert_exact(mapper: PlaneMapper, building: Building) -> None:
+    """The walls that stand still are mapped as if nothing moved."""
+    still = ~building.moving
+    ends = building.walls[still, :4].reshape(-1, 2, 2)
+    due = building.times_seen()[still, 1:] >= SEEN
+    truth = WallTruth(ends, due.astype(np.int64), building.stamps_s, building.trajectory)
+    matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
+    assert matched is not None
+    off = matched.position @ matched.R.T + matched.t - matched.truth
+    assert np.abs(off).max() <= 1e-9
+    found = np.isin(np.flatnonzero(due), 2 * matched.wall + matched.end)
+    assert found.mean() >= 0.9
+    assert matched.n_false == 0

@@ -1,0 +1,66 @@
+"""Matching of walls against brute force and scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from relmap.planes.kernels.matching import assigned, carried
+from relmap.planes.observation import checked_planes
+from relmap.planes.placement import STILL, place
+from relmap.planes.tracks import PlaneTracks
+
+
+def test_assignment_is_the_best_one() -> None:
+    """Against scipy, for more rows than columns and fewer, with worthless pairs."""
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        n, m = rng.integers(1, 9, 2)
+        worth = np.where(rng.random((n, m)) < 0.5, rng.random((n, m)), 0.0)
+        rows = assigned(worth)
+        columns = np.flatnonzero(rows >= 0)
+        assert len(np.unique(rows[columns])) == len(columns)
+        assert (worth[rows[columns], columns] > 0).all()
+        best = worth[linear_sum_assignment(-worth)].sum()
+        np.testing.assert_allclose(worth[rows[columns], columns].sum(), best, atol=1e-12)
+
+
+def test_tracks_are_carried_as_rigid_bodies() -> None:
+    tracks, _ = tracks_of_a_room()
+    yaw, t = 0.3, np.array([0.5, -0.2])
+    arrays = (tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at)
+    there = carried(arrays, np.array([yaw, *t]))
+    expected = tracks.carried(yaw, t)
+    for got, name in zip(there, ("angle", "offset", "ends", "sd", "corner_at"), strict=True):
+        np.testing.assert_allclose(got, getattr(expected, name), atol=1e-12)
+
+
+def test_a_wide_jump_is_found() -> None:
+    """As after scans were lost: a metre and a third of a right angle at once."""
+    tracks, room = tracks_of_a_room()
+    yaw, t = 0.5, np.array([0.8, -0.6])
+    c, s = np.cos(yaw), np.sin(yaw)
+    seen = checked_planes(Room(room @ np.array([[c, s], [-s, c]]) + t))
+    found = place(tracks, seen, STILL)
+    assert found is not None
+    motion, match = found
+    np.testing.assert_allclose([motion.yaw, *motion.t], [yaw, *t], atol=1e-9)
+    assert match.tracks.tolist() == match.walls.tolist() == [0, 1, 2]
+
+
+class Room:
+    """Three walls of a room whose ends are all seen."""
+
+    def __init__(self, ends: np.ndarray) -> None:
+        self.ends = ends
+        self.end_type = np.full((len(ends), 2), "corner")
+
+
+def tracks_of_a_room() -> tuple[PlaneTracks, np.ndarray]:
+    room = np.array(
+        [[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]], [[-3.0, -3.0], [4.0, -3.0]]]
+    )
+    seen = checked_planes(Room(room))
+    tracks = PlaneTracks.begun(np.arange(3), seen)
+    tracks.corner_at = seen.ends.copy()
+    return tracks, room

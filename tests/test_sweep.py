@@ -1,0 +1,273 @@
+"""``relmap sweep``: the grid, the same table whatever runs it, and going on after an end."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from relmap.cli import main
+from relmap.core.errors import RelmapError
+from relmap.evaluation.methods.running import ACCURACY
+from relmap.evaluation.sweep import TIMES, CellStore, Finished, accuracy_csv, run_cell
+from relmap.evaluation.sweep_spec import KEYS, Cell, cells_of, varying
+from tests.commands import RELMAP, Check, names, table
+
+SPEC = """
+method = ["relmap-points-live", "frame-to-map"]
+sigma = [0.05, 0.1]
+iterations = 40
+seed = "0:2"
+"""
+N = 8
+FIGURES: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES), 1.0)
+NEEDS_DASK = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="no dask: pip install 'relmap[cluster]'",
+)
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> Path:
+    path = tmp_path / "grid.toml"
+    path.write_text(SPEC)
+    return path
+
+
+@pytest.fixture(scope="module")
+def expected() -> str:
+    """The table, cell by cell in this process."""
+    cells = cells_of(
+        {
+            "method": ["relmap-points-live", "frame-to-map"],
+            "sigma": [0.05, 0.1],
+            "iterations": 40,
+            "seed": [0, 1],
+        }
+    )
+    return accuracy_csv(cells, [run_cell(cell) for cell in cells])
+
+
+def sweep(spec: Path, out: Path, env: dict[str, str], *more: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*RELMAP, "sweep", str(spec), "-o", str(out), *more],
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finished_cells(out: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in (out / "cells").glob("*.json")}
+
+
+def test_the_same_table_from_two_workers(
+    spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
+) -> None:
+    """With one it is the one of the runs below."""
+    run = sweep(spec, tmp_path / "out", child_env, "--workers", "2")
+    printed, complained = run.communicate(timeout=300)
+    assert run.returncode == 0, complained
+    assert (tmp_path / "out" / "sweep.csv").read_text() == expected
+    lines = printed.splitlines()
+    assert lines[0] == "medians over the seeds"
+    assert lines[1].split()[:3] == ["method", "sigma", "RMSE"]
+    assert len(lines) == 3 + 4 + 1
+    assert lines[-1] == f"wrote {N} cells to {tmp_path / 'out'}"
+    timing = table(tmp_path / "out" / "timing.csv")
+    assert len(timing) == N
+    assert all(float(row["total_s"]) > 0 for row in timing)
+
+
+def test_goes_on_after_an_interruption(
+    spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
+) -> None:
+    out = tmp_path / "out"
+    run = sweep(spec, out, child_env, "--workers", "1")
+    while len(finished_cells(out)) < 3 and run.poll() is None:
+        time.sleep(0.02)
+    run.send_signal(signal.SIGINT)
+    _, complained = run.communicate(timeout=60)
+    before = finished_cells(out)
+    assert run.returncode == 130, complained
+    assert 3 <= len(before) < N
+    assert "the same command goes on with the others" in complained
+    assert "Traceback" not in complained
+    assert not (out / "sweep.csv").exists()
+    run = sweep(spec, out, child_env, "--workers", "1")
+    _, complained = run.communicate(timeout=300)
+    assert run.returncode == 0, complained
+    assert f"{len(before)} of {N} cells were finished before" in complained
+    after = finished_cells(out)
+    assert len(after) == N
+    assert {name: after[name] for name in before} == before
+    assert (out / "sweep.csv").read_text() == expected
+
+
+def test_more_of_a_grid_runs_only_what_is_new(spec: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["sweep", str(spec), "-o", str(out), "--workers", "1"]) == 0
+    before = finished_cells(out)
+    spec.write_text(SPEC.replace("0:2", "0:3"))
+    assert main(["sweep", str(spec), "-o", str(out), "--workers", "1"]) == 0
+    after = finished_cells(out)
+    assert len(after) == N + 4
+    assert {name: after[name] for name in before} == before
+
+
+def test_damaged_and_old_cells_are_run_again(tmp_path: Path) -> None:
+    store, cell = CellStore(tmp_path), Cell()
+    assert store.load(cell) is None
+    store.save(cell, Finished(FIGURES))
+    assert store.load(cell) == Finished(FIGURES)
+    assert store.load(Cell(seed=1)) is None
+    (path,) = (tmp_path / "cells").iterdir()
+    told = json.loads(path.read_text())
+    for text in ("", "{", "[]", json.dumps(told | {"version": "0.0.1"})):
+        path.write_text(text)
+        assert store.load(cell) is None
+
+
+def test_a_missing_extra_is_tried_again(tmp_path: Path) -> None:
+    store = CellStore(tmp_path)
+    store.save(Cell(), Finished(FIGURES, "not run: no gtsam", again=True))
+    assert names(tmp_path / "cells") == []
+
+
+def test_what_goes_wrong_stands_in_the_table() -> None:
+    finished = run_cell(Cell(density=0.3, iterations=3, method="batch"))
+    assert finished.note.startswith("failed: ")
+    assert set(finished.figures.values()) == {None}
+
+
+def test_grid() -> None:
+    cells = cells_of({"method": ["ekf", "batch"], "sigma": [0.1, 1], "seed": "2:4"})
+    assert len(cells) == 8
+    assert len(set(cells)) == 8
+    assert [c.method for c in cells[:2]] == ["ekf", "batch"]
+    assert {c.seed for c in cells} == {2, 3}
+    assert {c.sigma for c in cells} == {0.1, 1.0}
+    assert varying(cells) == ["sigma", "method"]
+    assert list(KEYS)[-1] == "method"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"sigma": 0.1}, "no key method"),
+        ({"method": "ekf", "sigmas": 0.1}, "unknown key 'sigmas'; did you mean sigma?"),
+        ({"method": "ekv"}, "did you mean ekf?"),
+        ({"method": ["ekf", "ekf"]}, "must list different values"),
+        ({"method": []}, "must list different values"),
+        ({"method": "ekf", "sigma": "low"}, "sigma is 'low'; it must be a number"),
+        ({"method": "ekf", "seed": [0.5]}, "it must be a whole number"),
+        ({"method": "ekf", "seed": True}, "it must be a whole number"),
+        ({"method": "ekf", "seed": "3"}, "A:B"),
+        ({"method": "ekf", "seed": "0:2000000"}, "at most 1000000"),
+        ({"method": "ekf", "sigma": -0.1}, "sigma is -0.1; it must be 0 to 1000 metres"),
+        ({"method": "ekf", "sigma": float("nan")}, "sigma is nan"),
+        ({"method": "ekf", "dynamic": [0.4, 40]}, "dynamic is 40.0; it must be a share"),
+        ({"method": "ekf", "seed": [-1]}, "seed is -1"),
+        ({"method": "ekf", "noise": "flat"}, "noise is 'flat'; it must be gaussian or uniform"),
+        ({"method": "ekf", "world": "moon"}, "figure-eight or building"),
+        ({"method": "ekf", "association": "nearest"}, "which landmark is which"),
+        ({"method": "relmap-planes", "world": "building"}, "association = 'nearest'"),
+        ({"method": "relmap-planes", "world": "building", "density": 5}, "of the figure eight"),
+        ({"method": "relmap-planes"}, "cannot map a log of landmarks"),
+    ],
+)
+def test_refused(given: dict[str, object], said: str) -> None:
+    with pytest.raises(RelmapError, match=said.replace("?", r"\?")):
+        cells_of(given)
+
+
+def test_refused_in_one_line(refused: Check, place: Path) -> None:
+    assert "nowhere.toml" in refused("sweep", "nowhere.toml", "-o", "s")
+    (place / "bad.toml").write_text("method = [")
+    assert "bad.toml: not TOML" in refused("sweep", "bad.toml", "-o", "s")
+    (place / "good.toml").write_text(SPEC)
+    assert "--workers is 0" in refused("sweep", "good.toml", "-o", "s", "--workers", "0")
+    both = ["--workers", "2", "--dask", "tcp://127.0.0.1:1"]
+    assert "--workers is for this machine" in refused("sweep", "good.toml", "-o", "s", *both)
+
+
+def test_parquet_holds_the_same_table(spec: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="no pyarrow: relmap[parquet]")
+    assert main(["sweep", str(spec), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
+    columns = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pydict()
+    rows = table(tmp_path / "out" / "sweep.csv")
+    assert list(columns) == list(rows[0])
+    assert columns["landmark_rmse_m"] == [float(row["landmark_rmse_m"]) for row in rows]
+    assert columns["method"] == [row["method"] for row in rows]
+
+
+@NEEDS_DASK
+def test_on_a_cluster_that_loses_a_worker(
+    spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
+) -> None:
+    """A scheduler and two workers on loopback; one of them is killed in the middle."""
+    from distributed import Client
+
+    address = tmp_path / "address.json"
+    told = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    scheduler = dask(child_env, "scheduler", *told, "--scheduler-file", str(address))
+    workers: list[subprocess.Popen[bytes]] = []
+    try:
+        at = address_in(address)
+        alone = ["--no-nanny", "--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
+        workers += [
+            dask(child_env, "worker", at, *alone, "--local-directory", str(tmp_path))
+            for _ in range(2)
+        ]
+        with Client(at, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+        run = sweep(spec, tmp_path / "out", child_env, "--dask", at)
+        while len(finished_cells(tmp_path / "out")) < 2 and run.poll() is None:
+            time.sleep(0.02)
+        assert workers[0].poll() is None
+        workers[0].kill()
+        _, complained = run.communicate(timeout=300)
+    finally:
+        for process in (*workers, scheduler):
+            process.kill()
+            process.wait()
+    assert run.returncode == 0, complained
+    assert len(finished_cells(tmp_path / "out")) == N
+    assert (tmp_path / "out" / "sweep.csv").read_text() == expected
+
+
+def dask(env: dict[str, str], what: str, *arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments],
+        env=env,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+
+def address_in(file: Path) -> str:
+    """Return where a scheduler listens, once it has written that down."""
+    for _ in range(600):
+        if file.exists() and file.read_text().strip():
+            address = json.loads(file.read_text())["address"]
+            assert isinstance(address, str)
+            return address
+        time.sleep(0.1)
+    raise AssertionError("the scheduler did not start")
+
+
+@NEEDS_DASK
+def test_no_scheduler(
+    spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("relmap.evaluation.sweep.PATIENCE_S", 1)
+    arguments = ["-o", str(tmp_path / "out"), "--dask", "tcp://127.0.0.1:9"]
+    assert main(["sweep", str(spec), *arguments]) == 2
+    assert "no dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err
