@@ -14,6 +14,8 @@ from relmap.core.scan import FARTHEST_M, numbers
 
 SHORTEST_M = 1e-6
 """A wall shorter than this has no direction."""
+FARTHEST_END_M = FARTHEST_M / 4
+"""Beyond this an end is damage; what is estimated from it is within reach of a point then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +110,12 @@ def checked_ends(ends: Any) -> NDArray[np.float64]:
         return np.empty((0, 2, 2))
     if array.ndim != 3 or array.shape[1:] != (2, 2):
         raise RelmapError(f"ends has shape {array.shape}; it must be (m, 2, 2)")
-    near = (np.abs(array) <= FARTHEST_M).all(axis=(1, 2))
+    near = (np.abs(array) <= FARTHEST_END_M).all(axis=(1, 2))
     if not near.all():
         wall = int(np.argmin(near))
         raise RelmapError(
             f"wall {wall} ends at {array[wall].tolist()}; it must be finite, metres, and at most "
-            f"{FARTHEST_M:g}"
+            f"{FARTHEST_END_M:g}"
         )
     return array
 
