@@ -14,7 +14,7 @@ from relmap.segmentation.em import WallMixture, maximise, scan_area
 from relmap.segmentation.end_types import Limits, type_ends
 from relmap.segmentation.kernels import bell, expect, gauss_step, weighted_line
 from relmap.segmentation.moves import bend, merge, split, widest_gap
-from relmap.segmentation.noise import noise_candidates
+from relmap.segmentation.noise import window_noise
 from relmap.segmentation.scanlines import scan_walls
 
 
@@ -41,7 +41,7 @@ def test_density_of_a_wall_integrates_to_its_share(rays: bool) -> None:
     walls = np.array([wall(2.0, -1.0, 2.5, 0.8, 0.6)])
 
     def density(y: float, x: float) -> float:
-        return float(expect(np.array([[x, y]]), walls, 0.15, 0.0, rays)[1][0])
+        return float(expect(np.array([[x, y]]), walls, 0.15, np.zeros(1), rays)[1][0])
 
     total, _ = dblquad(density, 1.0, 3.5, -2.2, 2.0, epsabs=1e-4)
     assert total == pytest.approx(0.6, rel=5e-3 if rays else 1e-3)
@@ -154,7 +154,7 @@ def test_noise_is_seen_in_windows(sigma: float) -> None:
     rng = np.random.default_rng(10)
     rows = [wall(5, -4, 5, 4), wall(5, 4, -3, 4), wall(-3, 4, -3, -4)]
     xy = np.vstack([on_wall(rng, row, 700, sigma) for row in rows])
-    assert noise_candidates(xy, rng)[0] == pytest.approx(sigma, rel=0.15)
+    assert window_noise(xy, rng) == pytest.approx(sigma, rel=0.15)
 
 
 def test_walls_meet_in_their_crossing() -> None:

@@ -20,7 +20,7 @@ CONTESTED = 0.5
 in units of the noise."""
 WORTH = 2.0
 """A crossing so many times less accurate than the end tells nothing of it."""
-ROUNDS = 4
+ROUNDS = 2
 HELD = 4
 """Steps of EM with the ends held in their corners."""
 

@@ -141,12 +141,12 @@ class PlaneSegmenter:
     ) -> tuple[NDArray[np.int64], float]:
         """Return the plane of each point as found without the shape of a wall, and the noise."""
         from relmap.segmentation.lines import find_lines
-        from relmap.segmentation.noise import noise_candidates
+        from relmap.segmentation.noise import window_noise
         from relmap.segmentation.ransac3d import patch_labels, sequential_labels
 
         if method == "patches":
             return patch_labels(xyz), self.noise or 0.0
-        sigma = noise_candidates(xy, rng)[0] if self.noise is None else max(self.noise, 1e-9)
+        sigma = window_noise(xy, rng) if self.noise is None else max(self.noise, 1e-9)
         if method == "ransac3d":
             return sequential_labels(xyz, sigma, LEAST, self.random_state), sigma
         _, labels = find_lines(xy, sigma, LEAST, rng)
