@@ -20,7 +20,7 @@ EMPTY = 6.0
 """Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
 HIDDEN = 0.7
 """Share of a wall's view before which there cannot be another wall."""
-FLUSH = 2.5
+FLUSH = 4.0
 """Standard deviations within which a wall before another is the same one."""
 PARALLEL_SINE = 0.3
 MISSED = 1.6

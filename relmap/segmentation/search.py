@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from relmap.segmentation.em import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.lines import find_lines
 from relmap.segmentation.moves import ROUGH, bend, merge, prune, split
-from relmap.segmentation.noise import FLOOR_M, by_beams, window_noise, points_per_beam
+from relmap.segmentation.noise import FLOOR_M, by_beams, points_per_beam, window_noise
 
 FEW = 1000
 MOST = 3000
