@@ -14,7 +14,7 @@ from relmap.segmentation.noise import FLOOR_M, by_beams, points_per_beam, window
 
 FEW = 1000
 MOST = 3000
-MORE = 10000
+MORE = 6000
 """More points than these tell no more of how many walls there are; a random part is searched."""
 POLISHED = 20000
 """With so many, of all points, the lines and ends are made accurate."""
