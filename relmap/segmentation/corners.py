@@ -36,11 +36,14 @@ class Sharpened:
         Standard deviation of where each wall begins and ends along itself.
     joined : (k, 2) bool
         Whether it does so in a corner with another wall.
+    hidden : (k, 2) bool or None
+        Whether the next beam meets something nearer; None where points are in no order.
     """
 
     mixture: WallMixture
     spread: NDArray[np.float64]
     joined: NDArray[np.bool_]
+    hidden: NDArray[np.bool_] | None = None
 
 
 def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -118,12 +119,13 @@ class PlaneSegmenter:
     ) -> tuple[Sharpened, NDArray[np.int64]]:
         """Return accurate walls and the wall of each point."""
         from relmap.segmentation import search
-        from relmap.segmentation.scanlines import extend_to_beams, scan_walls
+        from relmap.segmentation.scanlines import extend_to_beams, hidden_ends, scan_walls
 
         rng = np.random.default_rng(self.random_state)
         if method == "scanlines":
             mixture, labels = scan_walls(xy, self.noise)
-            return meet(extend_to_beams(mixture, xy, labels), len(xy)), labels
+            sharp = meet(extend_to_beams(mixture, xy, labels), len(xy))
+            return replace(sharp, hidden=hidden_ends(xy, labels)), labels
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)
             sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))
@@ -169,10 +171,12 @@ class PlaneSegmenter:
         ends = np.array([corners(w) for w in sharp.mixture.walls[kept]]).reshape(-1, 2, 2)
         spread, joined = sharp.spread[kept], sharp.joined[kept]
         turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
-        for pair in (ends, spread, joined):
-            pair[turned] = pair[turned][:, ::-1]
+        hidden = None if sharp.hidden is None else sharp.hidden[kept]
+        for pair in (ends, spread, joined, hidden):
+            if pair is not None:
+                pair[turned] = pair[turned][:, ::-1]
         limits = sensor_limits(ends, spread, joined, self.view_rad, self.range_m)
-        kind = type_ends(ends, spread, joined, limits)
+        kind = type_ends(ends, spread, joined, limits, hidden)
         return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)
 
 
