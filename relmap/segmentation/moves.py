@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.segmentation.em import PARAMETERS, WallMixture, maximise, wall_cost
+from relmap.segmentation.shadows import parted
 
 BENT = 10.0
 """Loss of log likelihood above which two walls do not lie on one line."""
@@ -89,7 +90,7 @@ def _join(
     if not _near(w, v, mixture.sigma):
         return None
     own = xy[(labels == i) | (labels == j)]
-    if len(own) < 3:
+    if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
         return None
     whole = wall_through(own, w)
     whole[SHARE] = w[SHARE] + v[SHARE]

@@ -11,6 +11,7 @@ from relmap.segmentation.em import STRAY_AT_FIRST, WallMixture, maximise, scan_a
 from relmap.segmentation.lines import find_lines
 from relmap.segmentation.moves import ROUGH, bend, merge, prune, split
 from relmap.segmentation.noise import FLOOR_M, by_beams, points_per_beam, window_noise
+from relmap.segmentation.shadows import part_at_shadows
 
 FEW = 1000
 MOST = 3000
@@ -130,6 +131,8 @@ def improve(
         mixture = split(maximise(mixture, xy, BETWEEN, tolerance=ROUGH), xy)
         sizes.append(len(mixture.walls))
         mixture = bend(mixture, xy, not thorough)
+        if thorough:
+            mixture = part_at_shadows(mixture, xy)
         sizes.append(len(mixture.walls))
         mixture = _with_strays(mixture, xy, rng)
         mixture = maximise(mixture, xy, BETWEEN, tolerance=ROUGH)
