@@ -22,7 +22,7 @@ POLISHED = 20000
 LEAST = 8
 """Points of a wall, at least."""
 SHORTEST = 1.5
-"""A wall is longer than so many times the noise."""
+"""Of a scan at least one wall is longer than so many times the noise."""
 STARTS = (0.5, 0.8)
 """Lines are first looked for as if the noise were so many times what windows say: pieces of walls
 join more easily than walls taken for one part."""
@@ -44,6 +44,7 @@ def fit_walls(
     mixture = search_walls(few, noise, rng)
     for most in (MOST, MORE):
         mixture, few = loosened(mixture, len(few)), part(xy, most, rng)
+        mixture = replace(mixture, repeat=points_per_beam(few))
         mixture = improve(mixture, few, rng, thorough=True)
         if len(few) == len(xy):
             break
@@ -76,7 +77,10 @@ def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     from relmap.segmentation.kernels import BEGIN, END
 
     length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
-    if length.max(initial=0.0) < SHORTEST * mixture.sigma:
+    solid = length > SHORTEST * mixture.sigma
+    if mixture.repeat > 1:  # else a single column of beams would make a wall
+        mixture = mixture.only(solid)
+    elif not solid.any():
         return mixture.only([])
     spread = -len(xy) * np.log(scan_area(xy, 0.0))
     return mixture if mixture.evidence(xy) > spread else mixture.only([])
@@ -130,7 +134,7 @@ def improve(
         sizes.append(len(mixture.walls))
         mixture = split(maximise(mixture, xy, BETWEEN, tolerance=ROUGH), xy)
         sizes.append(len(mixture.walls))
-        mixture = bend(mixture, xy, not thorough)
+        mixture = bend(mixture, xy, not thorough or mixture.repeat > 1)
         if thorough:
             mixture = part_at_shadows(mixture, xy)
         sizes.append(len(mixture.walls))

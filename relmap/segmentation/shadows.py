@@ -87,6 +87,8 @@ def parted(walls: NDArray[np.float64], i: int, j: int, sigma: float, n: int) -> 
     w, v = walls[i], walls[j]
     ends = v[:2] + v[4:6, None] * v[2:4]
     low, high = np.sort((ends - w[:2]) @ w[2:4])
+    if min(w[END], high) - max(w[BEGIN], low) > PLAIN * sigma:
+        return False
     gap = (w[END], low) if low + high > w[BEGIN] + w[END] else (high, w[BEGIN])
     others = np.delete(walls, j, axis=0)
     dark = shadows(others, i - (j < i), sigma, n)
