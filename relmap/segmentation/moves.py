@@ -103,7 +103,7 @@ def _join(
             apart += float(density[k] / total @ d**2)
         if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
             return whole
-    if _one_hides_other(w, v) and _flush(w, v, mixture.sigma):
+    if _flush(w, v, mixture.sigma) and (_one_hides_other(w, v) or _side_by_side(w, v)):
         return whole
     two, near = mixture.around([i, j], xy)
     scale = len(xy) / len(near)
@@ -182,6 +182,14 @@ def _flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool
     if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
         return False
     return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
+
+
+def _side_by_side(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
+    """Tell whether most of the shorter of two walls lies beside the longer one."""
+    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
+        w, v = v, w
+    t = np.sort((corners(v) - w[:2]) @ w[2:4])
+    return bool(min(w[5], t[1]) - max(w[4], t[0]) > HIDDEN * (t[1] - t[0]))
 
 
 def _one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:

@@ -64,9 +64,8 @@ def points_per_beam(xy: NDArray[np.float64]) -> float:
 
 def beam_angle(xy: NDArray[np.float64]) -> float:
     """Return the angle (radians) between neighbouring columns of beams; 0 where there are none."""
-    if points_per_beam(xy) == 1:
-        return 0.0
-    return float(np.median(np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))))
+    step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))
+    return float(np.median(step)) if points_per_beam(xy) > 1 and len(step) else 0.0
 
 
 def by_beams(xy: NDArray[np.float64]) -> bool:

@@ -55,7 +55,7 @@ def part_at_shadows(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixtur
         for low, high in shadows(mixture.walls, k, mixture.sigma, len(xy)):
             last = pieces[-1]
             inside = (low > last[BEGIN] + room) and (high < last[END] - room)
-            if not inside or not _empty(t, low, high, mixture.sigma):
+            if not inside or not _empty(t, low, high, wall, mixture.sigma):
                 continue
             share = float(np.mean(t < 0.5 * (low + high)))
             left, right = last.copy(), last.copy()
@@ -66,14 +66,16 @@ def part_at_shadows(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixtur
     return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
 
 
-def _empty(t: NDArray[np.float64], low: float, high: float, sigma: float) -> bool:
-    """Tell whether a stretch among sorted positions (m,) may hold nothing but noise."""
+def _empty(
+    t: NDArray[np.float64], low: float, high: float, wall: NDArray[np.float64], sigma: float
+) -> bool:
+    """Tell whether a stretch among sorted positions (m,) along a wall may hold nothing but noise."""
     if len(t) < LEAST:
         return False
     if high - low < PLAIN * sigma:
         return True
     count = np.diff(np.searchsorted(t, [low, high]))[0]
-    seen = max(t[-1] - t[0] - (high - low), 1e-9)
+    seen = max(wall[5] - wall[4] - (high - low), sigma)
     leaked = (len(t) - count) / seen * min(LEAKED * sigma, high - low)
     return bool(count < leaked + 3 * np.sqrt(leaked) + 1)
 
