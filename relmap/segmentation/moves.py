@@ -13,17 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.segmentation.em import PARAMETERS, WallMixture, maximise, wall_cost
+from relmap.segmentation.pairs import corners, flush, one_hides_other, side_by_side, within_reach
 from relmap.segmentation.shadows import parted
 
 BENT = 10.0
 """Loss of log likelihood above which two walls do not lie on one line."""
 EMPTY = 6.0
 """Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
-HIDDEN = 0.7
-"""Share of a wall's view before which there cannot be another wall."""
-FLUSH = 4.0
-"""Standard deviations within which a wall before another is the same one."""
-PARALLEL_SINE = 0.3
 MISSED = 1.6
 """Beams missing in a gap, where they are known to be evenly spaced."""
 CURVED = 3.0
@@ -87,7 +83,7 @@ def _join(
     from relmap.segmentation.kernels import SHARE
 
     w, v = mixture.walls[i], mixture.walls[j]
-    if not _near(w, v, mixture.sigma):
+    if not within_reach(w, v, mixture.sigma):
         return None
     own = xy[(labels == i) | (labels == j)]
     if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
@@ -103,7 +99,7 @@ def _join(
             apart += float(density[k] / total @ d**2)
         if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
             return whole
-    if _flush(w, v, mixture.sigma) and (_one_hides_other(w, v) or _side_by_side(w, v)):
+    if flush(w, v, mixture.sigma) and (one_hides_other(w, v) or side_by_side(w, v)):
         return whole
     two, near = mixture.around([i, j], xy)
     scale = len(xy) / len(near)
@@ -157,7 +153,7 @@ def _bent(
     best, pieces = maximise(one, near, TRIAL, tolerance=ROUGH).evidence(near), None
     for trial in sorted(trials, key=lambda two: -two.likelihood(near))[:FINALISTS]:
         two = maximise(trial, near, 2 * TRIAL, tolerance=ROUGH)
-        if two.evidence(near) > best and not _one_hides_other(*two.walls):
+        if two.evidence(near) > best and not one_hides_other(*two.walls):
             best, pieces = two.evidence(near), two.walls.copy()
     if pieces is not None:
         pieces[:, SHARE] *= len(near) / len(xy)
@@ -175,38 +171,6 @@ def _halves(
     return [*(t > cut for cut in cuts), d > np.median(d)]
 
 
-def _flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
-    """Tell whether the shorter of two walls lies along the longer one's line, within the noise."""
-    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
-        w, v = v, w
-    if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
-        return False
-    return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
-
-
-def _side_by_side(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
-    """Tell whether most of the shorter of two walls lies beside the longer one."""
-    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
-        w, v = v, w
-    t = np.sort((corners(v) - w[:2]) @ w[2:4])
-    return bool(min(w[5], t[1]) - max(w[4], t[0]) > HIDDEN * (t[1] - t[0]))
-
-
-def _one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
-    """Tell whether two walls share most of the smaller one's view: the sensor sees only one."""
-    spans = []
-    for wall in (w, v):
-        ends = corners(wall)
-        middle = ends.mean(axis=0)
-        turned = ends @ np.array([[middle[0], -middle[1]], [middle[1], middle[0]]])
-        bearing = np.arctan2(turned[:, 1], turned[:, 0]) + np.arctan2(middle[1], middle[0])
-        spans.append((bearing.min(), bearing.max()))
-    (a, b), (c, d) = spans
-    shift = 2 * np.pi * round(((a + b) - (c + d)) / (4 * np.pi))
-    shared = min(b, d + shift) - max(a, c + shift)
-    return bool(shared > HIDDEN * min(b - a, d - c))
-
-
 def wall_through(own: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the wall through points (m, 2), which goes the way of another."""
     from relmap.segmentation.kernels import BEGIN, END, EXACT_M, PX, UX, weighted_line
@@ -216,25 +180,6 @@ def wall_through(own: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray
     t = (own - wall[PX : PX + 2]) @ wall[UX : UX + 2]
     wall[BEGIN], wall[END] = t.min(), max(t.max(), t.min() + EXACT_M)
     return wall
-
-
-def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the two ends (2, 2) of a wall."""
-    return wall[:2] + wall[4:6, None] * wall[2:4]
-
-
-def _near(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
-    """Tell whether two walls come so close that they may be one."""
-    from relmap.segmentation.kernels import BEGIN, END
-
-    reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
-    for one, other in ((w, v), (v, w)):
-        offset = corners(other) - one[:2]
-        t, d = offset @ one[2:4], offset @ (-one[3], one[2])
-        beyond = np.maximum(np.maximum(one[BEGIN] - t, t - one[END]), 0)
-        if (np.hypot(beyond, d) < reach).any():
-            return True
-    return False
 
 
 def _hangs_together(

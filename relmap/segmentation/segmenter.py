@@ -162,7 +162,7 @@ class PlaneSegmenter:
         self, xyz: NDArray[np.float64], sharp: Sharpened, labels: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], Planes]:
         """Return labels without gaps in their numbers, and the planes."""
-        from relmap.segmentation.moves import corners
+        from relmap.segmentation.pairs import corners
 
         kept = np.flatnonzero(np.bincount(labels[labels >= 0], minlength=len(sharp.spread)))
         number = np.full(len(sharp.spread) + 1, -1)

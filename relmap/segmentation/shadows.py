@@ -69,7 +69,7 @@ def part_at_shadows(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixtur
 def _empty(
     t: NDArray[np.float64], low: float, high: float, wall: NDArray[np.float64], sigma: float
 ) -> bool:
-    """Tell whether a stretch among sorted positions (m,) along a wall may hold nothing but noise."""
+    """Tell whether a stretch among sorted positions (m,) on a wall may hold nothing but noise."""
     if len(t) < LEAST:
         return False
     if high - low < PLAIN * sigma:
