@@ -24,7 +24,7 @@ from relmap.planes.merging import CornerMerger
 from relmap.planes.observation import checked_planes
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.solving import refined, refined_to_the_noise, tracks_astray
-from relmap.planes.stitching import stitched
+from relmap.planes.stitching import stitched, weak_links
 from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
 
 WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
@@ -180,6 +180,11 @@ class PlaneMapper(RelativeMapper):
             return self._path
         poses = self._refined_walls[0].poses(self._planes.history.n_iterations)
         return stitched([poses], self._planes.history.motion)
+
+    @property
+    def weak_links(self) -> NDArray[np.int64]:
+        """Iterations (k,) before which too little was seen to tell how far the robot went."""
+        return weak_links(self._planes.history)
 
     def _own_registration(self) -> Registration:
         return self._planes

@@ -23,6 +23,8 @@ TURN_RAD = np.deg2rad(45.0)
 HELD = 1e-2
 """Weight of going on as before, where nothing that is seen tells: a wall's is 1."""
 ROUNDS = 3
+HALTED = 0.05
+"""How much more must agree on a halt than on going on: along a single wall both agree alike."""
 GUESSES = 3
 """Motions of the wider search that are looked at closely."""
 CONTENT = 0.8
@@ -78,8 +80,9 @@ def place(
     from relmap.planes.kernels.matching import guesses
 
     arrays = _arrays(tracks), _seen(seen)
-    tried = [_settled(*arrays, guess) for guess in (before, STILL)]
-    best = max(tried, key=lambda found: found[1].score)
+    best, still = (_settled(*arrays, guess) for guess in (before, STILL))
+    if still[1].score > best[1].score + HALTED:
+        best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(_worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
