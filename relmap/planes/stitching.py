@@ -17,6 +17,9 @@ from relmap.planes.history import PlaneHistory
 
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
 """Walls whose directions spread less than by this hold no motion along themselves."""
+STRAY_M, STRAY_RAD = 1.0, np.deg2rad(30.0)
+FEW = 5
+"""So few scans in a row, so far off the others, are misplaced."""
 
 
 def stitched(
@@ -79,6 +82,22 @@ def _matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     T[:, 1, 0], T[:, 0, 1] = s, -s
     T[:, :2, 3] = motions[:, 1:]
     return T
+
+
+def without_strays(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the poses (n, 4, 4) with NaN for the few that lie far off both their neighbours.
+
+    Far from where the motions (n, 3) from scan to scan lead: scans with hardly a wall that is
+    known, or a wrong one, which nothing holds.
+    """
+    off = np.linalg.inv(poses[:-1]) @ poses[1:] @ _matrices(motions[1:])
+    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
+    broken = (np.hypot(off[:, 0, 3], off[:, 1, 3]) > STRAY_M) | (turn > STRAY_RAD)
+    run = np.concatenate([[0], np.cumsum(broken)])
+    size = np.bincount(run)
+    beside = np.concatenate([[0], size, [0]])
+    stray = (size <= FEW) & (size < np.maximum(beside[:-2], beside[2:]))
+    return np.where(stray[run][:, None, None], np.nan, poses)
 
 
 def weak_links(history: PlaneHistory) -> NDArray[np.int64]:
