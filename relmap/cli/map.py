@@ -145,11 +145,12 @@ def _map_planes(
     interval = parse_scans(scans)
     run = map_scans(source, out, read_config(config), interval, log_format, refine, animate)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
-    apart = len(run.result.summary["pieces"]) - 1
+    weak = len(run.result.summary["weak_links"])
+    told = f"; {weak} times how far the robot went was taken to be as before" if weak else ""
     typer.echo(
         f"wrote {10 if animate else 9} files to {out}: {counts['planes_static']} walls with "
         f"{counts['corners_static']} corners mapped in {counts['iterations']} iterations, "
-        f"median {timing['median_ms']:.2g} ms each beside segmentation" + _untied(apart)
+        f"median {timing['median_ms']:.2g} ms each beside segmentation" + told
     )
 
 
