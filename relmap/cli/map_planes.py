@@ -32,15 +32,16 @@ def report_planes(job: Job) -> None:
     typer.Exit
         Where the run was interrupted.
     """
-    from relmap.cli.map import each, leave, stopped_after, untied
+    from relmap.cli.map import each, leave, stopped_after
 
     summary = map_scans(job).result.summary
     counts, timing = summary["counts"], summary["timing"]
+    weak = len(summary["weak_links"])
+    told = f"; {weak} times how far the robot went was taken to be as before" if weak else ""
     typer.echo(
         f"{stopped_after(summary)}wrote {11 if job.animate else 10} files to {job.out}: "
         f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
-        f"{counts['iterations']} iterations, {each(timing['median_ms'])} beside segmentation"
-        + untied(len(summary["pieces"]) - 1)
+        f"{counts['iterations']} iterations, {each(timing['median_ms'])} beside segmentation" + told
     )
     leave(job, summary)
 

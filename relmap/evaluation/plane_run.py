@@ -98,6 +98,7 @@ def run_plane_mapper(
         "counts": _counts(mapper, planes, poses, walls),
         "pieces": [_summary_of(piece, first) for piece in pieces],
         **interruption(len(log), n_input),
+        "weak_links": (mapper.weak_links + first).tolist(),
         "refined": refine,
         "timing": timing(durations_s[:, 1])
         | {"segmentation_median_ms": _median_ms(durations_s[:, 0]), "refine_ms": 1e3 * refine_s},

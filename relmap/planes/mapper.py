@@ -25,7 +25,7 @@ from relmap.planes.merging import CornerMerger
 from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.solving import refined, refined_to_the_noise, tracks_astray
-from relmap.planes.stitching import stitched
+from relmap.planes.stitching import stitched, weak_links, without_strays
 from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
@@ -206,8 +206,12 @@ class PlaneMapper(DurableMapper):
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         if self._refined_walls is None:
             return self._path
-        poses = self._refined_walls[0].poses(self._planes.history.n_iterations)
-        return stitched([poses], self._planes.history.motion)
+        return self._poses_of(self._refined_walls[0])
+
+    @property
+    def weak_links(self) -> NDArray[np.int64]:
+        """Iterations (k,) before which too little was seen to tell how far the robot went."""
+        return weak_links(self._planes.history)
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         return self.update(of_journal(scan.values))
@@ -245,8 +249,14 @@ class PlaneMapper(DurableMapper):
     def _assembled(self, numbers: WallNumbers, before: Assembled | None = None) -> Assembled | None:
         """Lay everything where the map puts it, or where it was refined to before."""
         history = self._planes.history
-        poses = self._path if before is None else before.poses(history.n_iterations)
+        poses = self._path if before is None else self._poses_of(before)
         return assemble(history, numbers, poses, self._moving)
+
+    def _poses_of(self, assembled: Assembled) -> NDArray[np.float64]:
+        """``T_map_robot`` of every iteration by a refined map, else by the motion since."""
+        motion = self._planes.history.motion
+        poses = assembled.poses(len(motion))
+        return stitched([without_strays(poses, motion)], motion)
 
     @property
     def _path(self) -> NDArray[np.float64]:
