@@ -41,8 +41,8 @@ def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(
     assert all(run["same"] for run in told)
     assert all(run["held"] >= run["flushed"] for run in told)
     # The moments were spread over the runs.
-    assert sum(run["killed"] for run in told) >= 15
-    assert len({run["held"] for run in told}) >= 5
+    assert sum(run["killed"] for run in told) >= 10
+    assert len({run["held"] for run in told}) >= 4
 
 
 @pytest.fixture(scope="module")

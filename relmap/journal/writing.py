@@ -6,6 +6,7 @@ import json
 import os
 import sqlite3
 from contextlib import suppress
+from itertools import chain, repeat
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -20,6 +21,8 @@ INTERVAL_S = 1.0
 """How often what was written is made sure of."""
 CACHE_KIB = 16384
 """Pages that wait in memory until then: a second of the mapping makes some 3 MB."""
+BLOCK = 32
+"""Rows that one statement writes."""
 CHECKPOINT_PAGES = 4000
 """Pages in the write-ahead log at which it is worked into the file."""
 
@@ -48,8 +51,6 @@ class Journal:
         self._sure_at = monotonic()
         self._failure: sqlite3.Error | None = None
         self._connection: sqlite3.Connection | None = None
-        slots = ", ".join("?" * len(layout.columns))
-        self._insert = f"INSERT INTO observations VALUES ({slots})"
         try:
             self._connection = connected(path)
             # What was asked after the last scan is asked again by whoever goes on.
@@ -100,17 +101,27 @@ class Journal:
         labels : (n,) int64
         """
         k, n = self.n_scans, len(labels)
-        columns = [column.tolist() for column in values.T] if n else []
-        columns += [[None] * n] * (len(self._layout.values) - len(columns))
+        columns = values.T.tolist() if n else []
+        slots = ["?"] * (2 + len(columns)) + ["NULL"] * (len(self._layout.values) - len(columns))
         if self._layout.has_ids:
-            columns.append([None] * n if ids is None else ids.tolist())
-        rows = list(zip([k] * n, range(n), *columns, labels.tolist(), strict=True))
-        check = checksum(k, values, ids, labels)
-        self._waiting.append((self._insert, rows))
-        scan = (k, n, int(ids is not None), check)
+            slots.append("NULL" if ids is None else "?")
+            columns += [] if ids is None else [ids.tolist()]
+        rows = zip(repeat(k, n), range(n), *columns, labels.tolist(), strict=True)
+        self._insert(f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows)), n)
+        scan = (k, n, int(ids is not None), checksum(k, values, ids, labels))
         self._waiting.append(("INSERT INTO scans VALUES (?, ?, ?, ?)", [scan]))
         self.n_scans += 1
         self._try(sure=monotonic() - self._sure_at >= INTERVAL_S)
+
+    def _insert(self, slots: str, numbers: list[float], n: int) -> None:
+        """Let n rows of numbers wait to be written, many with one statement: that takes half."""
+        width, end = slots.count("?"), n - n % BLOCK
+        for begin, stop, k in ((0, end, BLOCK), (end, n, 1)):
+            size = k * width
+            rows = [tuple(numbers[i : i + size]) for i in range(begin * width, stop * width, size)]
+            if rows:
+                statement = f"INSERT INTO observations VALUES {', '.join([slots] * k)}"
+                self._waiting.append((statement, rows))
 
     def call(self, name: str) -> None:
         """Note that something else was asked of the mapper, and make sure of all before it."""
