@@ -22,6 +22,7 @@ PIECES = "pieces.csv"
 MAP_PLY = "map.ply"
 MAP_PNG = "map.png"
 SUMMARY = "summary.json"
+MAPPER = "mapper.npz"
 EVALUATION = "evaluation.json"
 
 LANDMARK_COLUMNS: dict[str, Kind] = {

@@ -95,6 +95,9 @@ class PlaneRegistration:
         """Return landmarks (n,) as they are: they go by their number."""
         return landmarks
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Do nothing: walls are expected by their lines."""
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:

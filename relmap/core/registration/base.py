@@ -28,6 +28,10 @@ class Registration(Protocol):
         """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
         ...
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        ...
+
 
 class Numbering:
     """Numbers landmarks in the order of first sight."""

@@ -89,6 +89,11 @@ class Constellation:
             self._tracks, self._stray = continued.joined(begun), None
         return landmarks
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
+        self._spacing_m = _spacing(points_robot)
+
     def _continue(
         self, points_robot: NDArray[np.float64], landmarks: NDArray[np.int64]
     ) -> LiveTracks | None:

@@ -23,6 +23,9 @@ class KnownAssociation:
         """Return the ids of landmarks (n,)."""
         return self._labels.values[landmarks]
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Do nothing: the ids tell."""
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
