@@ -31,6 +31,11 @@ class NearestPrevious:
         """Return landmarks (n,) as they are: they go by their number."""
         return landmarks
 
+    @property
+    def rejected(self) -> list[int]:
+        """None: this matching judges no scan."""
+        return []
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
