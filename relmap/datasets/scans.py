@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import shown
 
+MAX_BEAMS = 1 << 24
+"""Beams in a log of laser scans at most: some fifty thousand scans of 360."""
+
 _LOG = logging.getLogger(__name__)
 
 

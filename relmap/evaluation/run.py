@@ -61,6 +61,11 @@ class Mapper(Protocol):
         ...
 
     @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Iterations (r,) whose scans fit no other and so add nothing to the map."""
+        ...
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """Pose of every iteration, (k, 4, 4), NaN where there is none."""
         ...
@@ -79,6 +84,10 @@ class Mapper(Protocol):
     def groups(self) -> Sequence[Grouped]:
         """The groups in the order in which they were mapped."""
         ...
+
+
+MANY = 100
+"""Rejected iterations that the summary lists one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +153,7 @@ def run_mapper(
         **_summary(log, table, poses, len(groups), pieces),
         "refined": refine,
         "refinement": weakness(mapper.refined, log.first_iteration),
+        "rejected_iterations": rejected_iterations(mapper.rejected + log.first_iteration),
         "timing": timing(durations_s) | {"refine_ms": 1e3 * refine_s},
     }
     table, tracks = shifted(table, log.first_iteration), _tracks(log, label)
@@ -186,6 +196,14 @@ def _summary(
         "counts": _counts(log, table, poses, n_groups),
         "pieces": [_summary_of(piece, log.first_iteration) for piece in pieces],
     }
+
+
+def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
+    """Return how many iterations were rejected, and which; of many the first and the last."""
+    numbers = rejected.tolist()
+    if len(numbers) > MANY:
+        numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
+    return {"count": len(rejected), "iterations": numbers}
 
 
 def _summary_of(piece: Piece, first_iteration: int) -> dict[str, int]:

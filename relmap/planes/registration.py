@@ -82,6 +82,11 @@ class PlaneRegistration:
         """Return landmarks (n,) as they are: they go by their number."""
         return landmarks
 
+    @property
+    def rejected(self) -> list[int]:
+        """None: walls are judged one by one."""
+        return []
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:

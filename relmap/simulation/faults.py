@@ -15,9 +15,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 
 
-def gross_outliers(
-    log: ObservationLog, share: float, rng: np.random.Generator
-) -> ObservationLog:
+def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
     """Put a share of the observations where others were: right ids at wrong places."""
     wrong = _drawn(log, share, rng)
     points = log.points_robot.copy()
@@ -43,24 +41,22 @@ def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> Obser
 
 
 def duplicated_landmarks(
-    log: ObservationLog, share: float, sigma_m: float, rng: np.random.Generator
+    log: ObservationLog, landmarks: NDArray[np.int64], sigma_m: float, rng: np.random.Generator
 ) -> ObservationLog:
-    """Report a share of the landmarks twice wherever they are seen, the second time as another.
+    """Report landmarks twice wherever they are seen, the second time as others.
 
     Parameters
     ----------
     log : ObservationLog
-    share : float
-        Of the landmarks.
+    landmarks : (k,) int64
+        Their ids, all different.
     sigma_m : float
         How far apart the two reports are, per coordinate, metres.
     rng : numpy.random.Generator
     """
-    ids = np.unique(_ids(log))
-    twice = rng.choice(ids, round(share * len(ids)), replace=False)
-    rows = np.flatnonzero(np.isin(_ids(log), twice))
+    rows = np.flatnonzero(np.isin(_ids(log), landmarks))
     noise = rng.normal(0.0, sigma_m, (len(rows), log.points_robot.shape[1]))
-    again = _new_ids(log) + np.searchsorted(np.sort(twice), _ids(log)[rows])
+    again = _new_ids(log) + np.searchsorted(np.sort(landmarks), _ids(log)[rows])
     return _joined(log, rows, log.points_robot[rows] + noise, again)
 
 

@@ -138,7 +138,8 @@ class Constellation:
         A scan of next to nothing does not tell that the tracks are over.
         """
         if self._tracks is None:
-            self._tracks, self._tracks_since = (begun, self._n_scans) if len(begun) else (None, None)
+            if len(begun):
+                self._tracks, self._tracks_since = begun, self._n_scans
             self._spacing_m = _spacing(begun.expected)
             return
         if len(begun) < ENOUGH:

@@ -36,8 +36,9 @@ DOUBT = 2.0
 """What each rejection raises the limit by until a scan fits: the noise may have grown instead."""
 CARRIED = 5
 """Scans for which a landmark that is not seen is carried along."""
-WARY = 50
-"""Scans for which, after one that strayed, a landmark must be seen twice before it is believed."""
+WARY, MOST_WARY = 10, 60
+"""Scans in which two observations stray before a new landmark must be seen twice to be believed,
+and most that this lasts."""
 
 
 @dataclass(eq=False)
@@ -103,8 +104,8 @@ class Rigidity:
             return good if self._fits_the_doubted(scan) else None
         self._learn(usual_m)
         far = self._far(fit, scan)
-        self._wary = WARY if len(far) else max(self._wary - 1, 0)
-        if self._wary:
+        self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
+        if self._wary > WARY:
             good[:] = False
             good[order[fit.shared]] = True
         good[order[fit.shared[far]]] = False
