@@ -111,7 +111,7 @@ class _Column:
         self._name = name
         self._kind = kind
         self._place = place
-        self._numbers: array[float] | array[int] = array("q" if kind == "int" else "d")
+        self._numbers: array[Any] = array("q" if kind == "int" else "d")
         self._texts: list[str] = []
 
     def add(self, path: Path, line: int, cells: list[str]) -> None:

@@ -88,9 +88,9 @@ def npz(**arrays: object) -> bytes:
 
 
 def mat(compress: bool = True, **arrays: NDArray[np.float64]) -> bytes:
-    stream = io.BytesIO()
-    savemat(stream, arrays, do_compression=compress)
-    return stream.getvalue()
+    with tempfile.TemporaryDirectory() as name:
+        savemat(Path(name) / "a.mat", arrays, do_compression=compress)
+        return (Path(name) / "a.mat").read_bytes()
 
 
 def scans(**changes: object) -> bytes:
@@ -417,7 +417,8 @@ def _deflated_scans(size: int) -> bytes:
 
 
 def _zeros_mat(name: str, size: int) -> bytes:
-    return mat(**{name: np.zeros((size // 56, 7))})
+    zeros: dict[str, NDArray[np.float64]] = {name: np.zeros((size // 56, 7))}
+    return mat(True, **zeros)
 
 
 class Hang(BaseException):

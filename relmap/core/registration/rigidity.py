@@ -168,7 +168,7 @@ class Rigidity:
         at = np.searchsorted(self._strayed.ids, ids).clip(0, len(self._strayed.ids) - 1)
         there = fit.placement.apply(self._strayed.points[at]) - scan.points[fit.shared[far]]
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
-        return far[~gone]
+        return np.asarray(far[~gone])
 
     def _go_on(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> None:
         """Make this the last scan; what is not in it is carried along into its frame."""
