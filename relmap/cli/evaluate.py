@@ -151,6 +151,8 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     from relmap.evaluation.evaluate import mapped_part
 
     form = result.summary.get("format")
+    if not isinstance(form, str):
+        form = None
     if log is not None:
         return open_log(log, recognised_format(log) or form)
     source = result.summary.get("input")

@@ -25,7 +25,14 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.scans import MAX_BEAMS, ScanLog, checked_stamps, laser_scans, planar_poses
+from relmap.datasets.scans import (
+    MAX_BEAMS,
+    MAX_SCANS,
+    ScanLog,
+    checked_stamps,
+    laser_scans,
+    planar_poses,
+)
 from relmap.datasets.table import NumberRows, parse_number
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
@@ -34,7 +41,7 @@ FULL_SCALES_M = (32.767, 51.16, 81.91)
 ERROR_STEPS_M = 0.12
 
 _HALLMARKS = {"FLASER", "ROBOTLASER1", "PARAM", "ODOM", "VERTEX2", "RLASER", "SYNC", "NEFF"}
-_MOST_BEAMS, _MOST_SCANS = 10_000, 1 << 19
+_MOST_BEAMS = 10_000
 _DIGITS = re.compile(r"[0-9]{1,5}")
 _VERTEX = "VERTEX2 id x y theta"
 _FLASER = "FLASER n r1..rn x y theta odom_x odom_y odom_theta t host t"
@@ -89,9 +96,9 @@ class CarmenLog:
                 kinds = {cells[0]: kinds[cells[0]]}
                 scans.append(kinds[cells[0]](path, number, cells))
                 beams += len(scans[-1].ranges_m)
-                if len(scans) > _MOST_SCANS or beams > MAX_BEAMS:
+                if len(scans) > MAX_SCANS or beams > MAX_BEAMS:
                     raise RelmapError(
-                        f"{shown(path)}: line {number}: more than {_MOST_SCANS} scans or "
+                        f"{shown(path)}: line {number}: more than {MAX_SCANS} scans or "
                         f"{MAX_BEAMS} beams, expected at most that"
                     )
             elif cells[0] == "VERTEX2":

@@ -182,7 +182,7 @@ def match_corners(
     """
     row, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
     position, normal = planes.ends[row, end], planes.normal[row]
-    if not fixes_rotation(true_poses[:, :2, 3]) or not len(row):
+    if not fixes_rotation(true_poses[:, :2, 3]) or not len(row) or not len(truth.ends):
         return None
     along = truth.ends[:, 1] - truth.ends[:, 0]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
