@@ -238,3 +238,16 @@ def test_the_summary_names_rejected_iterations(tmp_path: Path) -> None:
         assert main(["map", source, "-o", str(out), "--association", association]) == 0
         summary = json.loads((out / "summary.json").read_text())
         assert summary["rejected_iterations"] == {"count": 1, "iterations": [AT]}
+
+
+def test_gross_outliers_that_nobody_holds_back_end_in_no_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def believed(_: Rigidity, ids: NDArray[np.int64], __: object) -> NDArray[np.bool_]:
+        return np.ones(len(ids), dtype=bool)
+
+    monkeypatch.setattr(Rigidity, "believed", believed)
+    log = simulate_figure_eight(density=25, seed=0).log
+    mapper = mapped(faults.gross_outliers(log, 0.05, np.random.default_rng([0, 3])), known=True)
+    mapper.refine()
+    assert np.isfinite(mapper.map.positions).all()
