@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.table import NumberRows
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 MAX_TEXT = 1 << 26

@@ -159,7 +159,9 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     beside = truth if truth.is_dir() else truth.parent
     if beside.name == "truth":
         beside = beside.parent
-    candidates = [(beside / name, None) for name in ("observations.csv", "observations.csv.gz")]
+    candidates: list[tuple[Path, str | None]] = [
+        (beside / name, None) for name in ("observations.csv", "observations.csv.gz")
+    ]
     if isinstance(source, str):
         candidates.insert(0, (Path(source), form))
     for path, name in candidates:

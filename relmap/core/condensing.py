@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 from relmap.core.store import ObservationStore
 
-ROOM = 2**20
+ROOM = 2**22
 """Rows of segments for which there is room from the start."""
 FAR = 10.0
 """How many times as far as anything is seen a landmark may come to lie."""

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import (
     MAX_BEAMS,
     MAX_SCANS,
@@ -33,7 +34,7 @@ from relmap.datasets.scans import (
     laser_scans,
     planar_poses,
 )
-from relmap.datasets.table import NumberRows, parse_number
+from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)

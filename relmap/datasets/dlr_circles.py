@@ -32,7 +32,8 @@ from relmap.datasets.assembly import (
     iteration_column,
 )
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.table import Column, NumberRows, Table, checked_table, parse_number
+from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.table import Column, Table, checked_table, parse_number
 from relmap.datasets.textfile import (
     columns_of,
     open_text,

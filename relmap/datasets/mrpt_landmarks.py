@@ -29,7 +29,8 @@ from relmap.datasets.assembly import (
     iteration_column,
 )
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.table import Column, NumberRows, Table, header_text, parse_number, read_table
+from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.table import Column, Table, header_text, parse_number, read_table
 from relmap.datasets.textfile import (
     columns_of,
     only_table,

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.table import NumberRows, parse_number
+from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 _COLUMNS = "t1 t2 x y z roll pitch yaw"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.number_rows import too_many
 from relmap.datasets.textfile import Head, open_text, quoted, read_head, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
@@ -20,8 +20,6 @@ MAX_EXACT_INTEGER = 2**53 - 1
 
 MAX_NUMBERS = 1 << 25
 """Numbers in a table at most: some seven million observations."""
-MAX_LISTED = 1 << 24
-"""Numbers in rows that are read one by one at most: some two million poses."""
 
 _BATCH_CHARACTERS = 1 << 22
 _MOST_NAMES = 12
@@ -211,7 +209,7 @@ class _Rows:
         if len(values):
             self._count += values.size
             if self._count > MAX_NUMBERS:
-                raise _too_many(self._path, int(numbers[-1]), MAX_NUMBERS)
+                raise too_many(self._path, int(numbers[-1]), MAX_NUMBERS)
             self.values.append(values)
             self.lines.append(numbers)
 
@@ -246,56 +244,6 @@ class _Rows:
             f"{shown(self._path)}: line {line}, field {column.name}: {quoted(cell)} {problem}, "
             f"expected {column.expected}"
         )
-
-
-class NumberRows:
-    """Rows of as many numbers each, gathered one by one at 8 bytes a number.
-
-    Parameters
-    ----------
-    path : Path
-        Where they come from, for messages.
-    width : int
-    """
-
-    def __init__(self, path: Path, width: int) -> None:
-        self._path = path
-        self._width = width
-        self._values = array("d")
-        self._lines = array("q")
-
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self._lines)
-
-    def add(self, row: Sequence[float], line: int) -> None:
-        """Add a row that stands in a line, counted from 1.
-
-        Raises
-        ------
-        RelmapError
-            Where there are too many.
-        """
-        self._values.extend(row)
-        self._lines.append(line)
-        if len(self._values) > MAX_LISTED:
-            raise _too_many(self._path, line, MAX_LISTED)
-
-    @property
-    def values(self) -> NDArray[np.float64]:
-        """The numbers, (n, width)."""
-        return np.array(self._values, dtype=np.float64).reshape(-1, self._width)
-
-    @property
-    def lines(self) -> NDArray[np.int64]:
-        """The line of each row, (n,)."""
-        return np.array(self._lines, dtype=np.int64)
-
-
-def _too_many(path: Path, line: int, most: int) -> RelmapError:
-    return RelmapError(
-        f"{shown(path)}: line {line}: more than {most} numbers, expected at most that"
-    )
 
 
 def _first_outside(values: NDArray[np.float64], columns: Sequence[Column]) -> list[tuple[int, int]]:
