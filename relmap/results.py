@@ -178,7 +178,7 @@ def read_result(folder: Path) -> Result:
 def _read_summary(path: Path) -> dict[str, Any]:
     try:
         summary = json.loads(read_text(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RelmapError(f"{path}: not JSON: {error}") from error
     if not isinstance(summary, dict):
         raise RelmapError(f"{path}: not a JSON object")

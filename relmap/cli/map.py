@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 Variant = Literal["points", "planes"]
 Registration = Literal["constellation", "nearest-previous"]
 
+_LONGEST = 300
+"""Characters that a message takes from a file of settings."""
+
 HELP = """Make a map from a log of landmarks that a moving robot saw.
 
 INPUT is a file or folder.  The simplest is a CSV file with the header iteration,x,y,z or
@@ -364,7 +367,10 @@ def read_config(path: Path | None) -> MapperConfig:
         return MapperConfig()
     try:
         return MapperConfig.from_mapping(tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise RelmapError(f"{path}: not TOML: {error}") from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
+        raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
     except RelmapError as error:
-        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+        problem = str(error)
+        if str(path) not in problem:
+            problem = f"{path}: {problem[:_LONGEST]}"
+        raise RelmapError(problem) from error

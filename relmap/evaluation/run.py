@@ -62,6 +62,11 @@ class Mapper(Protocol):
         ...
 
     @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Iterations (r,) whose scans fit no other and so add nothing to the map."""
+        ...
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """Pose of every iteration, (k, 4, 4), NaN where there is none."""
         ...
@@ -80,6 +85,10 @@ class Mapper(Protocol):
     def groups(self) -> Sequence[Grouped]:
         """The groups in the order in which they were mapped."""
         ...
+
+
+MANY = 100
+"""Rejected iterations that the summary lists one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +164,7 @@ def run_mapper(
         **interruption(len(log), n_input),
         "refined": refine,
         "refinement": weakness(mapper.refined, offset),
+        "rejected_iterations": rejected_iterations(mapper.rejected + offset),
         "timing": timing(durations_s) | {"refine_ms": 1e3 * refine_s},
     }
     table, tracks = shifted(table, offset), _tracks(log, label)
@@ -203,6 +213,14 @@ def _summary(
         "counts": _counts(log, table, poses, n_groups),
         "pieces": [_summary_of(piece, offset) for piece in pieces],
     }
+
+
+def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
+    """Return how many iterations were rejected, and which; of many the first and the last."""
+    numbers = rejected.tolist()
+    if len(numbers) > MANY:
+        numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
+    return {"count": len(rejected), "iterations": numbers}
 
 
 def _summary_of(piece: Piece, first_iteration: int) -> dict[str, int]:

@@ -98,6 +98,11 @@ class PlaneRegistration:
     def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
         """Do nothing: walls are expected by their lines."""
 
+    @property
+    def rejected(self) -> list[int]:
+        """None: walls are judged one by one."""
+        return []
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
