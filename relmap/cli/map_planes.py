@@ -37,7 +37,7 @@ def report_planes(job: Job) -> None:
     summary = map_scans(job).result.summary
     counts, timing = summary["counts"], summary["timing"]
     weak = len(summary["weak_links"])
-    told = f"; {weak} times how far the robot went was taken to be as before" if weak else ""
+    told = f"; scans between which the robot was taken to go on as before: {weak}" if weak else ""
     typer.echo(
         f"{stopped_after(summary)}wrote {11 if job.animate else 10} files to {job.out}: "
         f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
