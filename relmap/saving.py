@@ -21,7 +21,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, reason
 
 FORMAT = 1
 """Version of the file."""
@@ -226,8 +226,7 @@ def load_state(path: Path, cls: type, saved_by: str = "versions") -> Any:
             raise RelmapError(f"{path} holds a {type(root).__name__}, not a {cls.__name__}")
         _check_attributes(root, cls(), content.get(saved_by))
     except _WRONG as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise RelmapError(f"saved map {path} is damaged or none: {reason}") from error
+        raise RelmapError(f"saved map {path} is damaged or none: {reason(error)}") from error
     return root
 
 

@@ -204,7 +204,7 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
     tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "observations.csv"
-    write_observation_csv(log, simulate_figure_eight(seed=1, iterations=900).log)
+    write_observation_csv(log, simulate_figure_eight(seed=1, iterations=400).log)
     out, journal = tmp_path / "out", tmp_path / "run.journal"
     slowed = (
         "import sys, time\n"
@@ -229,15 +229,15 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
     while not journal.exists():
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    time.sleep(0.6)
+    time.sleep(0.3)
     child.send_signal(signal.SIGINT)
     said, errors = child.communicate(timeout=60)
     assert (child.returncode, errors) == (130, "relmap: interrupted\n")
     summary = load(out / "summary.json")
     n = summary["counts"]["iterations"]
     assert summary["interrupted"]
-    assert 0 < n < 900
-    assert said.startswith(f"stopped after {n} of 900: wrote ")
+    assert 0 < n < 400
+    assert said.startswith(f"stopped after {n} of 400: wrote ")
     assert f"'relmap resume {journal}' goes on with it" in said
     assert len(table(out / "landmarks.csv")) > 0
     part, whole = tmp_path / "part", tmp_path / "whole"

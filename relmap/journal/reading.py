@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, reason
 from relmap.journal.layout import APPLICATION, LAYOUTS, META, SCHEMA, Layout, checksum
 
 MOST_ROWS = 10_000_000
@@ -66,7 +66,7 @@ class JournalReader:
                 f"{path.absolute().as_uri()}?mode=rw", uri=True, isolation_level=None
             )
         except sqlite3.Error as error:
-            raise RelmapError(f"journal {path} cannot be opened: {error}") from error
+            raise RelmapError(f"journal {path} cannot be opened: {reason(error)}") from error
         try:
             self._check_version()
             self._require({"meta": META})
@@ -84,7 +84,7 @@ class JournalReader:
                 ) from error
             raise RelmapError(
                 f"{path} is no journal, or its head is damaged, without which nothing of it can be "
-                f"recovered: {error}"
+                f"recovered: {reason(error)}"
             ) from error
         except RelmapError:
             self.close()
@@ -127,8 +127,8 @@ class JournalReader:
         except _WRONG as error:
             k = max(k, 0)
             raise RelmapError(
-                f"journal {self.path} is damaged at iteration {k}: {error}; the {k} scans before "
-                f"can be recovered: relmap resume --salvage does it"
+                f"journal {self.path} is damaged at iteration {k}: {reason(error)}; the {k} scans "
+                "before can be recovered: relmap resume --salvage does it"
             ) from error
 
     def _scan(self, cursor: sqlite3.Cursor, k: int, n: int, known: bool) -> RecordedScan:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, reason
 from relmap.journal.layout import APPLICATION, SCHEMA, Layout, checksum
 
 INTERVAL_S = 1.0
@@ -197,7 +197,8 @@ class Journal:
     def _error(self, error: sqlite3.Error) -> RelmapError:
         safe = self.n_scans - sum("scans" in statement for statement, _ in self._waiting)
         return RelmapError(
-            f"journal {self.path} cannot be written: {error}; the {safe} scans before are in it"
+            f"journal {self.path} cannot be written: {reason(error)}; the {safe} scans before are "
+            "in it"
         )
 
 
@@ -225,7 +226,7 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> None:
             connection.close()
         part.replace(path)
     except (sqlite3.Error, OSError) as error:
-        raise RelmapError(f"journal {path} cannot be written: {error}") from error
+        raise RelmapError(f"journal {path} cannot be written: {reason(error)}") from error
     finally:
         for name in (part.name, f"{part.name}-wal", f"{part.name}-shm"):
             with suppress(OSError):
