@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from relmap.cli.arguments import read_config
 from relmap.cli.evaluate import evaluate_folder
-from relmap.cli.map import map_input, read_config
+from relmap.cli.map_points import map_input
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation.plane_evaluate import evaluate_planes, read_wall_truth
 from relmap.evaluation.truth import read_truth

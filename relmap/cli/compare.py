@@ -136,7 +136,7 @@ def compare_command(
     seed: Annotated[int, typer.Option(help="Of a simulated world.")] = 0,
 ) -> None:
     """Compare; the arguments are explained in the help text."""
-    from relmap.cli.map import parse_scans
+    from relmap.cli.arguments import parse_scans
     from relmap.evaluation.sources import FileSource
 
     given: Source

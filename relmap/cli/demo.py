@@ -33,7 +33,7 @@ def demo_command(
     """Run the demonstration; the arguments are explained in the help text."""
     from relmap.cli.console import print_table
     from relmap.cli.evaluate import FIGURES, evaluate_folder, figure
-    from relmap.cli.map import map_input
+    from relmap.cli.map_points import map_input
     from relmap.cli.simulate import write_figure_eight
 
     typer.echo(f"simulated {write_figure_eight(out, seed=seed)}")

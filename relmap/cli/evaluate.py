@@ -152,7 +152,7 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     RelmapError
         Where the log given cannot be read, or the one found is damaged.
     """
-    from relmap.cli.map import recognised_format
+    from relmap.cli.map_points import recognised_format
     from relmap.datasets import open_log
     from relmap.evaluation.evaluate import mapped_part
 

@@ -39,7 +39,7 @@ def localise_command(
     """Localise scans; the arguments are explained in the help text."""
     import numpy as np
 
-    from relmap.cli.map import parse_scans
+    from relmap.cli.arguments import parse_scans
     from relmap.datasets import open_log
     from relmap.evaluation.run import stamps_of
     from relmap.files import staged_folder, write_tum

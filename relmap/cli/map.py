@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from relmap.cli.console import INTERRUPTED, Out
+from relmap.cli.arguments import parse_scans, read_config
+from relmap.cli.console import Out
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Association, Job, journaled_labels
+from relmap.cli.job import Association, Job
+from relmap.cli.map_points import report_points
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
-    from relmap.datasets.base import ObservationLog, Scan
-    from relmap.evaluation.run import Run
 
 Variant = Literal["points", "planes"]
 Registration = Literal["constellation", "nearest-previous"]
-
-_LONGEST = 300
-"""Characters that a message takes from a file of settings."""
 
 HELP = """Make a map from a log of landmarks that a moving robot saw.
 
@@ -159,122 +154,6 @@ def map_command(
             report_points(job)
 
 
-def report_points(job: Job) -> None:
-    """Map points, and tell what came out.
-
-    Raises
-    ------
-    typer.Exit
-        Where the run was interrupted.
-    """
-    run = map_points(job)
-    counts, timing = run.result.summary["counts"], run.result.summary["timing"]
-    typer.echo(
-        f"{stopped_after(run.result.summary)}wrote 8 files to {job.out}: {counts['mapped']} of "
-        f"{counts['landmarks']} landmarks mapped from {counts['observations']} observations in "
-        f"{counts['iterations']} iterations, {each(timing['median_ms'])}"
-        + untied(len(run.result.pieces) - 1)
-    )
-    if job.onto and job.association == "nearest" and run.result.summary["tied_at"] is None:
-        typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")
-    leave(job, run.result.summary)
-
-
-def stopped_after(summary: dict[str, Any]) -> str:
-    """Return how far an interrupted run came, as the beginning of a message."""
-    if not summary["interrupted"]:
-        return ""
-    return f"stopped after {summary['counts']['iterations']} of {summary['input_iterations']}: "
-
-
-def each(median_ms: float | None) -> str:
-    """Return how long an iteration took, as part of a message."""
-    return "none of them new" if median_ms is None else f"median {median_ms:.2g} ms each"
-
-
-def untied(pieces: int) -> str:
-    """Return how many pieces of a map are apart, as the end of a message."""
-    if pieces < 1:
-        return ""
-    return f"; {pieces} piece{'s' if pieces > 1 else ''} could not be tied to the map"
-
-
-def leave(job: Job, summary: dict[str, Any]) -> None:
-    """End the program as what became of the run demands.
-
-    Raises
-    ------
-    typer.Exit
-        Where the run was interrupted.
-    """
-    if summary["interrupted"]:
-        if job.journal is not None:
-            typer.echo(f"'relmap resume {job.journal}' goes on with it")
-        raise typer.Exit(INTERRUPTED)
-
-
-def map_input(
-    source: Path, out: Path, association: Association = "nearest", scans: str | None = None
-) -> Run:
-    """Map a log of points into a result folder, as `relmap map` does.
-
-    Raises
-    ------
-    RelmapError
-        As `map_points` does.
-    """
-    settings = read_config(None)
-    interval = parse_scans(scans)
-    return map_points(
-        Job(source=source, out=out, settings=settings, association=association, interval=interval)
-    )
-
-
-def map_points(job: Job) -> Run:
-    """Map a log of points into a result folder.
-
-    Raises
-    ------
-    RelmapError
-        Where an argument or the log cannot be used, or the folder cannot be written; an earlier
-        result in it is then as it was.
-    """
-    from relmap.cli.console import busy
-    from relmap.datasets import open_log
-    from relmap.evaluation.run import run_mapper
-    from relmap.files import staged_folder
-    from relmap.plots.run import write_map_png
-    from relmap.points.mapper import PointMapper
-    from relmap.results import EVALUATION, MAP_PNG, MAPPER, write_result
-
-    source = job.at(job.source)
-    with busy("reading"):
-        log = open_log(source, job.log_format)
-    if job.interval is not None:
-        log = log.between(*job.interval)
-    check_association(log, job.association, source)
-    with staged_folder(job.at(job.out), stale=[EVALUATION]) as staging, ExitStack() as afterwards:
-
-        def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
-            tied = job.onto is None or job.association == "known"
-            for scan in job.scans(scans, len(log)):
-                if not tied and mapper.take_up(scan.points_robot):
-                    about["tied_at"], tied = scan.iteration, True
-                yield scan
-            afterwards.enter_context(busy("refining and writing"))
-
-        seen = journaled_labels(job, log.scans())
-        mapper = job.mapper(PointMapper)
-        afterwards.callback(mapper.close)
-        about = _about(job, job.log_format or recognised_format(source), mapper.config)
-        before = mapper.n_iterations - len(seen)
-        run = run_mapper(mapper, log, job.association, about, shown, job.refine, seen, before)
-        write_result(staging, run.result)
-        mapper.save(staging / MAPPER)
-        write_map_png(staging / MAP_PNG, run.result, run.groups)
-    return run
-
-
 def _check_onto(
     onto: Path | None,
     planes: bool,
@@ -296,81 +175,3 @@ def _check_onto(
 def _settings(config: Path | None, registration: Registration | None) -> MapperConfig:
     settings = read_config(config)
     return settings if registration is None else replace(settings, registration=registration)
-
-
-def _about(job: Job, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
-    return {
-        "input": str(job.source),
-        "format": log_format,
-        "variant": "points",
-        "seed": None,
-        "configuration": asdict(settings),
-        "onto": None if job.onto is None else str(job.onto),
-        "tied_at": None,
-    }
-
-
-def recognised_format(source: Path) -> str | None:
-    """Return the name of the format that a log is recognised as; None where it is not."""
-    from relmap.datasets import DATASETS
-
-    names = [dataset.name for dataset in DATASETS if dataset.recognises(source)]
-    return names[0] if len(names) == 1 else None
-
-
-def check_association(log: ObservationLog, association: Association, source: Path) -> None:
-    """Make sure that a log has the ids that a known association needs.
-
-    Raises
-    ------
-    RelmapError
-        Where it has none.
-    """
-    if association == "known" and (log.ids is None or not (log.ids >= 0).any()):
-        raise RelmapError(
-            f"--association known needs the identity of each landmark, and {source} has no ids"
-        )
-
-
-def parse_scans(text: str | None) -> tuple[int, int] | None:
-    """Return the interval that ``A:B`` names.
-
-    Raises
-    ------
-    RelmapError
-        Where it is not two whole numbers with 0 <= A < B.
-    """
-    if text is None:
-        return None
-    begin, colon, end = text.partition(":")
-    if colon and begin.isascii() and begin.isdigit() and end.isascii() and end.isdigit():
-        interval = int(begin), int(end)
-        if interval[0] < interval[1]:
-            return interval
-    raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
-
-
-def read_config(path: Path | None) -> MapperConfig:
-    """Read a mapper's configuration from a TOML file; the default one where there is none.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be read, is not TOML or holds what a configuration does not know.
-    """
-    import tomllib
-
-    from relmap.core.config import MapperConfig
-    from relmap.files import read_text
-
-    if path is None:
-        return MapperConfig()
-    try:
-        return MapperConfig.from_mapping(tomllib.loads(read_text(path)))
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
-        raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
-    except RelmapError as error:
-        problem = str(error)
-        if str(path) not in problem:
-            problem = f"{path}: {problem[:_LONGEST]}"
-        raise RelmapError(problem) from error

@@ -32,7 +32,7 @@ def report_planes(job: Job) -> None:
     typer.Exit
         Where the run was interrupted.
     """
-    from relmap.cli.map import each, leave, stopped_after
+    from relmap.cli.outcome import each, leave, stopped_after
 
     summary = map_scans(job).result.summary
     counts, timing = summary["counts"], summary["timing"]

@@ -46,8 +46,8 @@ def resume_command(
     ] = False,
 ) -> None:
     """Resume a run; the arguments are explained in the help text."""
-    from relmap.cli.map import report_points
     from relmap.cli.map_planes import report_planes
+    from relmap.cli.map_points import report_points
     from relmap.journal import JournalReader, salvage
 
     if repair:

@@ -30,7 +30,8 @@ TRIMS = 3
 NOWHERE = -1
 """In place of the segment of an iteration that saw too little to be in one."""
 
-_BITS = np.array([number.bit_count() for number in range(1 << LENGTH)])
+SEEN = np.array([number.bit_count() for number in range(1 << LENGTH)])
+"""How many iterations a pattern of visibility says."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ class SegmentRows:
     @property
     def n_seen(self) -> NDArray[np.int64]:
         """Number of observations behind each row; (n,)."""
-        return _BITS[self.visible]
+        return SEEN[self.visible]
 
     @property
     def n_segments(self) -> int:
@@ -159,7 +160,7 @@ class CondensedSegments:
             t[np.abs(t).max(axis=1) > reach] = np.nan
             free &= ~joined
             fitted = 3 * d - 3
-            n_seen, n_points = _BITS[visible].sum(), (visible > 0).sum()
+            n_seen, n_points = SEEN[visible].sum(), (visible > 0).sum()
             freedoms = d * (n_seen - n_points) - fitted * (joined.sum() - 1)
             if not np.isfinite(squares):  # gross outliers drove the iterations apart
                 squares = freedoms = 0

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid_each
-from relmap.core.condensing import CondensedSegments, SegmentRows
+from relmap.core.condensing import SEEN, CondensedSegments, SegmentRows
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
 from relmap.core.slices import SLICE, StepInSlices
@@ -92,7 +92,7 @@ class StepUnderWay:
         kept = global_map.pieces[landmark] == self.piece
         landmark, segment = landmark[kept], segments[first:end][kept]
         points = rows.points[first:end][kept]
-        seen = rows.n_seen[first:end][kept].astype(np.float64)
+        seen = SEEN[rows.visible[first:end][kept]].astype(np.float64)
         base = segments[first]
         there = global_map.positions[landmark]
         R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)

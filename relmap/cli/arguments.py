@@ -1,0 +1,58 @@
+"""What several verbs take: an interval of a log, a file of settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from relmap.core.errors import RelmapError
+
+if TYPE_CHECKING:
+    from relmap.core.config import MapperConfig
+
+_LONGEST = 300
+"""Characters that a message takes from a file of settings."""
+
+
+def parse_scans(text: str | None) -> tuple[int, int] | None:
+    """Return the interval that ``A:B`` names.
+
+    Raises
+    ------
+    RelmapError
+        Where it is not two whole numbers with 0 <= A < B.
+    """
+    if text is None:
+        return None
+    begin, colon, end = text.partition(":")
+    if colon and begin.isascii() and begin.isdigit() and end.isascii() and end.isdigit():
+        interval = int(begin), int(end)
+        if interval[0] < interval[1]:
+            return interval
+    raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
+
+
+def read_config(path: Path | None) -> MapperConfig:
+    """Read a mapper's configuration from a TOML file; the default one where there is none.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be read, is not TOML or holds what a configuration does not know.
+    """
+    import tomllib
+
+    from relmap.core.config import MapperConfig
+    from relmap.files import read_text
+
+    if path is None:
+        return MapperConfig()
+    try:
+        return MapperConfig.from_mapping(tomllib.loads(read_text(path)))
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
+        raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
+    except RelmapError as error:
+        problem = str(error)
+        if str(path) not in problem:
+            problem = f"{path}: {problem[:_LONGEST]}"
+        raise RelmapError(problem) from error

@@ -1,0 +1,45 @@
+"""What is said of a run that has ended, early or not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from relmap.cli.console import INTERRUPTED
+
+if TYPE_CHECKING:
+    from relmap.cli.job import Job
+
+
+def stopped_after(summary: dict[str, Any]) -> str:
+    """Return how far an interrupted run came, as the beginning of a message."""
+    if not summary["interrupted"]:
+        return ""
+    return f"stopped after {summary['counts']['iterations']} of {summary['input_iterations']}: "
+
+
+def each(median_ms: float | None) -> str:
+    """Return how long an iteration took, as part of a message."""
+    return "none of them new" if median_ms is None else f"median {median_ms:.2g} ms each"
+
+
+def untied(pieces: int) -> str:
+    """Return how many pieces of a map are apart, as the end of a message."""
+    if pieces < 1:
+        return ""
+    return f"; {pieces} piece{'s' if pieces > 1 else ''} could not be tied to the map"
+
+
+def leave(job: Job, summary: dict[str, Any]) -> None:
+    """End the program as what became of the run demands.
+
+    Raises
+    ------
+    typer.Exit
+        Where the run was interrupted.
+    """
+    if summary["interrupted"]:
+        if job.journal is not None:
+            typer.echo(f"'relmap resume {job.journal}' goes on with it")
+        raise typer.Exit(INTERRUPTED)
