@@ -17,11 +17,11 @@ import numpy as np
 
 from relmap import PlaneMapper
 from relmap.datasets.scans import stored_scans
-from relmap.evaluation.bench import BenchFrame, BenchRecorder, frame_step
-from relmap.evaluation.corner_test import CornerTest, clearest, corner_tests
-from relmap.evaluation.crossing import Cell, Crossing, run_crossing
-from relmap.evaluation.noisy_map import NoisyMaps, run_noisy_maps
-from relmap.evaluation.partial_wall import PartialWall, run_partial_wall
+from relmap.figures.bench import BenchFrame, BenchRecorder, frame_step
+from relmap.figures.corner_test import CornerTest, clearest, corner_tests
+from relmap.figures.crossing import Cell, Crossing, run_crossing
+from relmap.figures.noisy_map import NoisyMaps, run_noisy_maps
+from relmap.figures.partial_wall import PartialWall, run_partial_wall
 from relmap.evaluation.plane_evaluate import WallTruth
 from relmap.evaluation.plane_run import run_plane_mapper
 from relmap.files import atomic_write

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.evaluation.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
-from relmap.evaluation.noisy_map import NoisyMaps, run_noisy_maps
-from relmap.evaluation.surface_points import scan_surface_points
+from relmap.figures.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
+from relmap.figures.noisy_map import NoisyMaps, run_noisy_maps
+from relmap.figures.surface_points import scan_surface_points
 from relmap.plots.crossing import plot_crossing, plot_noisy_maps, said
 from relmap.simulation import simulate_building
 

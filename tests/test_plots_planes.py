@@ -12,16 +12,16 @@ from PIL import Image
 
 from relmap.cli import main
 from relmap.core.errors import RelmapError
-from relmap.evaluation.bench import BenchFrame, BenchRecorder, frame_step
-from relmap.evaluation.corner_test import CornerTest, clearest, corner_tests
-from relmap.evaluation.partial_wall import (
+from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.figures.bench import BenchFrame, BenchRecorder, frame_step
+from relmap.figures.corner_test import CornerTest, clearest, corner_tests
+from relmap.figures.partial_wall import (
     PartialWall,
     longest,
     run_partial_wall,
     weak_links,
 )
-from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.evaluation.pose_fit import fit_poses
+from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes

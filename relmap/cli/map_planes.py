@@ -15,9 +15,9 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.datasets.scans import PointScan
-    from relmap.evaluation.bench import BenchRecorder
     from relmap.evaluation.plane_evaluate import WallTruth
     from relmap.evaluation.plane_run import PlaneRun
+    from relmap.figures.bench import BenchRecorder
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
@@ -42,8 +42,8 @@ def map_scans(
     """
     from relmap.cli.console import busy, tracked
     from relmap.datasets import open_scans
-    from relmap.evaluation.bench import BenchRecorder, frame_step
     from relmap.evaluation.plane_run import run_plane_mapper
+    from relmap.figures.bench import BenchRecorder, frame_step
     from relmap.files import staged_folder
     from relmap.planefiles import write_planes
     from relmap.planes import PlaneMapper
