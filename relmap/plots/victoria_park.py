@@ -50,6 +50,10 @@ class Panel:
         Which of those were seen at least ten times.
     path_map : (k, 2) float64, map frame, metres
         Of the robot, as relmap has it.
+    rmse_m : float
+        Of the trees against the reference.
+    coverage : float
+        Share of the trees seen at least ten times that are mapped.
     """
 
     title: str
@@ -57,6 +61,8 @@ class Panel:
     reference_map: NDArray[np.float64]
     often: NDArray[np.bool_]
     path_map: NDArray[np.float64]
+    rmse_m: float
+    coverage: float
 
 
 def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
@@ -90,7 +96,8 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     )
     trees = result.landmarks.position[result.mapped][:, :2]
     path = result.poses[:, :2, 3]
-    return Panel(title, trees, laid_over.landmarks_map[:, :2], often, path)
+    reference_map, rmse_m = laid_over.landmarks_map[:, :2], evaluation.landmark_rmse_m
+    return Panel(title, trees, reference_map, often, path, rmse_m, evaluation.coverage or 0.0)
 
 
 def write_panels_png(path: Path, panels: Sequence[Panel]) -> None:
