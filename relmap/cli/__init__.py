@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from relmap import __version__
-from relmap.cli import compare, demo, evaluate, map, simulate, sweep
+from relmap.cli import compare, demo, evaluate, figures, map, simulate, sweep
 from relmap.core.errors import RelmapError
 
 # typer exports what is raised for a bad value, but not the class above it, of all bad usage.
@@ -44,6 +44,7 @@ app.command("map", help=map.HELP)(map.map_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
 app.command("compare", help=compare.HELP)(compare.compare_command)
 app.command("sweep", help=sweep.HELP)(sweep.sweep_command)
+app.command("figures", help=figures.HELP)(figures.figures_command)
 app.command("demo", help=demo.HELP)(demo.demo_command)
 
 

@@ -17,7 +17,7 @@ from relmap.simulation.sensor import DEPTH_SENSOR
 SIGMA_M = 0.02
 QUICK_ITERATIONS = 60
 OFTEN, MOSTLY = 0.95, 0.5
-"""Shares of the pairs of walls that must come out right for the claim to hold, and to hold partly."""
+"""Shares of the pairs of walls for which the claim must hold, to be borne out, and partly so."""
 COLUMNS = ("first_wall", "second_wall", "iterations", "chosen_first", "chosen_second",
            "static_first", "static_second", "right")  # fmt: skip
 

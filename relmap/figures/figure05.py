@@ -29,8 +29,8 @@ class BenchFigure:
         "walls that are there, and groups tie them together."
     )
     criterion = (
-        f"corners are better than a single point (RMSE below sigma, {SIGMA_M} m), and {COVERED:.0%} "
-        "of those seen ten times are mapped; partly where one of the two holds"
+        f"corners are better than a single point (RMSE below sigma, {SIGMA_M} m), and "
+        f"{COVERED:.0%} of those seen ten times are mapped; partly where one of the two holds"
     )
 
     def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:

@@ -24,8 +24,8 @@ class PartialWallFigure:
         "place a single partial wall is all that is in view."
     )
     criterion = (
-        f"errors below {EXACT_M:g} m, before and after the single wall, and from the one side of it "
-        "to the other; partly where one of the two holds"
+        f"errors below {EXACT_M:g} m, before and after the single wall, and from the one side of "
+        "it to the other; partly where one of the two holds"
     )
 
     def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:
@@ -43,8 +43,8 @@ def outcome(run: PartialWall) -> Outcome:
         Table(run.COLUMNS, list(run.rows())),
         float(ahead_m),
         "m off along the single partial wall",
-        f"Before and after it the path is {worst_m:.0e} m off. Along {run.weak_m:.1f} m of a single "
-        f"partial wall nothing that is seen tells how far the robot goes; the motion model bridges "
-        f"it and is {ahead_m:.3f} m off along it, {left_m:.4f} m across.",
+        f"Before and after the single wall the path is {worst_m:.0e} m off. Along it, for "
+        f"{run.weak_m:.1f} m, nothing that is seen tells how far the robot goes; the motion model "
+        f"bridges this and is {ahead_m:.3f} m off along the wall, {left_m:.4f} m across.",
         judged(worst_m < EXACT_M, max(ahead_m, left_m) < EXACT_M),
     )

@@ -73,7 +73,7 @@ def outcome(panels: list[Panel]) -> Outcome:
         Table(("stretch", "what", "seen_ten_times", "x", "y"), rows_of(panels)),
         worst,
         "RMSE of the trees in m in the worse stretch",
-        " ".join(panel.title.replace("\n", ", ").capitalize() + "." for panel in panels),
+        "; ".join(panel.title.replace("\n", ", ") for panel in panels) + ".",
         judged(*(panel.rmse_m < CLOSE_M and panel.coverage >= COVERED for panel in panels)),
     )
 
@@ -82,15 +82,8 @@ def rows_of(panels: list[Panel]) -> list[tuple[object, ...]]:
     """Return a line for each tree, mapped or of the reference, and each pose; metres."""
     rows: list[tuple[object, ...]] = []
     for number, panel in enumerate(panels):
-        seen = panel.often.astype(int).tolist()
-        blank = [""] * len(panel.trees_map)
-        rows += _lines(number, "tree", blank, panel.trees_map.tolist())
-        rows += _lines(number, "reference", seen, panel.reference_map.tolist())
-        rows += _lines(number, "pose", [""] * len(panel.path_map), panel.path_map.tolist())
+        rows += [(number, "tree", "", *place) for place in panel.trees_map.tolist()]
+        reference = zip(panel.often.tolist(), panel.reference_map.tolist(), strict=True)
+        rows += [(number, "reference", int(often), *place) for often, place in reference]
+        rows += [(number, "pose", "", *place) for place in panel.path_map.tolist()]
     return rows
-
-
-def _lines(
-    number: int, what: str, seen: list[object], places: list[list[float]]
-) -> list[tuple[object, ...]]:
-    return [(number, what, often, *place) for often, place in zip(seen, places, strict=True)]

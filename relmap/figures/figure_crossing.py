@@ -45,6 +45,6 @@ def outcome(data: Crossing) -> Outcome:
         Table(data.COLUMNS, list(data.rows())),
         max(begins, default=float("nan")),
         "noise over spacing from which on planes have the better map",
-        said(data).replace("\n", ". ").capitalize() + ".",
+        said(data).replace("\n", ". ") + ".",
         judged(len(begins) == len(ahead), None not in lost),
     )
