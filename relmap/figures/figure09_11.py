@@ -97,13 +97,13 @@ def of_sorted(chart: ChartPicture) -> Outcome:
     shared = chart.common_interval
     falls = bool(np.all(np.diff(shared) <= 0))
     inside, outside = shared[: chart.members], shared[chart.members :]
-    below = f", those below {np.median(outside):.0f}" if len(outside) else ""
+    below = f", those below {np.median(outside):g}" if len(outside) else ""
     return Outcome(
         lambda: plot_sorted(chart),
         Table(COLUMNS, visible_rows(chart, chart.order)),
         float(np.median(inside)),
         "iterations shared with the seed by the median member of its group",
-        f"Members of the group of landmark {chart.seed} share {np.median(inside):.0f} of its "
+        f"Members of the group of landmark {chart.seed} share {np.median(inside):g} of its "
         f"{chart.seed_interval.sum()} iterations (median){below}. "
         f"The shared iterations {'never' if falls else 'do'} rise down the chart: it is sorted so.",
         judged(falls),

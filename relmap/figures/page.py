@@ -11,6 +11,8 @@ from relmap.evaluation.run import versions
 from relmap.figures.base import Outcome, PaperFigure
 
 SKIPPED = "not run"
+DENSITY = 1.5
+"""Pixels of a picture for one of the page."""
 STYLE = """
 :root { color-scheme: light; }
 body { margin: 0 auto; max-width: 72rem; padding: 1.5rem; color: #22262b; background: #fff;
@@ -23,7 +25,7 @@ section { border-top: 1px solid #d8dce1; margin-top: 2rem; padding-top: 1.2rem; 
 table { border-collapse: collapse; width: 100%; margin: 1rem 0; }
 th, td { border-bottom: 1px solid #e2e5e9; padding: .4rem .6rem; text-align: left;
   vertical-align: top; }
-td.verdict { white-space: nowrap; }
+td:first-child, td.verdict { white-space: nowrap; }
 .beside { display: grid; grid-template-columns: 1fr 1fr auto; gap: 1.5rem; margin-bottom: 1rem; }
 .beside h3 { font-size: .85rem; margin: 0; color: #5f6670; text-transform: uppercase;
   letter-spacing: .04em; }
@@ -116,18 +118,28 @@ def _summary(entries: Sequence[Entry]) -> str:
     rows = [
         f'<tr><td><a href="#f{entry.figure.name}">{escape(entry.heading)}</a></td>'
         f"<td>{escape(entry.figure.title)}</td>"
-        f"<td>{_number(entry)}</td>"
+        f"{_figure(entry)}"
         f'<td class="verdict">{_badge(entry.verdict)}</td></tr>'
         for entry in entries
     ]
-    head = "<tr><th>figure</th><th>shows</th><th>our figure</th><th>the claim is</th></tr>"
+    names = ("figure", "shows", "our figure", "what that is", "the claim is")
+    head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
     return f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
 
 
-def _number(entry: Entry) -> str:
+def _figure(entry: Entry) -> str:
+    """Return the two cells that hold our figure, and what it is."""
     if entry.outcome is None:
-        return escape(entry.note)
-    return f"{entry.outcome.value:.3g} {escape(entry.outcome.unit)}"
+        return f"<td></td><td>{escape(entry.note)}</td>"
+    return f"<td>{entry.outcome.value:.3g}</td><td>{escape(entry.outcome.unit)}</td>"
+
+
+def _shown_width(png: bytes) -> int:
+    """Return the width, in pixels of the page, at which the text of a picture is as large as ours.
+
+    The width of a PNG stands in its header, big-endian, after 16 bytes.
+    """
+    return round(int.from_bytes(png[16:20], "big") / DENSITY)
 
 
 def _section(entry: Entry) -> str:
@@ -144,6 +156,7 @@ def _section(entry: Entry) -> str:
         picture = b64encode(entry.picture).decode()
         alt = escape(f"{entry.heading}: {figure.title}", quote=True)
         names = ", ".join(f"<code>{escape(name)}</code>" for name in entry.files)
-        parts.append(f'<img alt="{alt}" src="data:image/png;base64,{picture}">')
+        width = _shown_width(entry.picture)
+        parts.append(f'<img alt="{alt}" width="{width}" src="data:image/png;base64,{picture}">')
         parts.append(f'<p class="small">Beside this page: {names}</p>')
     return "".join([*parts, "</section>"])

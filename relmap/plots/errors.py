@@ -66,21 +66,19 @@ class ErrorCurves:
 
 def plot_errors(data: ErrorCurves) -> Figure:
     """Draw a panel for each noise: medians of the seeds, and each seed thinly."""
-    figure = blank(6.2 * len(data.of), 5.6)
+    figure = blank(6.2 * len(data.of), 6.2)
     panels = figure.subplots(1, len(data.of), sharey=True, squeeze=False)[0]
+    style: dict[str, Any] = {"frameon": False, "fontsize": 9, "bbox_to_anchor": (0.5, -0.1)}
     for axes, (noise, methods) in zip(panels, data.of.items(), strict=True):
         for (name, curve), colour in zip(methods.items(), COLOURS, strict=False):
             _draw(axes, name, curve, colour)
         seeds = len(next(iter(methods.values())).rmse_m)
         what = f"median of {seeds} seeds, each seed thinly" if seeds > 1 else "one seed"
-        axes.set_yscale("log")
         finish(axes, f"{noise} noise ({what})", "iteration", "")
-    _write_in_full(panels[0])
+        axes.legend(loc="upper center", **style)
+    _scale(panels[0])
     panels[0].set_ylabel("landmark RMSE after rigid alignment [m]")
     figure.suptitle("Figure 16: landmark error over the run", fontsize=11)
-    handles, labels = panels[0].get_legend_handles_labels()
-    style: dict[str, Any] = {"ncols": 3, "frameon": False, "fontsize": 9}
-    figure.legend(handles, labels, loc="outside lower center", **style)
     return figure
 
 
@@ -88,21 +86,15 @@ def _draw(axes: Axes, name: str, curve: Curve, colour: str) -> None:
     if len(curve.rmse_m) > 1:
         axes.plot(curve.iteration, curve.rmse_m.T, color=colour, linewidth=0.6, alpha=0.25)
     median = np.median(curve.rmse_m, axis=0)
-    axes.plot(curve.iteration, median, color=colour, linewidth=2.0, label=name)
-    axes.annotate(
-        f"{median[-1]:.3g}",
-        (curve.iteration[-1], median[-1]),
-        xytext=(4, 0),
-        textcoords="offset points",
-        va="center",
-        color=colour,
-        fontsize=8,
-    )
+    label = f"{name}: {curve.end_m:.4f} m at the end"
+    axes.plot(curve.iteration, median, color=colour, linewidth=2.0, label=label)
 
 
-def _write_in_full(axes: Axes) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator
+def _scale(axes: Axes) -> None:
+    """Make the shared axis logarithmic, its numbers written in full."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axes.yaxis.set_major_locator(LogLocator(10, (1, 2, 5)))
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(10, (1, 2, 3, 5)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.yaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
+    axes.yaxis.set_minor_formatter(NullFormatter())
