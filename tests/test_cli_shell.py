@@ -55,7 +55,8 @@ def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]
 
 
 @pytest.mark.parametrize(
-    "verb", [[], ["simulate"], ["simulate", "figure-eight"], ["map"], ["evaluate"], ["demo"]]
+    "verb",
+    [[], ["simulate"], ["simulate", "figure-eight"], ["map"], ["evaluate"], ["figures"], ["demo"]],
 )
 def test_help_shows_an_example(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*verb, "--help"]) == 0
