@@ -157,6 +157,9 @@ def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
     slower = data.time_ms * np.linspace(1, 2, 80)
     grows = curves.LoopTiming(slower, data.visible, data.landmarks, data.true_landmarks)
     assert grows.said.startswith("not flat: ")
+    at_the_end = np.where(np.arange(80) % 10 == 0, np.where(np.arange(80) > 50, 50.0, 5.0), 1.0)
+    spikes = curves.LoopTiming(at_the_end, data.visible, data.landmarks, data.true_landmarks)
+    assert spikes.said.startswith("flat in the median, not in the mean: ")
 
 
 def test_growth_beyond_n_log_n_is_called_so() -> None:

@@ -44,8 +44,7 @@ class LoopTimeFigure:
 
 def outcome(data: LoopTiming) -> Outcome:
     """Judge a loop."""
-    each_ms = data.time_ms / np.maximum(data.visible, 1)
-    median, mean = growth(each_ms), growth(each_ms, np.mean)
+    median, mean = data.growth_each
     counts = (data.visible, data.landmarks, data.true_landmarks)
     return Outcome(
         lambda: plot_loop_timing(data),
