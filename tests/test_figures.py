@@ -283,6 +283,7 @@ def test_stretches_are_judged_one_by_one() -> None:
     good, far, gone = panel(0.2, 1.0), panel(2.0, 1.0), panel(0.1, 0.3)
     found = figure17.outcome([good, good])
     assert (found.verdict, found.value) == (YES, 0.2)
+    assert found.ours == "Scans 0 to 9, as it is. Scans 0 to 9, as it is."
     assert figure17.outcome([good, far]).verdict == PARTLY
     assert figure17.outcome([gone, far]).verdict == NO
     assert len(found.table.rows) == 2 * (3 + 3 + 2)

@@ -132,3 +132,8 @@ def judged(*held: bool) -> Verdict:
     if all(held):
         return "borne out"
     return "partly borne out" if any(held) else "not borne out"
+
+
+def sentence(text: str) -> str:
+    """Return a text with a capital letter and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}."

@@ -9,7 +9,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets import open_log
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.run import run_mapper
-from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
+from relmap.figures.base import Outcome, Table, Watch, judged, sentence, unwatched
 from relmap.plots.victoria_park import Panel, compare_with_reference, plot_panels
 from relmap.points.mapper import PointMapper
 
@@ -73,7 +73,7 @@ def outcome(panels: list[Panel]) -> Outcome:
         Table(("stretch", "what", "seen_ten_times", "x", "y"), rows_of(panels)),
         worst,
         "RMSE of the trees in m in the worse stretch",
-        "; ".join(panel.title.replace("\n", ", ") for panel in panels) + ".",
+        " ".join(sentence(panel.title.replace("\n", ", ")) for panel in panels),
         judged(*(panel.rmse_m < CLOSE_M and panel.coverage >= COVERED for panel in panels)),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
+from relmap.figures.base import Outcome, Table, Watch, judged, sentence, unwatched
 from relmap.figures.crossing import METHODS, Crossing, run_crossing
 from relmap.plots.crossing import plot_crossing, said
 
@@ -45,6 +45,6 @@ def outcome(data: Crossing) -> Outcome:
         Table(data.COLUMNS, list(data.rows())),
         max(begins, default=float("nan")),
         "noise over spacing from which on planes have the better map",
-        said(data).replace("\n", ". ") + ".",
+        " ".join(map(sentence, said(data).splitlines())),
         judged(len(begins) == len(ahead), None not in lost),
     )
