@@ -25,7 +25,7 @@ SIGMA_M = 0.05
 SEEDS, QUICK_SEEDS = 10, 1
 QUICK_ITERATIONS = 300
 EVERY = 10
-EVERY_REFINED = 50
+EVERY_REFINED = 100
 """Iterations between two points of the curve of a method that refines for each."""
 SIMILAR = 1.25
 WIDE = 2.0
