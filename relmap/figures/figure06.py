@@ -38,6 +38,8 @@ def outcome(run: PartialWall) -> Outcome:
     """Judge a run."""
     worst_m = max(np.inf if error is None else error for error in run.errors_m)
     ahead_m, left_m = np.abs(run.shift)
+    off = run.in_truth(run.poses[:, :2, 3]) - run.true_poses[:, :2, 3]
+    farthest_m = np.linalg.norm(off[slice(*run.stretch)], axis=1).max()
     return Outcome(
         lambda: plot_partial_wall(run),
         Table(run.COLUMNS, list(run.rows())),
@@ -45,6 +47,7 @@ def outcome(run: PartialWall) -> Outcome:
         "m off along the single partial wall",
         f"Before and after the single wall the path is {worst_m:.0e} m off. Along it, for "
         f"{run.weak_m:.1f} m, nothing that is seen tells how far the robot goes; the motion model "
-        f"bridges this and is {ahead_m:.3f} m off along the wall, {left_m:.4f} m across.",
+        f"bridges this; at its end it is {ahead_m:.3f} m off along the wall, {left_m:.4f} m "
+        f"across, and on the way at most {farthest_m:.3f} m off.",
         judged(worst_m < EXACT_M, max(ahead_m, left_m) < EXACT_M),
     )
