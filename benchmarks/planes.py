@@ -8,23 +8,21 @@ prints tables in markdown; DATA is a folder of the real data sets.
 from __future__ import annotations
 
 import argparse
-import gzip
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper
 from relmap.core.alignment import fit_rigid
-from relmap.datasets import open_scans, read_relations
-from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.datasets import open_scans
+from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_evaluate import WallTruth, evaluate_planes
+from relmap.evaluation.plane_relations import relation_errors, relations_by_clocks
 from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
 from relmap.planes.pairwise import pairwise_map
-from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import Building, simulate_building
 
 SIGMAS = (0.0, 0.05, 0.1, 0.2)
@@ -35,6 +33,22 @@ LOGS = (
     ("freiburg-079", "carmen-laser2d/freiburg-079-corrected.log.gz", None),
     ("MRPT simul", "mrpt-sim-laser2d/simul.scans.csv.gz", None),
 )
+RELATIONS = {"freiburg-079": "carmen-laser2d/fr079.relations"}
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What one simulated run came to: metres, milliseconds of processor time."""
+
+    chained: float
+    refined: float
+    literal: float
+    mapped: float
+    false: float
+    ate: float
+    update_ms: float
+    refine_ms: float
+    """For 700 iterations."""
 
 
 def main() -> None:
@@ -43,42 +57,75 @@ def main() -> None:
     parser.add_argument("data", nargs="?", type=Path)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--worlds", nargs="*", default=["building", "panels"])
+    parser.add_argument("--sigmas", nargs="*", type=float, default=SIGMAS)
     arguments = parser.parse_args()
-    _print_simulated(arguments.worlds, arguments.seeds)
+    _print_simulated(arguments.worlds, arguments.sigmas, arguments.seeds)
     if arguments.data is not None:
         _print_logs(arguments.data)
 
 
-def _print_simulated(worlds: list[str], seeds: int) -> None:
-    print(
-        "| world | sigma [m] | seed | chained [m] | refined [m] | literal recipe [m] | mapped ",
-        end="",
+def _print_simulated(worlds: list[str], sigmas: list[float], seeds: int) -> None:
+    """Print every run, and then the median and the worst of each kind."""
+    columns = (
+        "chained [m] | refined [m] | literal recipe [m] | mapped | false corners | ATE [m] "
+        "| update [ms] | refine, 700 iterations [ms] |"
     )
-    print("| false corners | ATE [m] | update [ms] | refine [ms] |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    print(f"| world | sigma [m] | seed | {columns}\n" + "|---" * 11 + "|")
+    found: dict[tuple[str, float], list[Figures]] = {}
     for world in worlds:
-        for sigma in SIGMAS:
+        for sigma in sigmas:
             for seed in range(seeds):
-                print(f"| {world} | {sigma} | {seed} " + _simulated(world, sigma, seed), flush=True)
+                figures = _simulated(world, sigma, seed)
+                found.setdefault((world, sigma), []).append(figures)
+                print(f"| {world} | {sigma} | {seed} | " + _row([figures]), flush=True)
+    print(f"\nMedian (worst) of {seeds} seeds:\n")
+    print(f"| world | sigma [m] | {columns}\n" + "|---" * 10 + "|")
+    for (world, sigma), runs in found.items():
+        print(f"| {world} | {sigma} | " + _row(runs))
 
 
-def _simulated(world: str, sigma: float, seed: int) -> str:
+def _row(runs: list[Figures]) -> str:
+    cells = []
+    for name, digits in (
+        ("chained", ".3g"),
+        ("refined", ".3g"),
+        ("literal", ".3g"),
+        ("mapped", ".1%"),
+        ("false", ".0f"),
+        ("ate", ".3g"),
+        ("update_ms", ".2f"),
+        ("refine_ms", ".0f"),
+    ):
+        values = [float(getattr(run, name)) for run in runs]
+        cell = format(float(np.median(values)), digits)
+        if len(runs) > 1:
+            worst = min(values) if name == "mapped" else max(values)
+            cell += f" ({format(worst, digits)})"
+        cells.append(cell)
+    return " | ".join(cells) + " |"
+
+
+def _simulated(world: str, sigma: float, seed: int) -> Figures:
     building = simulate_building(sigma=sigma, seed=seed, world=world, sample_ends=sigma == 0.0)
     log, truth = _log_of(building), _truth_of(building)
     mapper = PlaneMapper()
-    run = run_plane_mapper(mapper, log, PlaneSegmenter(), refine=False)
+    run = run_plane_mapper(mapper, log, refine=False)
     chained = evaluate_planes(run.result, run.planes, truth)
     literal = _literal(mapper, run, truth)
-    began = perf_counter()
+    began = process_time()
     mapper.refine()
-    refine_ms = 1e3 * (perf_counter() - began)
+    refine_ms = 1e3 * (process_time() - began) * 700 / len(log)
     result = replace(run.result, poses=mapper.trajectory, stamps_s=log.stamps_s)
     refined = evaluate_planes(result, mapper.planes, truth)
-    update_ms = run.result.summary["timing"]["median_ms"]
-    return (
-        f"| {chained.corner_rmse_m:.3g} | {refined.corner_rmse_m:.3g} | {literal:.3g} "
-        f"| {refined.coverage:.1%} | {refined.counts['false_corners']} | {refined.ate_m:.3g} "
-        f"| {update_ms:.2f} | {refine_ms:.0f} |"
+    return Figures(
+        chained.corner_rmse_m or np.nan,
+        refined.corner_rmse_m or np.nan,
+        literal,
+        refined.coverage or 0.0,
+        refined.counts["false_corners"],
+        refined.ate_m or np.nan,
+        run.result.summary["timing"]["median_ms"],
+        refine_ms,
     )
 
 
@@ -86,7 +133,8 @@ def _log_of(building: Building) -> ScanLog:
     counts = [len(scan.points) for scan in building.scans]
     offsets = np.concatenate([[0], np.cumsum(counts)])
     points = np.concatenate([scan.points for scan in building.scans])
-    return stored_scans(points, offsets, building.stamps_s, building.trajectory)
+    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
+    return stored_scans(points, offsets, building.stamps_s, building.trajectory, view)
 
 
 def _truth_of(building: Building) -> WallTruth:
@@ -116,13 +164,14 @@ def _literal(mapper: PlaneMapper, run: PlaneRun, truth: WallTruth) -> float:
 
 def _print_logs(data: Path) -> None:
     print("\n| log | scans | ATE [m] | poses | relations [m] | relations [deg] ", end="")
-    print("| pieces | walls | update [ms] | segment [ms] | refine [s] |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    print("| walls | update [ms] | segment [ms] | refine [s] |")
+    print("|---" * 10 + "|")
     for name, path, interval in LOGS:
         log = open_scans(data / path)
         part = log if interval is None else log.between(*interval)
-        run = run_plane_mapper(PlaneMapper(), part, PlaneSegmenter(view_rad=np.pi))
-        print(f"| {name} | {interval or 'all'} " + _logged(run, part, data, name), flush=True)
+        run = run_plane_mapper(PlaneMapper(), part)
+        scans = "all" if interval is None else f"{interval[0]}:{interval[1]}"
+        print(f"| {name} | {scans} " + _logged(run, part, data, name), flush=True)
 
 
 def _logged(run: PlaneRun, log: ScanLog, data: Path, name: str) -> str:
@@ -130,50 +179,17 @@ def _logged(run: PlaneRun, log: ScanLog, data: Path, name: str) -> str:
     assert log.poses is not None
     mine, other = metrics.match_stamps(result.stamps_s, log.stamps_s)
     ate = metrics.ate(result.poses[mine], log.poses[other], planar=True)
-    shift = turn = np.nan
-    if name == "freiburg-079":
-        shift, turn = relation_errors(result.stamps_s, result.poses, data / "carmen-laser2d")
+    errors = None
+    if name in RELATIONS:
+        relations = relations_by_clocks(data / RELATIONS[name])
+        errors = relation_errors(result.stamps_s, result.poses, relations)
+    told = "| |" if errors is None else f"{errors[0]:.3f} | {np.rad2deg(errors[1]):.2f} |"
     timing = result.summary["timing"]
     return (
-        f"| {ate:.3f} | {len(result.poses) / len(log):.1%} | {shift:.3f} | {turn:.2f} "
-        f"| {len(result.summary['pieces'])} | {(run.planes.status == 'static').sum()} "
-        f"| {timing['median_ms']:.2f} | {timing['segmentation_median_ms']:.2f} "
-        f"| {timing['refine_ms'] / 1e3:.1f} |"
+        f"| {ate:.3f} | {len(result.poses) / len(log):.1%} | {told} "
+        f"{(run.planes.status == 'static').sum()} | {timing['median_ms']:.2f} "
+        f"| {timing['segmentation_median_ms']:.2f} | {timing['refine_ms'] / 1e3:.1f} |"
     )
-
-
-def relation_errors(
-    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], folder: Path
-) -> tuple[float, float]:
-    """Return the mean error of poses against the checked relations: metres, degrees.
-
-    The log has the logger's clock, the relations the robot's; `fr079.log.gz` has both.
-    """
-    relations = read_relations(folder / "fr079.relations")
-    with gzip.open(folder / "fr079.log.gz", "rt") as stream:
-        cells = [line.split()[-3:] for line in stream if line.startswith("ROBOTLASER1")]
-    robot_s, logger_s = np.array([[float(a), float(b)] for a, _, b in cells]).T
-    begin = np.interp(relations.begin_s, robot_s, logger_s)
-    end = np.interp(relations.end_s, robot_s, logger_s)
-    inside = (begin >= stamps_s[0]) & (end <= stamps_s[-1])
-    T_begin, T_end = (_pose_at(stamps_s, poses, when[inside]) for when in (begin, end))
-    off = np.linalg.inv(relations.T_begin_end[inside]) @ np.linalg.inv(T_begin) @ T_end
-    shift = np.hypot(off[:, 0, 3], off[:, 1, 3])
-    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
-    return float(shift.mean()), float(np.rad2deg(turn.mean()))
-
-
-def _pose_at(
-    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], when: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return planar poses at some times, between those of the scans."""
-    yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
-    x, y, angle = (np.interp(when, stamps_s, values) for values in (*poses[:, :2, 3].T, yaw))
-    at = np.tile(np.eye(4), (len(when), 1, 1))
-    at[:, 0, 0] = at[:, 1, 1] = np.cos(angle)
-    at[:, 1, 0], at[:, 0, 1] = np.sin(angle), -np.sin(angle)
-    at[:, 0, 3], at[:, 1, 3] = x, y
-    return at
 
 
 if __name__ == "__main__":

@@ -15,7 +15,11 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+
+MAX_TEXT = 1 << 26
+"""Characters of a text that is read at once; JSON takes twenty times as much memory."""
 
 
 def atomic_write(path: Path, content: str | bytes) -> None:
@@ -119,15 +123,17 @@ def _flush_to_disk(descriptor: int) -> None:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file, unpacking it where it is a gzip file.
+    """Read a UTF-8 text file of moderate size, unpacking it where it is a gzip file.
 
     Raises
     ------
     RelmapError
-        Where it cannot be read, is damaged or is not text.
+        Where it cannot be read, is damaged, is not text or has more than `MAX_TEXT` characters.
     """
     with open_text(path) as stream:
-        text = stream.read()
+        text = stream.read(MAX_TEXT + 1)
+    if len(text) > MAX_TEXT:
+        raise RelmapError(f"{shown(path)}: more than {MAX_TEXT} characters, expected at most that")
     if not text.isascii():
         for number, line in enumerate(text.split("\n"), 1):
             require_utf8(path, number, line)
@@ -186,12 +192,13 @@ def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     RelmapError
         Where the file cannot be read or a line is not a pose.
     """
-    rows = [
-        _tum_row(_at(path, number), line)
-        for number, line in enumerate(read_text(path).split("\n"), 1)
-        if line.strip() and not line.lstrip().startswith("#")
-    ]
-    table = np.array(rows, dtype=np.float64).reshape(-1, 8)
+    rows = NumberRows(path, 8)
+    with open_text(path) as stream:
+        for number, line in enumerate(stream, 1):
+            require_utf8(path, number, line)
+            if line.strip() and not line.lstrip().startswith("#"):
+                rows.add(_tum_row(_at(path, number), line), number)
+    table = rows.values
     poses = np.tile(np.eye(4), (len(table), 1, 1))
     poses[:, :3, 3] = table[:, 1:4]
     if len(table):

@@ -22,6 +22,7 @@ PIECES = "pieces.csv"
 MAP_PLY = "map.ply"
 MAP_PNG = "map.png"
 SUMMARY = "summary.json"
+MAPPER = "mapper.npz"
 EVALUATION = "evaluation.json"
 
 LANDMARK_COLUMNS: dict[str, Kind] = {
@@ -177,7 +178,7 @@ def read_result(folder: Path) -> Result:
 def _read_summary(path: Path) -> dict[str, Any]:
     try:
         summary = json.loads(read_text(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RelmapError(f"{path}: not JSON: {error}") from error
     if not isinstance(summary, dict):
         raise RelmapError(f"{path}: not a JSON object")

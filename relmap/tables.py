@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import csv
 import gzip
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+import math
+import sys
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.textfile import quoted, shown
-from relmap.files import read_text
+from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 Kind = Literal["int", "float", "float or empty", "text"]
 """What a column of a table holds; ``float or empty`` reads an empty cell as NaN."""
+
+MAX_WORD = 32
+"""Characters of a text at most: numpy gives all texts of a column the room of the longest."""
 
 
 def compressed(text: str) -> bytes:
@@ -61,55 +65,90 @@ def read_table(path: Path, columns: Mapping[str, Kind]) -> dict[str, NDArray[Any
     RelmapError
         Where the file cannot be read, lacks a column or holds something else in a cell.
     """
+    found: dict[str, _Column] = {}
+    width = 0
+    with open_text(path) as stream:
+        reader = csv.reader(_checked(path, stream))
+        for cells in _records(path, reader):
+            if not found:
+                header, width = [name.strip() for name in cells], len(cells)
+                for name, kind in columns.items():
+                    if name not in header:
+                        where = _at(path, reader.line_num)
+                        raise RelmapError(f"{where}: no column {name} in the header")
+                    found[name] = _Column(name, kind, header.index(name))
+                continue
+            if len(cells) != width:
+                where = _at(path, reader.line_num)
+                raise RelmapError(f"{where}: {len(cells)} fields, expected {width}")
+            for column in found.values():
+                column.add(path, reader.line_num, cells)
+    if not found:
+        raise RelmapError(f"{shown(path)}: is empty, expected the header {','.join(columns)}")
+    return {name: column.values for name, column in found.items()}
+
+
+def _checked(path: Path, stream: TextIO) -> Iterator[str]:
+    for number, line in enumerate(stream, 1):
+        require_utf8(path, number, line)
+        yield line
+
+
+def _records(path: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
+    """Yield the records that hold anything."""
     try:
-        records = [
-            line for line in enumerate(csv.reader(read_text(path).split("\n")), 1) if line[1]
-        ]
+        for cells in reader:
+            if cells:
+                yield cells
     except csv.Error as error:
         raise RelmapError(f"{shown(path)}: not a CSV file: {error}") from error
-    if not records:
-        raise RelmapError(f"{shown(path)}: is empty, expected the header {','.join(columns)}")
-    header = [name.strip() for name in records[0][1]]
-    for name in columns:
-        if name not in header:
-            raise RelmapError(f"{_at(path, records[0][0])}: no column {name} in the header")
-    for line, cells in records[1:]:
-        if len(cells) != len(header):
-            raise RelmapError(f"{_at(path, line)}: {len(cells)} fields, expected {len(header)}")
-    lines = [line for line, _ in records[1:]]
-    table = {}
-    for name, kind in columns.items():
-        k = header.index(name)
-        texts = [cells[k].strip() for _, cells in records[1:]]
-        table[name] = _column(path, name, kind, texts, lines)
-    return table
+
+
+class _Column:
+    """The cells of a column, as numbers at 8 bytes each or as short texts."""
+
+    def __init__(self, name: str, kind: Kind, place: int) -> None:
+        self._name = name
+        self._kind = kind
+        self._place = place
+        self._numbers: array[Any] = array("q" if kind == "int" else "d")
+        self._texts: list[str] = []
+
+    def add(self, path: Path, line: int, cells: list[str]) -> None:
+        """Take in the cell of a record."""
+        text = cells[self._place].strip()
+        if self._kind == "text":
+            if len(text) > MAX_WORD:
+                raise self._wrong(path, line, text, f"a word of at most {MAX_WORD} characters")
+            self._texts.append(sys.intern(text))
+            return
+        wanted = "a whole number" if self._kind == "int" else "a number of metres"
+        try:
+            self._numbers.append(self._number(text))
+        except (ValueError, OverflowError):
+            raise self._wrong(path, line, text, wanted) from None
+
+    def _number(self, text: str) -> float | int:
+        if self._kind == "int":
+            return int(text)
+        if not text and self._kind == "float or empty":
+            return math.nan
+        value = float(text)
+        if not abs(value) <= MAX_COORDINATE_M:
+            raise ValueError
+        return value
+
+    def _wrong(self, path: Path, line: int, text: str, wanted: str) -> RelmapError:
+        where = f"{_at(path, line)}, field {self._name}"
+        return RelmapError(f"{where}: {quoted(text)} is not {wanted}")
+
+    @property
+    def values(self) -> NDArray[Any]:
+        """The cells, (n,)."""
+        if self._kind == "text":
+            return np.array(self._texts, dtype=np.str_)
+        return np.array(self._numbers, dtype=np.int64 if self._kind == "int" else np.float64)
 
 
 def _at(path: Path, line: int) -> str:
     return f"{shown(path)}: line {line}"
-
-
-def _column(path: Path, name: str, kind: Kind, texts: list[str], lines: list[int]) -> NDArray[Any]:
-    if kind == "text":
-        return np.array(texts, dtype=np.str_)
-    with suppress(ValueError, OverflowError):
-        return _numbers(texts, kind)
-    for text, line in zip(texts, lines, strict=True):
-        try:
-            _numbers([text], kind)
-        except (ValueError, OverflowError):
-            wanted = "a whole number" if kind == "int" else "a number of metres"
-            where = f"{_at(path, line)}, field {name}"
-            raise RelmapError(f"{where}: {quoted(text)} is not {wanted}") from None
-    raise AssertionError("a column is bad where none of its cells is")
-
-
-def _numbers(texts: list[str], kind: Kind) -> NDArray[Any]:
-    """Return the numbers in the cells (n,); ValueError or OverflowError where one is none."""
-    if kind == "int":
-        return np.array(list(map(int, texts)), dtype=np.int64)
-    gaps = np.array([kind == "float or empty" and not text for text in texts], dtype=bool)
-    values = np.array([float(text or "nan") for text in texts], dtype=np.float64)
-    if not ((np.abs(values) <= MAX_COORDINATE_M) | gaps).all():
-        raise ValueError
-    return values

@@ -14,6 +14,7 @@ RESULT_FILES = [
     "landmarks.csv",
     "map.ply",
     "map.png",
+    "mapper.npz",
     "pieces.csv",
     "summary.json",
     "tracks.csv.gz",

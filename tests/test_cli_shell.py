@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import pty
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import relmap
@@ -56,7 +53,17 @@ def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]
 
 @pytest.mark.parametrize(
     "verb",
-    [[], ["simulate"], ["simulate", "figure-eight"], ["map"], ["evaluate"], ["figures"], ["demo"]],
+    [
+        [],
+        ["simulate"],
+        ["simulate", "figure-eight"],
+        ["map"],
+        ["evaluate"],
+        ["figures"],
+        ["demo"],
+        ["resume"],
+        ["localise"],
+    ],
 )
 def test_help_shows_an_example(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*verb, "--help"]) == 0
@@ -118,28 +125,3 @@ def test_tracked_yields_everything_in_order() -> None:
     from relmap.cli.console import tracked
 
     assert list(tracked(range(5), 5, "mapping")) == list(range(5))
-
-
-def test_ctrl_c_ends_cleanly(tmp_path: Path, child_env: dict[str, str]) -> None:
-    log = tmp_path / "observations.csv"
-    rng = np.random.default_rng(0)
-    rows = (
-        f"{k},{x!r},{y!r}" for k in range(20_000) for x, y in rng.uniform(0, 9, (5, 2)).tolist()
-    )
-    log.write_text("iteration,x,y\n" + "\n".join(rows) + "\n")
-    out = tmp_path / "out"
-    child = subprocess.Popen(
-        [*RELMAP, "map", str(log), "-o", str(out)],
-        stderr=subprocess.PIPE,
-        env=child_env,
-        cwd=tmp_path,
-    )
-    deadline = time.monotonic() + 60
-    while not (out.is_dir() and names(out)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    child.send_signal(signal.SIGINT)
-    _, errors = child.communicate(timeout=60)
-    assert child.returncode == 130
-    assert errors == b"relmap: interrupted\n"
-    assert names(tmp_path) == ["observations.csv"]

@@ -27,7 +27,7 @@ SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
 def compared(tmp_path_factory: pytest.TempPathFactory, child_env: dict[str, str]) -> Path:
     """A comparison as a user makes it; stdout and stderr are beside it."""
     folder = tmp_path_factory.mktemp("compare")
-    chosen = "relmap-points,relmap-points-live,frame-to-map,ekf"
+    chosen = "relmap-points,ekf"
     done = subprocess.run(
         [*RELMAP, *SHORT, "--methods", chosen, "-o", "out"],
         cwd=folder,
@@ -48,8 +48,6 @@ def test_files(compared: Path) -> None:
         "comparison.csv",
         "comparison.png",
         "map-ekf.png",
-        "map-frame-to-map.png",
-        "map-relmap-points-live.png",
         "map-relmap-points.png",
     ]
     for picture in (compared / "out").glob("*.png"):
@@ -59,12 +57,7 @@ def test_files(compared: Path) -> None:
 def test_csv_holds_every_figure_in_full(compared: Path) -> None:
     rows = table(compared / "out" / "comparison.csv")
     assert list(rows[0]) == list(CSV_COLUMNS)
-    assert [row["method"] for row in rows] == [
-        "relmap-points",
-        "relmap-points-live",
-        "frame-to-map",
-        "ekf",
-    ]
+    assert [row["method"] for row in rows] == ["relmap-points", "ekf"]
     for row in rows:
         assert row["association"] == "known"
         assert 0.005 < float(row["landmark_rmse_m"]) < 0.1
@@ -87,7 +80,7 @@ def test_printed_table_says_what_the_csv_says(compared: Path) -> None:
         assert cells[0] == row["method"]
         assert cells[1] == f"{float(row['landmark_rmse_m']):.4f}"
         assert len(line) <= 100
-    assert lines[-1] == "wrote comparison.csv and 5 pictures to out"
+    assert lines[-1] == "wrote comparison.csv and 3 pictures to out"
 
 
 def test_a_log_with_its_truth_beside_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -73,8 +73,8 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"points": None}, "points is not a file in the archive"),
-        ({"stamps_s": None}, "stamps_s is not a file"),
+        ({"points": None}, r"points\.npy"),
+        ({"stamps_s": None}, r"stamps_s\.npy"),
         ({"points": np.zeros((3, 4))}, r"array points: float64 \(3, 4\)"),
         ({"points": np.zeros((0, 3)), "iteration": np.zeros(0, int)}, "at least one point"),
         ({"points": np.array(3.0)}, "array points"),
@@ -88,7 +88,10 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
         ({"stamps_s": np.array([1.0, 1.0])}, "stamps_s, row 1: is no later time"),
         ({"stamps_s": np.array([np.nan, 1.0])}, "stamps_s, row 0"),
         ({"stamps_s": np.zeros((2, 1))}, "array stamps_s"),
-        ({"stamps_s": np.array([object(), 1], dtype=object)}, "allow_pickle"),
+        (
+            {"stamps_s": np.array([object(), 1], dtype=object)},
+            "stamps_s.npy is no array of numbers",
+        ),
     ],
 )
 def test_damaged_arrays(tmp_path: Path, changes: dict[str, object], expected: str) -> None:

@@ -77,9 +77,9 @@ def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
     mapper = PointMapper()
     for scan in world.log.scans():
         mapper.update(scan.points_robot, scan.ids)
-        if mapper._live._work is not None:
+        if mapper._live._step is not None:
             break
-    assert mapper._live._work is not None
+    assert mapper._live._step is not None
     again: PointMapper = pickle.loads(pickle.dumps(mapper))
     np.testing.assert_array_equal(again.map.positions, mapper.map.positions)
     mapper.refine()
@@ -134,7 +134,7 @@ def test_of_a_long_run_neighbouring_placements_are_one_body(
     shift = np.repeat([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]], 2, axis=0)
     placed = world[landmark] + shift[placement]
     found = step(placed, landmark, placement)
-    assert found._p == 4
+    assert len(found._bodies) == 4
     means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
     np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
 

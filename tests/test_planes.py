@@ -53,12 +53,17 @@ def figures(mapper: PlaneMapper, building: Building) -> tuple[float, float, int]
 
 
 def seen_from(
-    x: float, y: float, yaw: float, walls: NDArray[np.float64] = ROOM, half_view: float = 1.2
+    x: float,
+    y: float,
+    yaw: float,
+    walls: NDArray[np.float64] = ROOM,
+    half_view: float = 1.2,
+    range_m: float = 8.0,
 ) -> Any:
     """Return what a robot sees of walls."""
     c, s = np.cos(yaw), np.sin(yaw)
     R = np.array([[c, -s], [s, c]])
-    return seen_walls((walls - [x, y]) @ R, 8.0, half_view)
+    return seen_walls((walls - [x, y]) @ R, range_m, half_view)
 
 
 @pytest.mark.parametrize(("world", "seed"), [("building", 0), ("building", 1), ("panels", 1)])
@@ -195,3 +200,39 @@ def test_walls_that_cannot_be_meant_are_refused(ends: Any, kind: Any, message: s
     with pytest.raises(RelmapError, match=message):
         mapper.update(SimpleNamespace(ends=np.array(ends), end_type=np.array(kind)))
     assert len(mapper.planes.plane) == 0
+
+
+CORRIDOR = np.array(
+    [
+        [[30.0, 2.0], [-2.0, 2.0]],
+        [[-2.0, -2.0], [4.0, -2.0]],
+        [[26.0, -2.0], [30.0, -2.0]],
+        [[30.0, -2.0], [30.0, 2.0]],
+    ]
+)
+"""A long wall; nothing else is in view in the middle of the way along it."""
+
+
+@pytest.mark.parametrize(("noise_m", "error_m"), [(0.0, 0.2), (0.005, 0.2)])
+def test_along_a_single_partial_wall_the_speed_is_carried_on(
+    noise_m: float, error_m: float
+) -> None:
+    """The motion model: what is across the wall stays observed, the link is weak (Fig. 6)."""
+    rng = np.random.default_rng(0)
+    mapper, path = PlaneMapper(), np.column_stack([0.2 * np.arange(130), np.zeros(130)])
+    path[:, 1] = 0.1 * np.sin(np.arange(130) / 9)
+    for k, (x, y) in enumerate(path):
+        seen = seen_from(x, y, 0.1 * np.sin(k / 7), CORRIDOR, np.pi / 2, 5.0)
+        ends = seen.ends + rng.normal(0.0, noise_m, seen.ends.shape)
+        mapper.update(SimpleNamespace(ends=ends, end_type=seen.end_type))
+    mapper.finish()
+    for _ in range(2):
+        poses = mapper.trajectory
+        R, t = fit_rigid(poses[:20, :2, 3], path[:20])
+        off = np.abs(poses[:, :2, 3] @ R.T + t - path)
+        assert off[:, 0].max() < error_m
+        assert off[:, 1].max() < 0.002 + 10 * noise_m
+        mapper.refine()
+    weak = mapper.weak_links
+    assert 60 < len(weak) < 110
+    assert np.isin(np.arange(40, 80), weak).all()

@@ -52,8 +52,8 @@ def test_result_folder_is_complete(building: Path) -> None:
 def test_figures_against_the_truth(building: Path) -> None:
     run_relmap("evaluate", building / "result", "--truth", building / "world")
     figures = json.loads((building / "result" / "evaluation.json").read_text())
-    assert figures["corner_rmse_m"] < 0.08
-    assert figures["coverage"] >= 0.75
+    assert figures["corner_rmse_m"] < 0.04
+    assert figures["coverage"] >= 0.85
     assert figures["ate_m"] < 0.04
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from time import process_time
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -198,6 +200,27 @@ def test_a_million_points_take_no_longer_than_needed() -> None:
     segmenter = PlaneSegmenter().fit(points + rng.normal(0, 0.05, points.shape))
     assert len(segmenter.planes_) == 2
     assert (segmenter.labels_[:half] == segmenter.labels_[0]).mean() > 0.97
+
+
+@pytest.mark.parametrize("kind", ["even", "blob"])
+def test_a_million_points_of_no_wall_do_not_hang(kind: str) -> None:
+    rng = np.random.default_rng(1)
+    shape = (1_000_000, 3)
+    points = rng.uniform(-5, 5, shape) if kind == "even" else rng.normal(size=shape)
+    begin = process_time()
+    assert len(PlaneSegmenter().fit(points).planes_) == 0
+    assert process_time() - begin < 20
+
+
+def test_walls_under_uniform_noise_are_not_doubled() -> None:
+    found, surplus = [], 0
+    for seed in range(2000, 2010):
+        scan = building_scene(seed, sigma=0.1, noise="uniform")
+        segmenter = segmented(scan)
+        found += [plane >= 0 for _, plane in matches(scan, segmenter.labels_)]
+        surplus += len(segmenter.planes_) > len(np.unique(scan.stretch))
+    assert np.mean(found) >= 0.9
+    assert surplus == 0
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,9 @@ from relmap.segmentation.em import WallMixture, maximise, scan_area
 from relmap.segmentation.end_types import Limits, type_ends
 from relmap.segmentation.kernels import bell, expect, gauss_step, weighted_line
 from relmap.segmentation.moves import bend, merge, split, widest_gap
-from relmap.segmentation.noise import noise_candidates
-from relmap.segmentation.scanlines import scan_walls
+from relmap.segmentation.noise import by_beams, window_noise
+from relmap.segmentation.scanlines import hidden_ends, scan_walls
+from relmap.segmentation.shadows import part_at_shadows, shadows
 
 
 def wall(x0: float, y0: float, x1: float, y1: float, share: float = 1.0) -> list[float]:
@@ -41,7 +42,7 @@ def test_density_of_a_wall_integrates_to_its_share(rays: bool) -> None:
     walls = np.array([wall(2.0, -1.0, 2.5, 0.8, 0.6)])
 
     def density(y: float, x: float) -> float:
-        return float(expect(np.array([[x, y]]), walls, 0.15, 0.0, rays)[1][0])
+        return float(expect(np.array([[x, y]]), walls, 0.15, np.zeros(1), rays)[1][0])
 
     total, _ = dblquad(density, 1.0, 3.5, -2.2, 2.0, epsabs=1e-4)
     assert total == pytest.approx(0.6, rel=5e-3 if rays else 1e-3)
@@ -154,7 +155,7 @@ def test_noise_is_seen_in_windows(sigma: float) -> None:
     rng = np.random.default_rng(10)
     rows = [wall(5, -4, 5, 4), wall(5, 4, -3, 4), wall(-3, 4, -3, -4)]
     xy = np.vstack([on_wall(rng, row, 700, sigma) for row in rows])
-    assert noise_candidates(xy, rng)[0] == pytest.approx(sigma, rel=0.15)
+    assert window_noise(xy, rng) == pytest.approx(sigma, rel=0.15)
 
 
 def test_walls_meet_in_their_crossing() -> None:
@@ -204,3 +205,55 @@ def test_a_laser_scan_of_a_room_is_four_walls() -> None:
         mixture.walls[:, 0] * mixture.walls[:, 3] - mixture.walls[:, 1] * mixture.walls[:, 2]
     )
     assert set(np.round(distance, 6)) == {2.0, 3.0}
+
+
+def test_a_shadow_parts_a_wall_that_noise_closes() -> None:
+    """A panel before a wall hides a stretch no wider than the noise spreads points."""
+    rng = np.random.default_rng(11)
+    panel = wall(2, 0.2, 2, -0.1, 0.1)
+    hidden = (-0.2, 0.4)
+    true = [wall(4, -2, 4, hidden[0], 0.4), wall(4, hidden[1], 4, 2, 0.5), panel]
+    xy = np.vstack([on_wall(rng, one, int(2000 * one[6]), 0.3) for one in true])
+    whole = wall(4, -2, 4, 2, 0.9)
+    mixture = mixture_of([whole, panel], xy, 0.3)
+    np.testing.assert_allclose(shadows(mixture.walls, 0, 0.3, len(xy)) - 2, [hidden], atol=1e-9)
+    parts = part_at_shadows(mixture, xy)
+    assert len(parts.walls) == 3
+    assert len(merge(parts, xy).walls) == 3
+    assert len(part_at_shadows(mixture_of([whole], xy, 0.3), xy).walls) == 1
+
+
+def corridor(bearing: np.ndarray, door: tuple[float, float], beyond: float) -> np.ndarray:
+    """Return what beams meet of a wall at y = 1 with a door, through which they see y = beyond."""
+    x = 1 / np.tan(bearing)
+    y = np.where((x > door[0]) & (x < door[1]), beyond, 1.0)
+    xy = np.column_stack([y / np.tan(bearing), y])
+    return np.asarray(xy[np.hypot(*xy.T) < 8])
+
+
+@pytest.mark.parametrize("beyond", [2.5, 100.0], ids=["a room beyond", "nothing beyond"])
+def test_a_door_seen_at_a_flat_angle_parts_a_wall(beyond: float) -> None:
+    xy = corridor(np.deg2rad(np.arange(5, 60, 0.5)), (4.5, 5.7), beyond)
+    _, labels = scan_walls(xy, 0.01)
+    own = [labels[(xy[:, 1] == 1.0) & side] for side in (xy[:, 0] < 4.5, xy[:, 0] > 5.7)]
+    assert len(set(own[0])) == len(set(own[1])) == 1
+    assert own[0][0] != own[1][0]
+
+
+def test_what_hides_an_end_need_not_be_a_wall() -> None:
+    bearing = np.deg2rad(np.arange(-30, 30, 0.5))
+    reach = np.where(np.abs(bearing - 0.2) < 0.02, 1.5, 4 / np.cos(bearing))
+    xy = np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])
+    _, labels = scan_walls(xy, 0.01)
+    assert (labels[reach == 1.5] == -1).all()
+    hidden = hidden_ends(xy, np.where(reach == 1.5, -1, bearing > 0.2).astype(np.int64))
+    np.testing.assert_array_equal(hidden, [[False, True], [True, False]])
+
+
+def test_beams_are_known_by_their_even_bearings() -> None:
+    rng = np.random.default_rng(12)
+    bearing = np.deg2rad(np.arange(-60, 60, 0.5))
+    reach = 4 / np.cos(bearing) + rng.normal(0, 0.05, len(bearing))
+    beams = np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])
+    assert by_beams(rng.permutation(beams[rng.random(len(beams)) < 0.7]))
+    assert not by_beams(on_wall(rng, wall(4, -3, 4, 3), 240, 0.05))

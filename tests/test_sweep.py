@@ -15,7 +15,14 @@ import pytest
 from relmap.cli import main
 from relmap.core.errors import RelmapError
 from relmap.evaluation.methods.running import ACCURACY
-from relmap.evaluation.sweep import TIMES, CellStore, Finished, accuracy_csv, run_cell
+from relmap.evaluation.sweep import (
+    TIMES,
+    CellStore,
+    Finished,
+    accuracy_csv,
+    run_cell,
+    write_parquet,
+)
 from relmap.evaluation.sweep_spec import KEYS, Cell, cells_of, varying
 from tests.commands import RELMAP, Check, names, table
 
@@ -68,27 +75,10 @@ def finished_cells(out: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in (out / "cells").glob("*.json")}
 
 
-def test_the_same_table_from_two_workers(
-    spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
-) -> None:
-    """With one it is the one of the runs below."""
-    run = sweep(spec, tmp_path / "out", child_env, "--workers", "2")
-    printed, complained = run.communicate(timeout=300)
-    assert run.returncode == 0, complained
-    assert (tmp_path / "out" / "sweep.csv").read_text() == expected
-    lines = printed.splitlines()
-    assert lines[0] == "medians over the seeds"
-    assert lines[1].split()[:3] == ["method", "sigma", "RMSE"]
-    assert len(lines) == 3 + 4 + 1
-    assert lines[-1] == f"wrote {N} cells to {tmp_path / 'out'}"
-    timing = table(tmp_path / "out" / "timing.csv")
-    assert len(timing) == N
-    assert all(float(row["total_s"]) > 0 for row in timing)
-
-
 def test_goes_on_after_an_interruption(
     spec: Path, tmp_path: Path, expected: str, child_env: dict[str, str]
 ) -> None:
+    """Begun with one worker, ended with two: the table of a run in one go, in one process."""
     out = tmp_path / "out"
     run = sweep(spec, out, child_env, "--workers", "1")
     while len(finished_cells(out)) < 3 and run.poll() is None:
@@ -101,14 +91,22 @@ def test_goes_on_after_an_interruption(
     assert "the same command goes on with the others" in complained
     assert "Traceback" not in complained
     assert not (out / "sweep.csv").exists()
-    run = sweep(spec, out, child_env, "--workers", "1")
-    _, complained = run.communicate(timeout=300)
+    run = sweep(spec, out, child_env, "--workers", "2")
+    printed, complained = run.communicate(timeout=300)
     assert run.returncode == 0, complained
     assert f"{len(before)} of {N} cells were finished before" in complained
     after = finished_cells(out)
     assert len(after) == N
     assert {name: after[name] for name in before} == before
     assert (out / "sweep.csv").read_text() == expected
+    lines = printed.splitlines()
+    assert lines[0] == "medians over the seeds"
+    assert lines[1].split()[:3] == ["method", "sigma", "RMSE"]
+    assert len(lines) == 3 + 4 + 1
+    assert lines[-1] == f"wrote {N} cells to {out}"
+    timing = table(out / "timing.csv")
+    assert len(timing) == N
+    assert all(float(row["total_s"]) > 0 for row in timing)
 
 
 def test_more_of_a_grid_runs_only_what_is_new(spec: Path, tmp_path: Path) -> None:
@@ -198,13 +196,17 @@ def test_refused_in_one_line(refused: Check, place: Path) -> None:
     assert "--workers is for this machine" in refused("sweep", "good.toml", "-o", "s", *both)
 
 
-def test_parquet_holds_the_same_table(spec: Path, tmp_path: Path) -> None:
+def test_parquet_holds_the_same_table(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="no pyarrow: relmap[parquet]")
-    assert main(["sweep", str(spec), "-o", str(tmp_path / "out"), "--workers", "1"]) == 0
-    columns = parquet.read_table(tmp_path / "out" / "sweep.parquet").to_pydict()
-    rows = table(tmp_path / "out" / "sweep.csv")
+    cells = cells_of({"method": ["ekf", "batch"], "sigma": [0.1, 0.2]})
+    done = [Finished(FIGURES | {"ate_m": 0.1 * k, "corner_rmse_m": None}) for k in range(4)]
+    write_parquet(tmp_path / "sweep.parquet", cells, done)
+    (tmp_path / "sweep.csv").write_text(accuracy_csv(cells, done))
+    columns = parquet.read_table(tmp_path / "sweep.parquet").to_pydict()
+    rows = table(tmp_path / "sweep.csv")
     assert list(columns) == list(rows[0])
-    assert columns["landmark_rmse_m"] == [float(row["landmark_rmse_m"]) for row in rows]
+    assert columns["ate_m"] == [float(row["ate_m"]) for row in rows]
+    assert columns["corner_rmse_m"] == [None] * 4
     assert columns["method"] == [row["method"] for row in rows]
 
 

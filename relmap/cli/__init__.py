@@ -11,14 +11,14 @@ from typing import Annotated, Any
 import typer
 
 from relmap import __version__
-from relmap.cli import compare, demo, evaluate, figures, map, simulate, sweep
+from relmap.cli import compare, demo, evaluate, figures, localise, map, resume, simulate, sweep
+from relmap.cli.console import INTERRUPTED
 from relmap.core.errors import RelmapError
 
 # typer exports what is raised for a bad value, but not the class above it, of all bad usage.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 BAD_INPUT = 2
-INTERRUPTED = 130
 UNHEARD = 1
 
 _HELP = """Make maps from landmarks seen by a moving robot, without knowing how it moved.
@@ -41,6 +41,8 @@ app = typer.Typer(
 )
 app.add_typer(simulate.app, name="simulate")
 app.command("map", help=map.HELP)(map.map_command)
+app.command("resume", help=resume.HELP)(resume.resume_command)
+app.command("localise", help=localise.HELP)(localise.localise_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
 app.command("compare", help=compare.HELP)(compare.compare_command)
 app.command("sweep", help=sweep.HELP)(sweep.sweep_command)

@@ -13,6 +13,8 @@ import typer
 
 T = TypeVar("T")
 
+INTERRUPTED = 130
+"""What the process exits with where Ctrl-C ended it."""
 PATIENCE_S = 1.0
 """Work that is done sooner shows no progress."""
 

@@ -157,13 +157,17 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     from relmap.evaluation.evaluate import mapped_part
 
     form = result.summary.get("format")
+    if not isinstance(form, str):
+        form = None
     if log is not None:
         return open_log(log, recognised_format(log) or form)
     source = result.summary.get("input")
     beside = truth if truth.is_dir() else truth.parent
     if beside.name == "truth":
         beside = beside.parent
-    candidates = [(beside / name, None) for name in ("observations.csv", "observations.csv.gz")]
+    candidates: list[tuple[Path, str | None]] = [
+        (beside / name, None) for name in ("observations.csv", "observations.csv.gz")
+    ]
     if isinstance(source, str):
         candidates.insert(0, (Path(source), form))
     for path, name in candidates:

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from relmap.cli.console import Out
+from relmap.cli.console import INTERRUPTED, Out
+from relmap.cli.interrupt import stoppable
+from relmap.cli.job import Association, Job, journaled_labels
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -18,9 +20,11 @@ if TYPE_CHECKING:
     from relmap.datasets.base import ObservationLog, Scan
     from relmap.evaluation.run import Run
 
-Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
 Registration = Literal["constellation", "nearest-previous"]
+
+_LONGEST = 300
+"""Characters that a message takes from a file of settings."""
 
 HELP = """Make a map from a log of landmarks that a moving robot saw.
 
@@ -43,9 +47,11 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
   point-clouds     a folder of .pcd or .ply files, one for each scan
 
-It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv and
-summary.json, and of walls also planes.csv and bench.png: the last scan, its planes, the map and
-its groups; with --animate the whole run like that in bench.gif.
+It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, pieces.csv,
+summary.json and mapper.npz, the state to go on from, and of walls also planes.csv and bench.png:
+the last scan, its planes, the map and its groups; with --animate the whole run like that in
+bench.gif.  Ctrl-C ends the mapping early and writes what was mapped so far; pressed again it ends
+at once.
 
 \b
 Examples:
@@ -101,69 +107,131 @@ def map_command(
             help="Settings of the mapper: the fields of relmap.MapperConfig, as field = value.",
         ),
     ] = None,
+    journal: Annotated[
+        Path | None,
+        typer.Option(
+            "--journal",
+            metavar="FILE",
+            help="Keep what is read and found in this SQLite file, so that 'relmap resume FILE' "
+            "can go on if the run is ended before its time.",
+        ),
+    ] = None,
+    onto: Annotated[
+        Path | None,
+        typer.Option(
+            "--onto",
+            metavar="RESULT",
+            help="Add the log to the map in this result folder: where a scan is found in it, the "
+            "mapping goes on from there.",
+        ),
+    ] = None,
     animate: Annotated[
         bool,
         typer.Option("--animate", help="Of walls, draw the whole run as an animation, bench.gif."),
     ] = False,
 ) -> None:
     """Map a log; the arguments are explained in the help text."""
-    if variant == "planes":
-        if association == "known" or registration is not None:
-            raise RelmapError("walls have no ids: --association and --registration are for points")
-        _map_planes(source, out, scans, log_format, config, refine, animate)
-        return
-    if animate:
+    planes = variant == "planes"
+    _check_onto(onto, planes, journal, config, registration)
+    if planes and (association == "known" or registration is not None):
+        raise RelmapError("walls have no ids: --association and --registration are for points")
+    if animate and not planes:
         raise RelmapError("--animate draws walls: give --variant planes with it")
-    run = map_input(source, out, association, scans, log_format, config, registration, refine)
+    with stoppable() as stopped:
+        job = Job(
+            source=source,
+            out=out,
+            settings=_settings(config, registration),
+            association=association,
+            interval=parse_scans(scans),
+            log_format=log_format,
+            refine=refine,
+            journal=journal,
+            onto=onto,
+            animate=animate,
+            stopped=stopped,
+        )
+        if planes:
+            from relmap.cli.map_planes import report_planes
+
+            report_planes(job)
+        else:
+            report_points(job)
+
+
+def report_points(job: Job) -> None:
+    """Map points, and tell what came out.
+
+    Raises
+    ------
+    typer.Exit
+        Where the run was interrupted.
+    """
+    run = map_points(job)
     counts, timing = run.result.summary["counts"], run.result.summary["timing"]
-    apart = len(run.result.pieces) - 1
     typer.echo(
-        f"wrote 7 files to {out}: {counts['mapped']} of {counts['landmarks']} landmarks mapped "
-        f"from {counts['observations']} observations in {counts['iterations']} iterations, "
-        f"median {timing['median_ms']:.2g} ms each" + _untied(apart)
+        f"{stopped_after(run.result.summary)}wrote 8 files to {job.out}: {counts['mapped']} of "
+        f"{counts['landmarks']} landmarks mapped from {counts['observations']} observations in "
+        f"{counts['iterations']} iterations, {each(timing['median_ms'])}"
+        + untied(len(run.result.pieces) - 1)
     )
+    if job.onto and job.association == "nearest" and run.result.summary["tied_at"] is None:
+        typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")
+    leave(job, run.result.summary)
 
 
-def _untied(pieces: int) -> str:
+def stopped_after(summary: dict[str, Any]) -> str:
+    """Return how far an interrupted run came, as the beginning of a message."""
+    if not summary["interrupted"]:
+        return ""
+    return f"stopped after {summary['counts']['iterations']} of {summary['input_iterations']}: "
+
+
+def each(median_ms: float | None) -> str:
+    """Return how long an iteration took, as part of a message."""
+    return "none of them new" if median_ms is None else f"median {median_ms:.2g} ms each"
+
+
+def untied(pieces: int) -> str:
+    """Return how many pieces of a map are apart, as the end of a message."""
     if pieces < 1:
         return ""
     return f"; {pieces} piece{'s' if pieces > 1 else ''} could not be tied to the map"
 
 
-def _map_planes(
-    source: Path,
-    out: Path,
-    scans: str | None,
-    log_format: str | None,
-    config: Path | None,
-    refine: bool,
-    animate: bool,
-) -> None:
-    """Map walls, and tell what came out."""
-    from relmap.cli.map_planes import map_scans
+def leave(job: Job, summary: dict[str, Any]) -> None:
+    """End the program as what became of the run demands.
 
-    interval = parse_scans(scans)
-    run = map_scans(source, out, read_config(config), interval, log_format, refine, animate)
-    counts, timing = run.result.summary["counts"], run.result.summary["timing"]
-    apart = len(run.result.summary["pieces"]) - 1
-    typer.echo(
-        f"wrote {10 if animate else 9} files to {out}: {counts['planes_static']} walls with "
-        f"{counts['corners_static']} corners mapped in {counts['iterations']} iterations, "
-        f"median {timing['median_ms']:.2g} ms each beside segmentation" + _untied(apart)
-    )
+    Raises
+    ------
+    typer.Exit
+        Where the run was interrupted.
+    """
+    if summary["interrupted"]:
+        if job.journal is not None:
+            typer.echo(f"'relmap resume {job.journal}' goes on with it")
+        raise typer.Exit(INTERRUPTED)
 
 
 def map_input(
-    source: Path,
-    out: Path,
-    association: Association = "nearest",
-    scans: str | None = None,
-    log_format: str | None = None,
-    config: Path | None = None,
-    registration: Registration | None = None,
-    refine: bool = True,
+    source: Path, out: Path, association: Association = "nearest", scans: str | None = None
 ) -> Run:
-    """Map a log into a result folder.
+    """Map a log of points into a result folder, as `relmap map` does.
+
+    Raises
+    ------
+    RelmapError
+        As `map_points` does.
+    """
+    settings = read_config(None)
+    interval = parse_scans(scans)
+    return map_points(
+        Job(source=source, out=out, settings=settings, association=association, interval=interval)
+    )
+
+
+def map_points(job: Job) -> Run:
+    """Map a log of points into a result folder.
 
     Raises
     ------
@@ -171,50 +239,74 @@ def map_input(
         Where an argument or the log cannot be used, or the folder cannot be written; an earlier
         result in it is then as it was.
     """
-    from relmap.cli.console import busy, tracked
+    from relmap.cli.console import busy
     from relmap.datasets import open_log
     from relmap.evaluation.run import run_mapper
     from relmap.files import staged_folder
     from relmap.plots.run import write_map_png
     from relmap.points.mapper import PointMapper
-    from relmap.results import EVALUATION, MAP_PNG, write_result
+    from relmap.results import EVALUATION, MAP_PNG, MAPPER, write_result
 
-    interval = parse_scans(scans)
-    settings = read_config(config)
-    if registration is not None:
-        settings = replace(settings, registration=registration)
+    source = job.at(job.source)
     with busy("reading"):
-        log = open_log(source, log_format)
-    if interval is not None:
-        log = log.between(*interval)
-    check_association(log, association, source)
-    with staged_folder(out, stale=[EVALUATION]) as staging, ExitStack() as afterwards:
+        log = open_log(source, job.log_format)
+    if job.interval is not None:
+        log = log.between(*job.interval)
+    check_association(log, job.association, source)
+    with staged_folder(job.at(job.out), stale=[EVALUATION]) as staging, ExitStack() as afterwards:
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
-            yield from tracked(scans, len(log), "mapping")
+            tied = job.onto is None or job.association == "known"
+            for scan in job.scans(scans, len(log)):
+                if not tied and mapper.take_up(scan.points_robot):
+                    about["tied_at"], tied = scan.iteration, True
+                yield scan
             afterwards.enter_context(busy("refining and writing"))
 
-        about = _about(source, log_format or recognised_format(source), settings)
-        run = run_mapper(
-            PointMapper(settings),
-            log,
-            association,
-            about,
-            shown,
-            refine=refine,
-        )
+        seen = journaled_labels(job, log.scans())
+        mapper = job.mapper(PointMapper)
+        afterwards.callback(mapper.close)
+        about = _about(job, job.log_format or recognised_format(source), mapper.config)
+        before = mapper.n_iterations - len(seen)
+        run = run_mapper(mapper, log, job.association, about, shown, job.refine, seen, before)
         write_result(staging, run.result)
+        mapper.save(staging / MAPPER)
         write_map_png(staging / MAP_PNG, run.result, run.groups)
     return run
 
 
-def _about(source: Path, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
+def _check_onto(
+    onto: Path | None,
+    planes: bool,
+    journal: Path | None,
+    config: Path | None,
+    registration: Registration | None,
+) -> None:
+    """Make sure that a map that is to be added to needs nothing else."""
+    if onto is None:
+        return
+    if planes:
+        raise RelmapError("--onto adds to a map of points; walls are mapped in one go")
+    if journal is not None:
+        raise RelmapError("--journal keeps a run from its beginning, which --onto has not got")
+    if config is not None or registration is not None:
+        raise RelmapError("--onto goes on with the settings of the earlier run: give no others")
+
+
+def _settings(config: Path | None, registration: Registration | None) -> MapperConfig:
+    settings = read_config(config)
+    return settings if registration is None else replace(settings, registration=registration)
+
+
+def _about(job: Job, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
     return {
-        "input": str(source),
+        "input": str(job.source),
         "format": log_format,
         "variant": "points",
         "seed": None,
         "configuration": asdict(settings),
+        "onto": None if job.onto is None else str(job.onto),
+        "tied_at": None,
     }
 
 
@@ -275,7 +367,10 @@ def read_config(path: Path | None) -> MapperConfig:
         return MapperConfig()
     try:
         return MapperConfig.from_mapping(tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise RelmapError(f"{path}: not TOML: {error}") from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
+        raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
     except RelmapError as error:
-        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+        problem = str(error)
+        if str(path) not in problem:
+            problem = f"{path}: {problem[:_LONGEST]}"
+        raise RelmapError(problem) from error

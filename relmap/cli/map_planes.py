@@ -10,29 +10,44 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from relmap.core.config import MapperConfig
+from relmap.cli.job import Job, journaled_labels
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.datasets.scans import PointScan
+    from relmap.datasets.scans import PointScan, ScanLog
     from relmap.evaluation.plane_evaluate import WallTruth
     from relmap.evaluation.plane_run import PlaneRun
     from relmap.figures.bench import BenchRecorder
+    from relmap.planes import PlaneMapper
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
 
 
-def map_scans(
-    source: Path,
-    out: Path,
-    settings: MapperConfig,
-    interval: tuple[int, int] | None,
-    log_format: str | None,
-    refine: bool,
-    animate: bool = False,
-) -> PlaneRun:
-    """Map a log of point scans into a result folder, with pictures; `animate` adds an animation.
+def report_planes(job: Job) -> None:
+    """Map walls, and tell what came out.
+
+    Raises
+    ------
+    typer.Exit
+        Where the run was interrupted.
+    """
+    from relmap.cli.map import each, leave, stopped_after
+
+    summary = map_scans(job).result.summary
+    counts, timing = summary["counts"], summary["timing"]
+    weak = len(summary["weak_links"])
+    told = f"; scans between which the robot was taken to go on as before: {weak}" if weak else ""
+    typer.echo(
+        f"{stopped_after(summary)}wrote {11 if job.animate else 10} files to {job.out}: "
+        f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
+        f"{counts['iterations']} iterations, {each(timing['median_ms'])} beside segmentation" + told
+    )
+    leave(job, summary)
+
+
+def map_scans(job: Job) -> PlaneRun:
+    """Map a log of point scans into a result folder, with pictures.
 
     Raises
     ------
@@ -40,39 +55,55 @@ def map_scans(
         Where the log cannot be used, or the folder cannot be written; an earlier result in it is
         then as it was.
     """
-    from relmap.cli.console import busy, tracked
-    from relmap.datasets import open_scans
+    from relmap.cli.console import busy
     from relmap.evaluation.plane_run import run_plane_mapper
     from relmap.figures.bench import BenchRecorder, frame_step
     from relmap.files import staged_folder
-    from relmap.planefiles import write_planes
     from relmap.planes import PlaneMapper
-    from relmap.plots.planes import write_planes_png
-    from relmap.results import MAP_PNG, write_result
     from relmap.segmentation import PlaneSegmenter
 
-    with busy("reading"):
-        log = open_scans(source, log_format)
-    if interval is not None:
-        log = log.between(*interval)
-    about = _about(source, log_format, settings)
-    mapper, view = PlaneMapper(settings), log.sensor
+    source, log, seen = job.at(job.source), _read(job), journaled_labels(job)
+    if len(seen) > len(log):
+        raise RelmapError(f"{source} has {len(log)} scans, fewer than journal {job.journal}")
+    view, stale = log.sensor, _stale(job.animate)
     segmenter = PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
-    every = frame_step(len(log)) if animate else 0
-    bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every, view)
-    with staged_folder(out, _stale(animate)) as staging, ExitStack() as afterwards:
+    every = frame_step(len(log)) if job.animate else 0
+    with staged_folder(job.at(job.out), stale) as staging, ExitStack() as afterwards:
+        mapper = job.mapper(PlaneMapper)
+        afterwards.callback(mapper.close)
+        before_s = log.stamps_s[: len(seen)].tolist()
+        bench = BenchRecorder(mapper, segmenter, _truth_beside(source), every, view, before_s)
 
         def shown(scans: Iterable[PointScan]) -> Iterator[PointScan]:
-            yield from bench.watch(tracked(scans, len(log), "mapping"))
+            yield from bench.watch(job.scans(scans, len(log)))
             afterwards.enter_context(busy("refining and writing"))
 
-        run = run_plane_mapper(mapper, log, segmenter, about, shown, refine=refine)
-        write_result(staging, run.result)
-        write_planes(staging, run.planes)
-        write_planes_png(staging / MAP_PNG, run.planes, run.result.poses)
+        about = _about(job, source)
+        run = run_plane_mapper(mapper, log, segmenter, about, shown, job.refine, seen)
+        _write(staging, run, mapper)
         afterwards.close()
-        _draw_bench(staging, bench, animate)
+        _draw_bench(staging, bench, job.animate)
     return run
+
+
+def _read(job: Job) -> ScanLog:
+    from relmap.cli.console import busy
+    from relmap.datasets import open_scans
+
+    with busy("reading"):
+        log = open_scans(job.at(job.source), job.log_format)
+    return log if job.interval is None else log.between(*job.interval)
+
+
+def _write(folder: Path, run: PlaneRun, mapper: PlaneMapper) -> None:
+    from relmap.planefiles import write_planes
+    from relmap.plots.planes import write_planes_png
+    from relmap.results import MAP_PNG, MAPPER, write_result
+
+    write_result(folder, run.result)
+    mapper.save(folder / MAPPER)
+    write_planes(folder, run.planes)
+    write_planes_png(folder / MAP_PNG, run.planes, run.result.poses)
 
 
 def _stale(animate: bool) -> list[str]:
@@ -82,16 +113,16 @@ def _stale(animate: bool) -> list[str]:
     return [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
 
 
-def _about(source: Path, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
+def _about(job: Job, source: Path) -> dict[str, Any]:
     from relmap.datasets import SCAN_DATASETS
 
     names = [dataset.name for dataset in SCAN_DATASETS if dataset.recognises(source)]
     return {
-        "input": str(source),
-        "format": log_format or (names[0] if len(names) == 1 else None),
+        "input": str(job.source),
+        "format": job.log_format or (names[0] if len(names) == 1 else None),
         "variant": "planes",
         "seed": 0,
-        "configuration": asdict(settings),
+        "configuration": asdict(job.settings),
     }
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 from relmap.core.store import ObservationStore
 
-ROOM = 2**20
+ROOM = 2**22
 """Rows of segments for which there is room from the start."""
 FAR = 10.0
 """How many times as far as anything is seen a landmark may come to lie."""
@@ -160,8 +160,11 @@ class CondensedSegments:
             free &= ~joined
             fitted = 3 * d - 3
             n_seen, n_points = _BITS[visible].sum(), (visible > 0).sum()
+            freedoms = d * (n_seen - n_points) - fitted * (joined.sum() - 1)
+            if not np.isfinite(squares):  # gross outliers drove the iterations apart
+                squares = freedoms = 0
             self._squares.extend(np.array([squares]))
-            self._freedoms.extend(np.array([d * (n_seen - n_points) - fitted * (joined.sum() - 1)]))
+            self._freedoms.extend(np.array([freedoms]))
             at = begin + np.flatnonzero(joined)
             self._iteration_segment.values[at] = len(self._squares) - 1
             self._R.values[at], self._t.values[at] = R[joined], t[joined]
@@ -177,7 +180,7 @@ class CondensedSegments:
         visible: NDArray[np.uint8],
     ) -> None:
         """Enter rows of the latest segment."""
-        there = visible > 0
+        there = (visible > 0) & np.isfinite(points).all(axis=1)
         self._landmark.extend(landmarks[there])
         self._segment.extend(np.full(there.sum(), len(self._squares) - 1))
         self._points.extend(points[there])

@@ -34,6 +34,74 @@ Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
+class StepUnderWay:
+    """A step, slice by slice: segments are laid on the map as it is, then the step is solved for.
+
+    How much of the solution is done is known as a number of slices, so that a copy can do them
+    again.
+
+    Parameters
+    ----------
+    piece : int
+        That is refined.
+    member : int
+        A landmark of it: where that has come to another piece, the step is of no use.
+    n_rows : int
+        Rows of segments that take part.
+    step : StepInSlices
+    """
+
+    def __init__(self, piece: int, member: int, n_rows: int, step: StepInSlices) -> None:
+        self.piece = piece
+        self.member = member
+        self.step = step
+        self._n_rows = n_rows
+        self._first = 0
+        self._n_solved = 0
+        self._solving: Iterator[None] | None = None
+
+    def __getstate__(self) -> dict[str, object]:
+        """Leave out the solution so far: a copy does its slices again."""
+        return self.__dict__ | {"_solving": None}
+
+    def go_on(
+        self,
+        segments: CondensedSegments,
+        global_map: GlobalMap,
+        of: Callable[[Indices], Indices],
+    ) -> bool:
+        """Do a slice; tell whether it was the last."""
+        if self._first < self._n_rows:
+            self._lay_on(segments.rows, global_map, of)
+            return False
+        if self._solving is None:
+            self._solving = self.step.run()
+            for _ in range(self._n_solved):
+                next(self._solving)
+        self._n_solved += 1
+        return bool(next(self._solving, True))
+
+    def _lay_on(
+        self, rows: SegmentRows, global_map: GlobalMap, of: Callable[[Indices], Indices]
+    ) -> None:
+        """Lay some segments on the map."""
+        first, segments = self._first, rows.segment[: self._n_rows]
+        last = segments[min(first + SLICE, self._n_rows) - 1]
+        end = int(np.searchsorted(segments, last, side="right"))
+        landmark = of(rows.landmark[first:end])
+        kept = global_map.pieces[landmark] == self.piece
+        landmark, segment = landmark[kept], segments[first:end][kept]
+        points = rows.points[first:end][kept]
+        seen = rows.n_seen[first:end][kept].astype(np.float64)
+        base = segments[first]
+        there = global_map.positions[landmark]
+        R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)
+        placed = np.einsum("nij,nj->ni", R[segment - base], points) + t[segment - base]
+        on = fixed[segment - base]
+        self.step.add(placed[on], landmark[on], segment[on], seen[on])
+        self._first = end
+
+
 class LiveRefinement:
     """Keeps the live map near the best that was seen so far.
 
@@ -46,7 +114,7 @@ class LiveRefinement:
     def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
         self._map = global_map
-        self._work: Iterator[None] | None = None
+        self._step: StepUnderWay | None = None
         self._begun = LEAST
         self._noted = 0
         self._back = 0
@@ -61,27 +129,26 @@ class LiveRefinement:
             The landmark that each number stands for, after merging.
         """
         self._note(of)
-        if self._work is None:
+        if self._step is None:
             n = self._segments.rows.n_segments
             if self._back <= BACK or GROWTH * self._begun >= n:
                 return False
             self._begun, self._back = n, 0
-            self._work = self._step(of)
+            self._step = self._begin(of)
+            if self._step is None:
+                return True
         # The slices of a short run are small.
         for _ in range(np.clip(SMALL // len(self._segments.rows.segment), 1, MOST)):
-            if next(self._work, True):
-                self._work = None
+            if self._step.go_on(self._segments, self._map, of):
+                self._apply(self._step)
+                self._step = None
                 return True
         return False
 
     @property
     def is_busy(self) -> bool:
         """Whether a step is under way."""
-        return self._work is not None
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave out the step that is under way: a copy takes its own."""
-        return self.__dict__ | {"_work": None}
+        return self._step is not None
 
     def _note(self, of: Callable[[Indices], Indices]) -> None:
         """Note which landmarks came back into view after a long time."""
@@ -95,56 +162,31 @@ class LiveRefinement:
         self._back += int((self._last.values[landmark] < at - LEAST).sum())
         self._last.values[landmark] = at
 
-    def _step(self, of: Callable[[Indices], Indices]) -> Iterator[None]:
-        """Take a Gauss-Newton step for the piece that is in view, slice by slice."""
+    def _begin(self, of: Callable[[Indices], Indices]) -> StepUnderWay | None:
+        """Begin a Gauss-Newton step for the piece that is in view, if there is one."""
         rows = self._segments.rows
         piece = self._piece_in_view(rows, of)
         if piece == UNMAPPED:
-            return
-        member = int(np.argmax(self._map.pieces == piece))
-        size = len(rows.segment), len(self._map.pieces), rows.n_segments
+            return None
+        n_rows = len(rows.segment)
+        size = n_rows, len(self._map.pieces), rows.n_segments
         step = StepInSlices(*size, rows.points.shape[1])
-        for part in self._laid_on(rows, of, piece):
-            step.add(*part)
-            yield
-        yield from step.run()
-        if self._map.pieces[member] == piece:
-            self._apply(piece, step)
+        return StepUnderWay(piece, int(np.argmax(self._map.pieces == piece)), n_rows, step)
 
     def _piece_in_view(self, rows: SegmentRows, of: Callable[[Indices], Indices]) -> int:
         pieces = self._map.pieces[of(rows.landmark[-SLICE:])]
         mapped = pieces[pieces != UNMAPPED]
         return int(mapped[-1]) if len(mapped) else UNMAPPED
 
-    def _laid_on(
-        self, rows: SegmentRows, of: Callable[[Indices], Indices], piece: int
-    ) -> Iterator[tuple[Points, Indices, Indices, Points]]:
-        """Lay segments on the map, some at a time; give places, landmarks, segments and weights."""
-        first = 0
-        while first < len(rows.segment):
-            last = rows.segment[min(first + SLICE, len(rows.segment)) - 1]
-            end = int(np.searchsorted(rows.segment, last, side="right"))
-            landmark = of(rows.landmark[first:end])
-            kept = self._map.pieces[landmark] == piece
-            landmark, segment = landmark[kept], rows.segment[first:end][kept]
-            points = rows.points[first:end][kept]
-            seen = rows.n_seen[first:end][kept].astype(np.float64)
-            base = rows.segment[first]
-            there = self._map.positions[landmark]
-            R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)
-            placed = np.einsum("nij,nj->ni", R[segment - base], points) + t[segment - base]
-            on = fixed[segment - base]
-            yield placed[on], landmark[on], segment[on], seen[on]
-            first = end
-
-    def _apply(self, piece: int, step: StepInSlices) -> None:
+    def _apply(self, done: StepUnderWay) -> None:
         """Move the landmarks, and what was mapped meanwhile along with the latest segment.
 
         A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not
         taken.
         """
+        piece, step = done.piece, done.step
         positions, members = self._map.positions, step.members
-        if not len(members):
+        if self._map.pieces[done.member] != piece or not len(members):
             return
         extent = np.ptp(positions[members], axis=0).max()
         if not np.abs(step.moves).max() <= SOUND * extent:

@@ -59,6 +59,7 @@ class RelativeMapper(ABC):
     def __init__(self, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
         self._registration: Registration | None = None
+        self._begun = 0
         self._store = ObservationStore()
         self._segments = CondensedSegments()
         self._kept = KeptObservations() if self.config.keep_observations else None
@@ -167,6 +168,7 @@ class RelativeMapper(ABC):
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
+            self._begun = self._store.n_iterations
             self._registration = KnownAssociation() if ids is not None else self._own_registration()
         if isinstance(self._registration, KnownAssociation) != (ids is not None):
             given = "came with" if ids is None else "did not come with"
@@ -292,6 +294,12 @@ class RelativeMapper(ABC):
         their numbers there, in order of first sight.
         """
         return list(self._refined)
+
+    @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
+        scans = [] if self._registration is None else self._registration.rejected
+        return np.array(scans, dtype=np.int64) + self._begun
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

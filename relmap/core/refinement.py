@@ -82,6 +82,10 @@ class Refined:
     spread: Spread
     power: float = 2
 
+    def __getstate__(self) -> dict[str, object]:
+        """Copy the covariances, not what they are worked out from."""
+        return self.__dict__ | {"covariances": self.covariances, "spread": None}
+
     @cached_property
     def covariances(self) -> NDArray[np.float64]:
         """Of the errors of the positions (m, d, d), square metres, worked out when first asked."""

@@ -7,6 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.errors import RelmapError
 
+FARTHEST_M = 1e9
+"""No sensor sees farther: beyond this a coordinate is damage."""
+
 
 def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     """Return the points of one scan as a new array (n, d) float64.
@@ -23,12 +26,7 @@ def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     RelmapError
         Where the shape is wrong, differs from the scans before, or a value is not finite.
     """
-    try:
-        array = np.array(points, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RelmapError(
-            f"points must be an (n, 2) or (n, 3) array of numbers: {error}"
-        ) from error
+    array = numbers(points, "points", "an (n, 2) or (n, 3) array of numbers")
     if array.size == 0 and array.ndim in (1, 2):
         return np.empty((0, dimension or 3))
     if array.ndim != 2 or array.shape[1] not in (2, 3):
@@ -38,12 +36,38 @@ def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
             f"points has {array.shape[1]} columns; the scans before had {dimension}, "
             "and one map holds one kind"
         )
-    if not np.isfinite(array).all():
-        row = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
+    near = np.abs(array) <= FARTHEST_M
+    if not near.all():
+        row = int(np.argmin(near.all(axis=1)))
         raise RelmapError(
-            f"points row {row} is {array[row].tolist()}; it must be finite, in metres"
+            f"points row {row} is {array[row].tolist()}; it must be finite, in metres, and at most "
+            f"{FARTHEST_M:g}"
         )
     return array
+
+
+def numbers(values: ArrayLike, name: str, wanted: str) -> NDArray[np.float64]:
+    """Return values as a new array of float64, whose layout and zeros do not tell where from.
+
+    Parameters
+    ----------
+    values : array of numbers
+    name, wanted : str
+        Of the argument and what it must be, for messages.
+
+    Raises
+    ------
+    RelmapError
+        Where they are no array of real numbers.
+    """
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "biufO":
+            raise TypeError(f"its type is {array.dtype}")
+        # Adding 0 makes -0 a 0: a journal knows but one.
+        return np.array(array, dtype=np.float64, order="C") + 0.0
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RelmapError(f"{name} must be {wanted}: {error}") from error
 
 
 def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
@@ -54,13 +78,18 @@ def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
     RelmapError
         Where they are not one whole number per point, or one that is not negative comes twice.
     """
-    array = np.asarray(ids)
+    try:
+        array = np.asarray(ids)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise RelmapError(f"ids must be ({n_points},) whole numbers: {error}") from error
     if array.shape != (n_points,):
         raise RelmapError(f"ids has shape {array.shape}; it must be ({n_points},), one per point")
     if n_points == 0:
         return np.empty(0, dtype=np.int64)
     if array.dtype.kind not in "iu":
         raise RelmapError(f"ids has type {array.dtype}; ids are whole numbers")
+    if array.dtype.kind == "u" and array.max() > np.iinfo(np.int64).max:
+        raise RelmapError(f"ids holds {array.max()}; the largest id is {np.iinfo(np.int64).max}")
     array = array.astype(np.int64)
     known, counts = np.unique(array[array >= 0], return_counts=True)
     if (counts > 1).any():

@@ -56,6 +56,7 @@ class StepInSlices:
         self._sums = np.zeros((n_landmarks, d))
         self._p = 0
         self._middle = np.zeros((n_placements, d + 1))
+        self._body, self._bodies = self._placement, self._middle
         self.moves = np.zeros((0, d))
         self.latest = np.eye(d), np.zeros(d), np.zeros(d)
 
@@ -90,10 +91,14 @@ class StepInSlices:
         self._rows, self._p = rows.stop, self._p + len(own)
 
     def run(self) -> Iterator[None]:
-        """Solve for where the placements go, and move the landmarks along, slice by slice."""
+        """Solve for where the placements go, and move the landmarks along, slice by slice.
+
+        What was added stays as it is, so that a run cut short can be run again.
+        """
         if self._p < 2:
             self.moves = np.zeros((len(self.members), self._d))
             return
+        self._body, self._bodies = self._placement[: self._rows], self._middle[: self._p]
         self._join(int(np.ceil(np.log2(max(self._p / BODIES, 1)))))
         begin = np.concatenate([[0], np.cumsum(self._counts[: len(self.members)])])
         yield
@@ -113,18 +118,17 @@ class StepInSlices:
 
     @property
     def _centre(self) -> Points:
-        """The middle (p, d) of each placement."""
-        return np.asarray(self._middle[:, :-1] / self._middle[:, -1:])
+        """The middle (b, d) of each body."""
+        return np.asarray(self._bodies[:, :-1] / self._bodies[:, -1:])
 
     def _slices(self) -> Iterator[slice]:
         for first in range(0, self._rows, LIGHT * SLICE):
             yield slice(first, min(first + LIGHT * SLICE, self._rows))
 
     def _join(self, times: int) -> None:
-        """Join neighbouring placements in twos, some times."""
-        self._placement >>= times
-        self._middle = np.add.reduceat(self._middle[: self._p], np.arange(0, self._p, 1 << times))
-        self._p = len(self._middle)
+        """Join neighbouring bodies in twos, some times."""
+        self._body = self._body >> times
+        self._bodies = np.add.reduceat(self._bodies, np.arange(0, len(self._bodies), 1 << times))
 
     def _entries(self, begin: Indices) -> Generator[None, None, Indices]:
         """Return the rows (n,) in the order of their landmarks."""
@@ -142,7 +146,7 @@ class StepInSlices:
         """Return the weighted mean (m, d) of each landmark, its placements turned and shifted."""
         sums, centre = np.zeros((len(self.members), self._d)), self._centre
         for rows in self._slices():
-            at = self._placement[rows]
+            at = self._body[rows]
             away = self._placed[rows] - centre[at]
             moved = np.einsum("nij,nj->ni", turns[at], away) + centre[at] + shifts[at]
             _add_at(sums, self._landmark[rows], self._weight[rows, None] * moved)
@@ -150,13 +154,13 @@ class StepInSlices:
         return np.asarray(sums / self._total[: len(sums), None])
 
     def _levels(self, begin: Indices, entry: Indices) -> Generator[None, None, Levels]:
-        """Return levels of the placements, neighbours joined until none costs too much."""
+        """Return levels of the bodies, neighbours joined until none costs too much."""
         while True:
-            of_rows = np.searchsorted(self._placement[: self._rows], np.arange(self._p + 1))
-            landmark, placement = self._landmark[: self._rows], self._placement[: self._rows]
-            search = searched(0, of_rows, landmark, (begin, entry), placement, LIGHT * SLICE)
+            of_rows = np.searchsorted(self._body, np.arange(len(self._bodies) + 1))
+            landmark, body = self._landmark[: self._rows], self._body
+            search = searched(0, of_rows, landmark, (begin, entry), body, LIGHT * SLICE)
             levels = Levels((yield from search)[1], 3 * self._d - 3)
-            if levels.most_flops <= MOST_FLOPS or self._p == 1:
+            if levels.most_flops <= MOST_FLOPS or len(self._bodies) == 1:
                 return levels
             self._join(max(1, int(np.log2(levels.most_flops / MOST_FLOPS) / 3)))
 
@@ -169,15 +173,15 @@ class StepInSlices:
         centred, residual = np.empty((2, self._rows, self._d))
         centre = self._centre
         for rows in self._slices():
-            centred[rows] = self._placed[rows] - centre[self._placement[rows]]
+            centred[rows] = self._placed[rows] - centre[self._body[rows]]
             residual[rows] = self._placed[rows] - means[self._landmark[rows]]
             yield
-        gradient, buffer = np.zeros((self._p, levels.q)), np.zeros(levels.size)
+        gradient, buffer = np.zeros((len(self._bodies), levels.q)), np.zeros(levels.size)
         first = 0
         while first < len(means):
             end = int(np.searchsorted(begin, begin[first] + SLICE, side="right"))
             end = min(max(end - 1, first + 1), len(means))
-            entries = begin[first : end + 1], entry, self._placement
+            entries = begin[first : end + 1], entry, self._body
             rows_of = centred, residual, self._weight
             placement_equations(*entries, *rows_of, gradient, buffer, *levels.layout)
             first = end

@@ -25,7 +25,15 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.scans import ScanLog, checked_stamps, laser_scans, planar_poses
+from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.scans import (
+    MAX_BEAMS,
+    MAX_SCANS,
+    ScanLog,
+    checked_stamps,
+    laser_scans,
+    planar_poses,
+)
 from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
@@ -82,28 +90,33 @@ class CarmenLog:
             Where a line is not what the format promises, or the log holds no scan.
         """
         scans: list[_Scan] = []
-        vertices = []
+        vertices, beams = NumberRows(path, 3), 0
         kinds = {"FLASER": _flaser, "ROBOTLASER1": _robotlaser}
         for number, cells in _lines(path):
             if cells[0] in kinds:
                 kinds = {cells[0]: kinds[cells[0]]}
                 scans.append(kinds[cells[0]](path, number, cells))
+                beams += len(scans[-1].ranges_m)
+                if len(scans) > MAX_SCANS or beams > MAX_BEAMS:
+                    raise RelmapError(
+                        f"{shown(path)}: line {number}: more than {MAX_SCANS} scans or "
+                        f"{MAX_BEAMS} beams, expected at most that"
+                    )
             elif cells[0] == "VERTEX2":
-                vertices.append(_numbers(path, number, cells[2:], 3, _VERTEX))
+                vertices.add(_numbers(path, number, cells[2:], 3, _VERTEX), number)
         if not scans:
             raise RelmapError(f"{shown(path)}: holds no scan, expected {self.description}")
-        return _log(path, scans, vertices)
+        return _log(path, scans, vertices.values)
 
 
-def _log(path: Path, scans: list[_Scan], vertices: list[list[float]]) -> ScanLog:
+def _log(path: Path, scans: list[_Scan], vertices: NDArray[np.float64]) -> ScanLog:
     stamps_s = checked_stamps(
         path,
         np.array([scan.stamp_s for scan in scans]),
         lambda index: f"line {scans[index].line}, field t",
     )
-    x, y, yaw = np.array(
-        vertices if len(vertices) == len(scans) else [scan.pose for scan in scans]
-    ).T
+    given = len(vertices) == len(scans)
+    x, y, yaw = (vertices if given else np.array([scan.pose for scan in scans])).T
     return laser_scans(
         [scan.ranges_m for scan in scans],
         [scan.bearings_rad for scan in scans],

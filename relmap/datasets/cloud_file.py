@@ -15,6 +15,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +24,11 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.textfile import quoted, shown, unreadable
 
-MAX_BYTES = 1 << 30
-"""A cloud unpacks to at most 1 GiB: some thirty million points."""
+MAX_BYTES, MAX_POINTS = 1 << 28, 1 << 23
+"""A cloud unpacks to at most 256 MiB and eight million points: all of it is held at once."""
 
 _XZ_MAGIC = b"\xfd7zXZ\x00"
+_XZ_BLOCK, _XZ_MEMORY = 1 << 22, 1 << 28
 _HEADER_BYTES = 1 << 16
 _MOST_NUMBERS = 10_000
 """No field of a point has more numbers."""
@@ -116,8 +118,8 @@ def _unpacked(file: Path, most: int) -> bytes:
     try:
         with file.open("rb") as stream:
             packed = stream.read(len(_XZ_MAGIC)) == _XZ_MAGIC
-        with lzma.open(file) if packed else file.open("rb") as source:
-            data = source.read(most + 1)
+            stream.seek(0)
+            data = _without_xz(stream, most + 1) if packed else stream.read(most + 1)
     except (lzma.LZMAError, EOFError) as error:
         reason = quoted(str(error))
         raise RelmapError(f"{shown(file)}: damaged xz: {reason}; expected a whole file") from error
@@ -125,6 +127,18 @@ def _unpacked(file: Path, most: int) -> bytes:
         raise unreadable(file, error) from error
     if len(data) > MAX_BYTES:
         raise RelmapError(f"{shown(file)}: more than {MAX_BYTES} bytes, expected at most that")
+    return data
+
+
+def _without_xz(stream: BinaryIO, most: int) -> bytes:
+    """Return the first unpacked bytes of a file of one xz stream; the most of them is a limit."""
+    unpacker = lzma.LZMADecompressor(lzma.FORMAT_XZ, _XZ_MEMORY)
+    data = b""
+    while not unpacker.eof and len(data) < most:
+        block = stream.read(_XZ_BLOCK) if unpacker.needs_input else b""
+        if not block and unpacker.needs_input:
+            raise EOFError("cut short")
+        data += unpacker.decompress(block, most - len(data))
     return data
 
 
@@ -172,8 +186,10 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
     axes = [layout.names.index(axis) for axis in "xyz"]
     if layout.count <= 0:
         return np.empty((0, 3))
+    if layout.count > MAX_POINTS:
+        raise ValueError(f"{layout.count} points, more than {MAX_POINTS}")
     if layout.text:
-        rows = data[begin:].decode("ascii").splitlines()[: layout.count]
+        rows = _text_rows(data, begin, layout.count)
         filled = any(row.strip() for row in rows)
         table = np.loadtxt(rows, comments=None, ndmin=2) if filled else np.empty((0, 0))
         if table.shape != (layout.count, len(layout.names)):
@@ -185,3 +201,9 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
         raise ValueError(f"{whole} of {layout.count} points")
     points = np.frombuffer(data, row, layout.count, begin)
     return np.column_stack([points[f"f{k}"] for k in axes]).astype(np.float64)
+
+
+def _text_rows(data: bytes, begin: int, count: int) -> list[str]:
+    """Return the lines of all points; as many as there are where some are missing."""
+    lines = data[begin:].split(b"\n", count)[:count]
+    return [line.decode("ascii") for line in lines]

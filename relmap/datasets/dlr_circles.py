@@ -32,6 +32,7 @@ from relmap.datasets.assembly import (
     iteration_column,
 )
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.table import Column, Table, checked_table, parse_number
 from relmap.datasets.textfile import (
     columns_of,
@@ -119,7 +120,7 @@ def _only_file(path: Path) -> Path:
 
 def _read(path: Path) -> tuple[Table, int]:
     """Return the circles, checked, and the number of steps."""
-    rows, lines, steps = [], [], 0
+    rows, steps = NumberRows(path, 4), 0
     with open_text(path) as stream:
         for number, line in enumerate(stream, 1):
             require_utf8(path, number, line)
@@ -133,11 +134,10 @@ def _read(path: Path) -> tuple[Table, int]:
             if not steps:
                 _fail(path, number, line, f"comes before the first step, expected {STEP}")
             only_id = numbers[6] if len(numbers) == 7 else -1.0
-            rows.append([steps - 1.0, *numbers[:2], only_id])
-            lines.append(number)
-    if not rows:
+            rows.add([steps - 1.0, *numbers[:2], only_id], number)
+    if not len(rows):
         raise RelmapError(f"{shown(path)}: holds no circle, expected lines {LANDMARK}")
-    return checked_table(path, _COLUMNS, np.array(rows), np.array(lines)), steps
+    return checked_table(path, _COLUMNS, rows.values, rows.lines), steps
 
 
 def _numbers(path: Path, number: int, line: str, cells: Sequence[str]) -> list[float]:

@@ -1,8 +1,16 @@
-"""MATLAB files, which may be damaged or no MATLAB files at all."""
+"""Matrices of numbers in MATLAB files of level 5, which may be damaged or no MATLAB files at all.
+
+They are read here and not by scipy, whose reader ends the whole program on some damaged files and
+unpacks what it is told to, however large (version 1.17).  The format: "MAT-File Format", MathWorks,
+chapter 1; a header of 128 bytes, then elements, each a tag of type and size with its data.
+"""
 
 from __future__ import annotations
 
+import math
 import os
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +19,20 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import quoted, shown
 
+MAX_BYTES = 1 << 28
+"""A file unpacks to at most 256 MiB: a hundred times the largest that is read."""
+MAX_NUMBERS = 1 << 24
+"""Numbers in a matrix at most."""
+
 _MAGIC = b"MATLAB 5.0 MAT-file"
+_HEADER_BYTES = 128
+_MATRIX, _COMPRESSED = 14, 15
+_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"} | {
+    12: "i8",
+    13: "u8",
+}
+_NUMERIC_CLASSES = range(6, 16)
+_COMPLEX = 0x0800
 
 
 def is_matlab(path: Path) -> bool:
@@ -33,16 +54,77 @@ def read_matrix(file: Path, name: str) -> NDArray[np.float64]:
     RelmapError
         Where the file is missing or damaged, or holds no such matrix.
     """
-    from scipy.io import loadmat
-
     try:
-        content = loadmat(os.fspath(file), appendmat=False, variable_names=[name])
-        matrix = content[name]
-        if matrix.dtype.kind not in "fiu" or matrix.ndim != 2 or not matrix.size:
-            raise TypeError(f"not a matrix of numbers: {matrix.dtype} {matrix.shape}")
-        return np.asarray(matrix, dtype=np.float64)
-    except Exception as error:  # a damaged file makes loadmat raise almost anything
-        reason = quoted(f"{type(error).__name__}: {error}")
+        with open(file, "rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise ValueError(f"more than {MAX_BYTES} bytes")
+        order = {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])
+        if data[: len(_MAGIC)] != _MAGIC or order is None:
+            raise ValueError("not of level 5")
+        for content in _matrices(memoryview(data)[_HEADER_BYTES:], order):
+            matrix = _matrix(content, order, name)
+            if matrix is not None:
+                return matrix
+        raise ValueError(f"it holds no {name}")
+    except (OSError, ValueError, zlib.error) as error:
+        reason = quoted(getattr(error, "strerror", None) or str(error))
         raise RelmapError(
             f"{shown(file)}: cannot be read: {reason}, expected a MATLAB file with {name}"
         ) from error
+
+
+def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
+    """Yield type and content of each element; ValueError where one ends beyond the data."""
+    at = 0
+    while at < len(data):
+        if len(data) - at < 8:
+            raise ValueError("cut short")
+        kind, size = (int(word) for word in np.frombuffer(data, f"{order}u4", 2, at))
+        begin = at + 8
+        if kind >> 16:  # a small element, packed into its tag
+            kind, size, begin = kind & 0xFFFF, kind >> 16, at + 4
+            if size > 4:
+                raise ValueError("a small element of more than 4 bytes")
+        if begin + size > len(data):
+            raise ValueError("cut short")
+        yield kind, data[begin : begin + size]
+        at = begin + max(size, 4) if begin == at + 4 else begin + size
+        if kind != _COMPRESSED:
+            at += -at % 8
+
+
+def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
+    """Yield what each matrix of a file holds, unpacked."""
+    room = MAX_BYTES
+    for kind, content in _elements(data, order):
+        if kind == _COMPRESSED:
+            unpacked = zlib.decompressobj().decompress(content, room)
+            room -= len(unpacked)
+            if room <= 0:
+                raise ValueError(f"more than {MAX_BYTES} bytes when unpacked")
+            for kind_within, within in _elements(memoryview(unpacked), order):
+                if kind_within == _MATRIX:
+                    yield within
+        elif kind == _MATRIX:
+            yield content
+
+
+def _matrix(content: memoryview, order: str, name: str) -> NDArray[np.float64] | None:
+    """Return a matrix if it is the one of that name; ValueError where it is none of numbers."""
+    parts = _elements(content, order)
+    try:
+        flags = np.frombuffer(next(parts)[1], f"{order}u4")
+        shape = [int(length) for length in np.frombuffer(next(parts)[1], f"{order}i4")]
+        if bytes(next(parts)[1]) != name.encode():
+            return None
+        kind, numbers = next(parts)
+    except StopIteration:
+        raise ValueError("a matrix without numbers") from None
+    real = len(flags) == 2 and flags[0] & 0xFF in _NUMERIC_CLASSES and not flags[0] & _COMPLEX
+    if not real or kind not in _NUMBERS or len(shape) != 2 or min(shape) < 1:
+        raise ValueError(f"{name} is not a matrix of numbers")
+    if math.prod(shape) > MAX_NUMBERS:
+        raise ValueError(f"{name} has more than {MAX_NUMBERS} numbers")
+    values = np.frombuffer(numbers, order + _NUMBERS[kind])
+    return np.asarray(values.reshape(shape, order="F"), dtype=np.float64)

@@ -29,6 +29,7 @@ from relmap.datasets.assembly import (
     iteration_column,
 )
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.table import Column, Table, header_text, parse_number, read_table
 from relmap.datasets.textfile import (
     columns_of,
@@ -195,9 +196,11 @@ def _truth_base(path: Path) -> str:
     return _LOG.sub("", name)
 
 
-def _read_columns(path: Path, width: int, columns: str) -> tuple[NDArray[np.float64], list[int]]:
+def _read_columns(
+    path: Path, width: int, columns: str
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Read rows of numbers between spaces, and their line numbers; ``%`` starts a comment."""
-    rows, lines = [], []
+    rows = NumberRows(path, width)
     with open_text(path) as stream:
         for number, line in enumerate(stream, 1):
             require_utf8(path, number, line)
@@ -213,8 +216,7 @@ def _read_columns(path: Path, width: int, columns: str) -> tuple[NDArray[np.floa
                     f"{shown(path)}: line {number}: {quoted(line)}, "
                     f"expected {width} finite numbers: {columns}"
                 )
-            rows.append(row)
-            lines.append(number)
-    if not rows:
+            rows.add(row, number)
+    if not len(rows):
         raise RelmapError(f"{shown(path)}: holds no row, expected {width} numbers: {columns}")
-    return np.array(rows), lines
+    return rows.values, rows.lines

@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.scans import ScanLog, checked_stamps, laser_scans, planar_poses
+from relmap.datasets.scans import (
+    MAX_BEAMS,
+    MAX_SCANS,
+    ScanLog,
+    checked_stamps,
+    laser_scans,
+    planar_poses,
+)
 from relmap.datasets.table import Column, Table, parse_number, read_table
 from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
 
@@ -52,6 +59,9 @@ class MrptLaser:
         file = only_table(path, _HALLMARK, _KIND)
         beams = sum(bool(_BEAM.match(name)) for name in columns_of(file))
         table = read_table(file, _columns(beams))
+        if len(table.lines) > MAX_SCANS or len(table.lines) * beams > MAX_BEAMS:
+            problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
+            raise RelmapError(f"{shown(file)}: {problem}")
         stamps_s = checked_stamps(
             file, table.columns["t_s"], lambda row: f"line {table.lines[row]}, field t_s"
         )

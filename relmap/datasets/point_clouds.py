@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import ScanLog, checked_stamps
 from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import (
@@ -97,7 +98,7 @@ def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], ND
 
 def _matrix_rows(file: Path) -> NDArray[np.float64]:
     """Return the rows (r, 4) of all matrices."""
-    rows = []
+    rows = NumberRows(file, 4)
     with open_text(file) as stream:
         for number, line in enumerate(stream, 1):
             require_utf8(file, number, line)
@@ -110,5 +111,5 @@ def _matrix_rows(file: Path) -> NDArray[np.float64]:
             if len(row) != 4 or not np.isfinite(row).all():
                 problem = f"{quoted(line)}, expected 4 numbers: a row of a 4 x 4 matrix"
                 raise RelmapError(f"{shown(file)}: line {number}: {problem}")
-            rows.append(row)
-    return np.array(rows, dtype=np.float64).reshape(-1, 4)
+            rows.add(row, number)
+    return rows.values

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
@@ -47,7 +48,7 @@ def read_relations(path: Path) -> Relations:
     RelmapError
         Where it cannot be read, holds no relation, or a line is none.
     """
-    rows = []
+    rows = NumberRows(path, 8)
     with open_text(path) as stream:
         for number, line in enumerate(stream, 1):
             require_utf8(path, number, line)
@@ -61,10 +62,10 @@ def read_relations(path: Path) -> Relations:
             if len(row) != 8 or not (np.abs(row) <= _LIMITS).all():
                 problem = f"{quoted(line)}, expected 8 numbers: {_COLUMNS}"
                 raise RelmapError(f"{shown(path)}: line {number}: {problem}")
-            rows.append(row)
-    if not rows:
+            rows.add(row, number)
+    if not len(rows):
         raise RelmapError(f"{shown(path)}: holds no relation, expected lines of {_COLUMNS}")
-    table = np.array(rows)
+    table = rows.values
     T = np.tile(np.eye(4), (len(table), 1, 1))
     T[:, :3, :3] = Rotation.from_euler("xyz", table[:, 5:]).as_matrix()
     T[:, :3, 3] = table[:, 2:5]

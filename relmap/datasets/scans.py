@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import shown
 
+MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
+"""Beams and scans in a log of a laser at most: some fifty thousand scans of 360."""
+
 _LOG = logging.getLogger(__name__)
 
 FIXED = 1e-3
@@ -206,12 +209,12 @@ def laser_scans(
     """
     returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
     counts = [int(beams.sum()) for beams in returned]
-    scan = np.repeat(np.arange(len(counts)), counts)
-    r = np.concatenate([ranges[beams] for ranges, beams in zip(ranges_m, returned, strict=True)])
-    bearing = np.concatenate([b[beams] for b, beams in zip(bearings_rad, returned, strict=True)])
-    x, y, yaw = T_robot_laser[scan].T
-    points = np.column_stack([x + r * np.cos(bearing + yaw), y + r * np.sin(bearing + yaw)])
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    points = np.empty((offsets[-1], 2))
+    for k, (x, y, yaw) in enumerate(T_robot_laser):
+        r, angle = ranges_m[k][returned[k]], bearings_rad[k][returned[k]] + yaw
+        there = points[offsets[k] : offsets[k + 1]]
+        there[:, 0], there[:, 1] = x + r * np.cos(angle), y + r * np.sin(angle)
     sensor = _laser_view(bearings_rad, limit_m, T_robot_laser)
     return stored_scans(points, offsets, stamps_s, poses, sensor)
 

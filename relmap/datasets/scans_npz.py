@@ -8,7 +8,10 @@ time of every scan, seconds, ascending; a scan without a point is an empty one. 
 
 from __future__ import annotations
 
+import math
 import os
+import re
+import struct
 import zipfile
 import zlib
 from pathlib import Path
@@ -25,17 +28,27 @@ from relmap.datasets.textfile import quoted, require_path, shown, unreadable
 FILE_NAME = "scans.npz"
 """The log's name in a folder."""
 
-MAX_BYTES = 1 << 32
-"""A log unpacks to at most 4 GiB: some 130 million points."""
+MAX_BYTES, MAX_NUMBERS = 1 << 29, 1 << 26
+"""A log unpacks to at most 512 MiB, and each array has no more numbers: 22 million points."""
 
-_MAGIC = b"PK\x03\x04"
+_MAGIC, _END_MAGIC = b"PK\x03\x04", b"PK\x05\x06"
+_HEADER_BYTES = 10_000
+_DIRECTORY = struct.Struct("<4s8sLL2s")
+"""The end of a zip file: its magic number, and in third place the bytes of its directory."""
+_DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
+_ARRAY = re.compile(
+    rb"\{'descr': *'([<>|=]?[biufcSU][0-9]{1,5})', *'fortran_order': *(True|False), *"
+    rb"'shape': *\(([0-9]{0,12}),? *([0-9]{0,12}),?\),? *\} *\n?"
+)
 _DAMAGE = (
     OSError,
     ValueError,
+    TypeError,
     KeyError,
+    IndexError,
     EOFError,
     RuntimeError,
-    MemoryError,
+    struct.error,
     zipfile.BadZipFile,
     zlib.error,
 )
@@ -132,13 +145,15 @@ def _file_of(path: Path) -> Path:
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays the log must have, of the kinds of numbers they must be."""
     try:
+        _check_directory(file)
         with zipfile.ZipFile(file) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > MAX_BYTES:
-            raise ValueError(f"{size} bytes when unpacked, more than {MAX_BYTES}")
-        with np.load(file, allow_pickle=False) as content:
-            there = [name for name in _LIMITS if name in content.files]
-            arrays = {name: content[name] for name in (*_KINDS, *there)}
+            there = {member.filename for member in archive.infolist()}
+            names = [*_KINDS, *(name for name in _LIMITS if f"{name}.npy" in there)]
+            members = {name: archive.getinfo(f"{name}.npy") for name in names}
+            size = sum(member.file_size for member in members.values())
+            if size > MAX_BYTES:
+                raise ValueError(f"{size} bytes when unpacked, more than {MAX_BYTES}")
+            return {name: _array(archive, member) for name, member in members.items()}
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise unreadable(file, error) from error
     except _DAMAGE as error:
@@ -146,7 +161,45 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
         raise RelmapError(
             f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
         ) from error
-    return arrays
+
+
+def _check_directory(file: Path) -> None:
+    """Check that the directory of a zip file is that of a few arrays; ValueError where not."""
+    with file.open("rb") as stream:
+        stream.seek(0, os.SEEK_END)
+        stream.seek(max(stream.tell() - _COMMENT_BYTES - _DIRECTORY.size, 0))
+        tail = stream.read()
+    at = max(len(tail) - _DIRECTORY.size, 0)
+    if tail[at : at + 4] != _END_MAGIC or tail[-2:] != b"\0\0":
+        at = max(tail.rfind(_END_MAGIC), 0)
+    magic, _, size, _, _ = _DIRECTORY.unpack_from(tail, at)
+    if magic != _END_MAGIC or size > _DIRECTORY_BYTES:
+        raise ValueError("no directory of a zip file with a few arrays")
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Return a member as an array of numbers; ValueError and others where it is none.
+
+    Headers are matched as numpy writes them, never evaluated.
+    """
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{member.filename} is packed in a way that numpy does not use")
+    with archive.open(member) as stream:
+        magic = stream.read(8)
+        width = 2 if magic[6:] == b"\x01\x00" else 4
+        length = int.from_bytes(stream.read(width), "little")
+        if magic[:6] != b"\x93NUMPY" or length > _HEADER_BYTES:
+            raise ValueError(f"{member.filename} is no array")
+        header = _ARRAY.fullmatch(stream.read(length))
+        if header is None:
+            raise ValueError(f"{member.filename} is no array of numbers")
+        dtype = np.dtype(header[1].decode())
+        shape = [int(side) for side in header.groups()[2:] if side]
+        size = math.prod(shape) * dtype.itemsize
+        if math.prod(shape) > MAX_NUMBERS or size > member.file_size:
+            raise ValueError(f"{member.filename} has not the {shape} numbers it says")
+        array = np.frombuffer(stream.read(size), dtype)
+    return array.reshape(shape, order="F" if header[2] == b"True" else "C")
 
 
 def _limit(file: Path, name: str, array: NDArray[Any]) -> float:

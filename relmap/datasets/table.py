@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.number_rows import too_many
 from relmap.datasets.textfile import Head, open_text, quoted, read_head, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
 """Beyond this a float64 no longer tells neighbouring integers apart."""
+
+MAX_NUMBERS = 1 << 25
+"""Numbers in a table at most: some seven million observations."""
 
 _BATCH_CHARACTERS = 1 << 22
 _MOST_NAMES = 12
@@ -191,6 +195,7 @@ class _Rows:
         self.values: list[NDArray[np.float64]] = []
         self.lines: list[NDArray[np.int64]] = []
         self._path = path
+        self._count = 0
 
     def add(self, batch: list[str], first_line: int) -> None:
         values = parse_fast(batch, len(self.columns))
@@ -202,6 +207,9 @@ class _Rows:
             values = np.array(rows, dtype=np.float64).reshape(-1, len(self.columns))
         self._check(values, batch, numbers)
         if len(values):
+            self._count += values.size
+            if self._count > MAX_NUMBERS:
+                raise too_many(self._path, int(numbers[-1]), MAX_NUMBERS)
             self.values.append(values)
             self.lines.append(numbers)
 

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 MAX_BYTES = 1 << 30
 """A log is at most 1 GiB of text, gzip unpacked: some fifteen million observations."""
 
+MAX_LINES = 10_000_000
+"""It has no more lines, whatever they hold: each takes memory many times its own bytes."""
+
 MAX_LINE_BYTES = 1 << 16
 """A longer line is no row of a table."""
 
@@ -134,6 +137,8 @@ class _GuardedBytes(io.RawIOBase):
             self._lines += data.count(b"\n", 0, nul)
             raise self._fail("a NUL byte: a binary file or UTF-16, expected UTF-8 text")
         self._lines += data.count(b"\n")
+        if self._lines > MAX_LINES:
+            raise self._fail(f"more than {MAX_LINES} lines, expected a log of at most that")
         end = max(data.rfind(b"\n"), data.rfind(b"\r"))
         self._open_line = len(data) - 1 - end if end >= 0 else self._open_line + len(data)
         if self._open_line > MAX_LINE_BYTES:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from relmap.core.landmarks import Piece
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
-from relmap.evaluation.run import timing, versions
+from relmap.evaluation.run import interruption, timing, versions
 from relmap.planes import PlaneMapper
 from relmap.planes.table import PlaneTable
 from relmap.results import Result, Tracks, shifted
@@ -47,39 +47,45 @@ def run_plane_mapper(
     about: dict[str, Any] | None = None,
     progress: Progress | None = None,
     refine: bool = True,
+    seen: Sequence[NDArray[np.int64]] = (),
 ) -> PlaneRun:
     """Map a whole log of point scans.
 
     Parameters
     ----------
     mapper : PlaneMapper
-        A fresh one.
+        A fresh one, or one that has taken in the first scans of the log.
     log : ScanLog
     segmenter : PlaneSegmenter, optional
         One that knows what the log tells of its sensor where left out.
     about : dict, optional
         What else the summary should tell.
     progress : callable, optional
-        Wraps the iterable of scans.
+        Wraps the iterable of scans; where it ends before them, the run does.
     refine : bool
         Whether to refine the map at the end.
+    seen : sequence of (m,) int64
+        The walls of the scans that the mapper has taken in.
 
     Raises
     ------
     RelmapError
         Where a scan of the log is damaged.
     """
-    scans: Iterable[PointScan] = log.scans()
-    view = log.sensor
+    first, n_input, view = log.first_iteration, len(log), log.sensor
+    scans: Iterable[PointScan] = ()
+    if len(seen) < n_input:
+        scans = log.between(first + len(seen), first + n_input).scans()
     segmenter = segmenter or PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
     scans = progress(scans) if progress else scans
-    walls, durations_s = _mapped(mapper, segmenter, scans, view)
+    new, durations_s = _mapped(mapper, segmenter, scans, view)
+    walls = [*seen, *new]
+    log = log.between(first, first + len(walls))
     mapper.finish()
     began = perf_counter()
     if refine:
         mapper.refine()
     refine_s = perf_counter() - began
-    first = log.first_iteration
     planes, poses, tracks = mapper.planes, mapper.trajectory, _tracks(mapper, walls, first)
     table, pieces = mapper.landmarks, tuple(mapper.pieces)
     there = np.isfinite(poses).all(axis=(1, 2))
@@ -91,6 +97,8 @@ def run_plane_mapper(
         "versions": versions(),
         "counts": _counts(mapper, planes, poses, walls),
         "pieces": [_summary_of(piece, first) for piece in pieces],
+        **interruption(len(log), n_input),
+        "weak_links": (mapper.weak_links + first).tolist(),
         "refined": refine,
         "timing": timing(durations_s[:, 1])
         | {"segmentation_median_ms": _median_ms(durations_s[:, 0]), "refine_ms": 1e3 * refine_s},

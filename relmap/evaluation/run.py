@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from time import perf_counter
 from typing import Any, Literal, Protocol
 
@@ -61,6 +62,11 @@ class Mapper(Protocol):
         ...
 
     @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Iterations (r,) whose scans fit no other and so add nothing to the map."""
+        ...
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """Pose of every iteration, (k, 4, 4), NaN where there is none."""
         ...
@@ -79,6 +85,10 @@ class Mapper(Protocol):
     def groups(self) -> Sequence[Grouped]:
         """The groups in the order in which they were mapped."""
         ...
+
+
+MANY = 100
+"""Rejected iterations that the summary lists one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,22 +113,28 @@ def run_mapper(
     about: dict[str, Any] | None = None,
     progress: Progress | None = None,
     refine: bool = False,
+    seen: Sequence[NDArray[np.int64]] = (),
+    before: int = 0,
 ) -> Run:
     """Map a whole log.
 
     Parameters
     ----------
     mapper : Mapper
-        A fresh one.
+        A fresh one, or one that has taken in the first scans of the log.
     log : ObservationLog
     association : "nearest" or "known"
         ``known`` hands the ids of the log to the mapper, ``nearest`` keeps them from it.
     about : dict, optional
         What else the summary should tell: configuration, input, ...
     progress : callable, optional
-        Wraps the iterable of scans.
+        Wraps the iterable of scans; where it ends before them, the run does.
     refine : bool
         Whether to refine the map at the end.
+    seen : sequence of (n,) int64
+        The labels of the scans that the mapper has taken in.
+    before : int
+        Iterations of the mapper before the log.  They have numbers below those of the log.
 
     Returns
     -------
@@ -131,37 +147,47 @@ def run_mapper(
     """
     if association == "known" and log.ids is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
-    scans: Iterable[Scan] = log.scans()
-    labels, durations_s = _mapped(mapper, progress(scans) if progress else scans, association)
+    scans: Iterable[Scan] = islice(log.scans(), len(seen), None)
+    new, durations_s = _mapped(mapper, progress(scans) if progress else scans, association)
+    labels, n_input = np.concatenate([*seen, *new, np.empty(0, np.int64)]), len(log)
+    log = log.between(log.first_iteration, log.first_iteration + len(seen) + len(new))
     mapper.finish()
     refine_s = _refined(mapper, refine)
     label = mapper.landmarks_of(labels)
-    table, poses, groups = mapper.landmarks, mapper.trajectory, mapper.groups
+    table, poses, groups = mapper.landmarks, mapper.trajectory[before:], mapper.groups
+    offset = log.first_iteration - before
     pieces = tuple(mapper.pieces)
     summary = {
         **(about or {}),
         "association": association,
-        **_summary(log, table, poses, len(groups), pieces),
+        **_summary(log, table, poses, len(groups), pieces, offset),
+        **interruption(len(log), n_input),
         "refined": refine,
-        "refinement": weakness(mapper.refined, log.first_iteration),
+        "refinement": weakness(mapper.refined, offset),
+        "rejected_iterations": rejected_iterations(mapper.rejected + offset),
         "timing": timing(durations_s) | {"refine_ms": 1e3 * refine_s},
     }
-    table, tracks = shifted(table, log.first_iteration), _tracks(log, label)
+    table, tracks = shifted(table, offset), _tracks(log, label)
     result = Result(table, tracks, *_trajectory(log, poses), summary, pieces)
     return Run(result, tuple(group.landmarks for group in groups))
 
 
 def _mapped(
     mapper: Mapper, scans: Iterable[Scan], association: Association
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the label of each observation, (n,), and the time of each update, seconds, (k,)."""
+) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
+    """Return the labels (n,) of each scan, and the time of each update, seconds, (k,)."""
     labels, durations_s = [], []
     for scan in scans:
         ids = scan.ids if association == "known" else None
         began = perf_counter()
         labels.append(mapper.update(scan.points_robot, ids=ids))
         durations_s.append(perf_counter() - began)
-    return np.concatenate(labels) if labels else np.empty(0, np.int64), np.array(durations_s)
+    return labels, np.array(durations_s)
+
+
+def interruption(n_mapped: int, n_input: int) -> dict[str, Any]:
+    """Return what a summary tells of a run that may have been stopped before the end."""
+    return {"interrupted": n_mapped < n_input, "input_iterations": n_input}
 
 
 def _refined(mapper: Mapper, refine: bool) -> float:
@@ -178,14 +204,23 @@ def _summary(
     poses: NDArray[np.float64],
     n_groups: int,
     pieces: Sequence[Piece],
+    offset: int,
 ) -> dict[str, Any]:
     return {
         "dimensions": log.points_robot.shape[1],
         "scans": [log.first_iteration, log.end_iteration],
         "versions": versions(),
         "counts": _counts(log, table, poses, n_groups),
-        "pieces": [_summary_of(piece, log.first_iteration) for piece in pieces],
+        "pieces": [_summary_of(piece, offset) for piece in pieces],
     }
+
+
+def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
+    """Return how many iterations were rejected, and which; of many the first and the last."""
+    numbers = rejected.tolist()
+    if len(numbers) > MANY:
+        numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
+    return {"count": len(rejected), "iterations": numbers}
 
 
 def _summary_of(piece: Piece, first_iteration: int) -> dict[str, int]:

@@ -160,7 +160,7 @@ class FileSource:
     def about(self) -> str:
         """What it is, in a few words."""
         part = f", iterations {self.scans[0]}:{self.scans[1]}" if self.scans else ""
-        return f"{self.path}{part}"
+        return f"{self.path.name or self.path}{part}"
 
 
 def eight_truth(world: FigureEight) -> Truth:

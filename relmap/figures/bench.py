@@ -93,6 +93,8 @@ class BenchRecorder:
         A frame is kept after each so many scans; 0: none but the last, when asked for.
     view : SensorView, optional
         Where the sensor is on the robot; the segmenter sees from there.
+    before_s : iterable of float
+        Times of the scans that the mapper has taken in already, seconds.
 
     Attributes
     ----------
@@ -106,11 +108,12 @@ class BenchRecorder:
         truth: WallTruth | None = None,
         every: int = 0,
         view: SensorView | None = None,
+        before_s: Iterable[float] = (),
     ) -> None:
         self._mapper, self._segmenter = mapper, segmenter
         self._truth, self._every = truth, every
         self._view = view or SensorView()
-        self._stamps_s: list[float] = []
+        self._stamps_s = list(before_s)
         self._scan: PointScan | None = None
         self.frames: list[BenchFrame] = []
 

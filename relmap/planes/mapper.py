@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from os import PathLike
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,20 +13,23 @@ from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import UNMAPPED
 from relmap.core.landmarks import LandmarkMap, LandmarkTable
-from relmap.core.mapper import RelativeMapper
 from relmap.core.pose import trajectory
 from relmap.core.registration import Registration
+from relmap.durable import DurableMapper
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.basis import relative_map
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.merging import CornerMerger
-from relmap.planes.observation import checked_planes
+from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.solving import refined, refined_to_the_noise, tracks_astray
-from relmap.planes.stitching import stitched
+from relmap.planes.stitching import stitched, weak_links, without_strays
 from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
+
+if TYPE_CHECKING:
+    from relmap.journal import RecordedScan
 
 WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
@@ -47,7 +51,7 @@ class Segmenter(Protocol):
         ...
 
 
-class PlaneMapper(RelativeMapper):
+class PlaneMapper(DurableMapper):
     """Maps walls in 2½-D: vertical planes, and a robot that moves in the plane.
 
     Parameters
@@ -55,6 +59,10 @@ class PlaneMapper(RelativeMapper):
     config : MapperConfig, optional
     segmenter : Segmenter, optional
         What turns points into planes; `relmap.segmentation.PlaneSegmenter` where left out.
+    journal : path, optional
+        A file to be begun that keeps the walls of every scan, so that `resume` can go on from it.
+    run : dict, optional
+        What the journal should tell about the run.
 
     Examples
     --------
@@ -73,10 +81,17 @@ class PlaneMapper(RelativeMapper):
 
     _noise_spread = 3.0
 
+    _variant = "planes"
+    _passing = ("_journal", "_segmenter")
+
     def __init__(
-        self, config: MapperConfig | None = None, segmenter: Segmenter | None = None
+        self,
+        config: MapperConfig | None = None,
+        segmenter: Segmenter | None = None,
+        journal: PathLike[str] | str | None = None,
+        run: dict[str, Any] | None = None,
     ) -> None:
-        super().__init__(config)
+        super().__init__(config, journal, run)
         self._planes = PlaneRegistration(self.config.max_missed)
         self._merger = CornerMerger(
             self._builder.map, self._sightings, self.config.group_after, self._planes
@@ -111,17 +126,23 @@ class PlaneMapper(RelativeMapper):
         if not hasattr(points, "end_type"):
             points = self._segmented(points)
         seen = checked_planes(points)
+        if self._journal is not None:
+            self._journal.ready()
         self._refined_walls = None
         self._astray = np.empty(0, dtype=np.int64)
         self._planes.see(seen)
         super().update(self._planes.points_robot)
-        return self._planes.planes.copy()
+        walls = self._planes.planes.copy()
+        if self._journal is not None:
+            self._journal.append(journaled(seen), None, walls)
+        return walls
 
     def refine(self) -> None:
         """Bring walls, corners and poses to where all observations agree best.
 
         Walls that come to lie on one another are joined, which closes loops.
         """
+        self._note_call("refine")
         # Who is who is found out anew, where the walls come to lie.
         self._astray = np.empty(0, dtype=np.int64)
         numbers = WallNumbers.apart(self._planes.n_planes, len(self._planes.wall_end))
@@ -185,8 +206,15 @@ class PlaneMapper(RelativeMapper):
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         if self._refined_walls is None:
             return self._path
-        poses = self._refined_walls[0].poses(self._planes.history.n_iterations)
-        return stitched([poses], self._planes.history.motion)
+        return self._poses_of(self._refined_walls[0])
+
+    @property
+    def weak_links(self) -> NDArray[np.int64]:
+        """Iterations (k,) before which too little was seen to tell how far the robot went."""
+        return weak_links(self._planes.history)
+
+    def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
+        return self.update(of_journal(scan.values))
 
     def _own_registration(self) -> Registration:
         return self._planes
@@ -221,8 +249,14 @@ class PlaneMapper(RelativeMapper):
     def _assembled(self, numbers: WallNumbers, before: Assembled | None = None) -> Assembled | None:
         """Lay everything where the map puts it, or where it was refined to before."""
         history = self._planes.history
-        poses = self._path if before is None else before.poses(history.n_iterations)
+        poses = self._path if before is None else self._poses_of(before)
         return assemble(history, numbers, poses, self._moving)
+
+    def _poses_of(self, assembled: Assembled) -> NDArray[np.float64]:
+        """``T_map_robot`` of every iteration by a refined map, else by the motion since."""
+        motion = self._planes.history.motion
+        poses = assembled.poses(len(motion))
+        return stitched([without_strays(poses, motion)], motion)
 
     @property
     def _path(self) -> NDArray[np.float64]:

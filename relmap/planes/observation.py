@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.core.scan import FARTHEST_M, numbers
 
 SHORTEST_M = 1e-6
 """A wall shorter than this has no direction."""
+FARTHEST_END_M = FARTHEST_M / 4
+"""Beyond this an end is damage; what is estimated from it is within reach of a point then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +74,12 @@ def checked_planes(planes: Any) -> PlaneObservation:
     RelmapError
         Where a shape is wrong, a value is not finite, or the robot sees a wall from behind.
     """
-    ends = np.array(planes.ends, dtype=np.float64).reshape(-1, 2, 2)
-    kind = np.asarray(planes.end_type)
+    ends = checked_ends(planes.ends)
     m = len(ends)
+    kind = np.asarray(planes.end_type)
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
-    if not np.isfinite(ends).all():
-        wall = int(np.argmax(~np.isfinite(ends).all(axis=(1, 2))))
-        raise RelmapError(f"wall {wall} ends at {ends[wall].tolist()}; it must be finite, metres")
+    sd, z_extent = _measured(planes, m)
     across = ends[:, 1] - ends[:, 0]
     size = np.hypot(across[:, 0], across[:, 1])
     kept = size > SHORTEST_M
@@ -90,8 +92,69 @@ def checked_planes(planes: Any) -> PlaneObservation:
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
-    sd = np.zeros(len(ends))
+    return PlaneObservation(
+        ends, kind == "corner", along, normal, offset, size, sd[kept], z_extent[kept]
+    )
+
+
+def checked_ends(ends: Any) -> NDArray[np.float64]:
+    """Return the ends of walls as a new array (m, 2, 2).
+
+    Raises
+    ------
+    RelmapError
+        Where the shape is wrong or a value is not finite.
+    """
+    array = numbers(ends, "ends", "an (m, 2, 2) array of numbers")
+    if array.size == 0:
+        return np.empty((0, 2, 2))
+    if array.ndim != 3 or array.shape[1:] != (2, 2):
+        raise RelmapError(f"ends has shape {array.shape}; it must be (m, 2, 2)")
+    near = (np.abs(array) <= FARTHEST_END_M).all(axis=(1, 2))
+    if not near.all():
+        wall = int(np.argmin(near))
+        raise RelmapError(
+            f"wall {wall} ends at {array[wall].tolist()}; it must be finite, metres, and at most "
+            f"{FARTHEST_END_M:g}"
+        )
+    return array
+
+
+def _measured(planes: Any, m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how sure the distances of walls are (m,) and their extents in z (m, 2), metres."""
+    sd, z_extent = np.zeros(m), np.zeros((m, 2))
     if hasattr(planes, "n_points"):
-        sd = (planes.noise / np.sqrt(np.maximum(planes.n_points, 1)))[kept]
-    z_extent = planes.z_extent[kept] if hasattr(planes, "z_extent") else np.zeros((len(ends), 2))
-    return PlaneObservation(ends, kind == "corner", along, normal, offset, size, sd, z_extent)
+        n_points = _column(planes.n_points, "n_points", (m,))
+        sd = _column(planes.noise, "noise", (m,)) / np.sqrt(np.maximum(n_points, 1))
+    if hasattr(planes, "z_extent"):
+        z_extent = _column(planes.z_extent, "z_extent", (m, 2))
+    return sd, z_extent
+
+
+def _column(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = numbers(values, name, f"a {shape} array of numbers")
+    if array.size == 0 and shape[0] == 0:
+        return np.zeros(shape)
+    if array.shape != shape:
+        raise RelmapError(f"{name} has shape {array.shape}; it must be {shape}, as there are walls")
+    if not np.isfinite(array).all():
+        raise RelmapError(f"{name} holds a value that is not finite; it must be in metres")
+    return array
+
+
+def journaled(seen: PlaneObservation) -> NDArray[np.float64]:
+    """Return the walls (m,) of one scan as rows (m, 9), as a journal keeps them."""
+    ends = seen.ends.reshape(-1, 4)
+    return np.column_stack([ends, seen.z_extent, seen.sd, seen.static.astype(np.float64)])
+
+
+def of_journal(rows: NDArray[np.float64]) -> SimpleNamespace:
+    """Return the walls that were kept as rows (m, 9)."""
+    rows = rows.reshape(-1, 9)
+    return SimpleNamespace(
+        ends=rows[:, :4].reshape(-1, 2, 2),
+        end_type=np.where(rows[:, 7:] > 0, "corner", "open"),
+        z_extent=rows[:, 4:6],
+        noise=rows[:, 6],
+        n_points=np.ones(len(rows)),
+    )

@@ -23,6 +23,8 @@ TURN_RAD = np.deg2rad(45.0)
 HELD = 1e-2
 """Weight of going on as before, where nothing that is seen tells: a wall's is 1."""
 ROUNDS = 3
+HALTED = 0.05
+"""How much more must agree on a halt than on going on: along a single wall both agree alike."""
 GUESSES = 3
 """Motions of the wider search that are looked at closely."""
 CONTENT = 0.8
@@ -30,9 +32,6 @@ CONTENT = 0.8
 DOUBT = 2.0
 """Walls and corners more that must agree on a sudden motion than on going on as before: single
 walls look alike."""
-TIE = 0.1
-"""Standing still must agree by so much better than going on: along a single partial wall nothing
-but rounding tells the two apart."""
 SUDDEN_M = 0.75
 LEVER_M = 3.0
 """A turn is as sudden as the way that it takes a wall at this distance."""
@@ -82,7 +81,7 @@ def place(
 
     arrays = _arrays(tracks), _seen(seen)
     best, still = (_settled(*arrays, guess) for guess in (before, STILL))
-    if still[1].score > best[1].score + TIE:
+    if still[1].score > best[1].score + HALTED:
         best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(_worth(tracks, seen, recent))

@@ -10,7 +10,7 @@ nuisance, as in `relmap.core.refinement`.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,8 @@ SPREAD = 1 / np.sqrt(12)
 A line fitted to points spread evenly over the wall is as sure as if it were fitted to these two,
 each twice as uncertain (in variance) as the middle."""
 
+PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
+"""Walls whose directions spread by less do not tell where they were seen from, along themselves."""
 LOOSE, LEAST = 1e-12, 1e-9
 """What holds an unknown that hangs by too little, as a share of what holds it otherwise, and in
 weights of an observation."""
@@ -112,6 +114,7 @@ class WallSystem:
             given.corner_row,
             corner_at,
             given.corner,
+            open_along(given),
         )
         every = np.arange(given.iteration[-1] + 2)
         self._begin = np.searchsorted(given.iteration, every)
@@ -158,7 +161,7 @@ class WallSystem:
             step = np.concatenate([poses.ravel(), lines.ravel(), corners])
             if np.quantile(np.abs(step), MOST) < enough:
                 break
-        return state
+        return between_neighbours(state, self._seen[-1])
 
     def reweighted(self, given: WallEquations) -> WallSystem:
         """Return the system of the same observations with other standard deviations."""
@@ -234,6 +237,48 @@ class WallSystem:
         self._entry = entries(self._node_begin, self._nodes, pointer, row)
         column = np.repeat(np.arange(len(pointer) - 1), np.diff(pointer))
         self._diagonal = np.flatnonzero(row == column)
+
+
+def open_along(given: WallEquations) -> NDArray[np.float64]:
+    """Return the direction (i, 2), robot frame, in which an iteration does not tell where it was.
+
+    That of its walls, where they are parallel and none shows a corner; 0 elsewhere.  Walls that are
+    parallel but for their noise would invent a constraint there.
+    """
+    n = int(given.iteration[-1]) + 1
+    along = given.ends[:, 1] - given.ends[:, 0]
+    x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
+    xx, xy, yy = (np.bincount(given.iteration, v, minlength=n) for v in (x * x, x * y, y * y))
+    # The axes of the sum of the directions' outer products, and the smaller eigenvalue.
+    spread = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    angle = np.arctan2(2 * xy, xx - yy) / 2
+    is_open = spread < PARALLEL
+    is_open[given.iteration[given.corner_row]] = False
+    return np.where(is_open[:, None], np.column_stack([np.cos(angle), np.sin(angle)]), 0.0)
+
+
+def between_neighbours(state: Walls, along: NDArray[np.float64]) -> Walls:
+    """Return the state with open iterations at even speed between others (motion model).
+
+    Parameters
+    ----------
+    state : Walls
+    along : (i, 2) float64
+        As from `open_along`.
+    """
+    is_open = along.any(axis=1)
+    known = np.flatnonzero(~is_open)
+    inside = np.flatnonzero(is_open)
+    if not len(known):
+        return state
+    inside = inside[(inside > known[0]) & (inside < known[-1])]
+    c, s = np.cos(state.yaw[inside]), np.sin(state.yaw[inside])
+    x, y = along[inside].T
+    u = np.column_stack([c * x - s * y, s * x + c * y])
+    even = np.column_stack([np.interp(inside, known, axis[known]) for axis in state.t.T])
+    t = state.t.copy()
+    t[inside] += ((even - t[inside]) * u).sum(axis=1)[:, None] * u
+    return replace(state, t=t)
 
 
 def _arrays(state: Walls) -> Any:

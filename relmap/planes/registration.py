@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relmap.core.growing import GrowingArray
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL, place
+from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -28,6 +28,10 @@ LONG_M = 4.0
 """Walls longer than this are as good as any."""
 FAMILIAR = 8
 """Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
+
+
+STEADY = 5
+"""Scans whose typical motion the robot is expected to go on with."""
 
 
 class PlaneRegistration:
@@ -64,6 +68,15 @@ class PlaneRegistration:
         self._landmarks = np.empty(0, dtype=np.int64)
 
     @property
+    def _usual(self) -> PlanarMotion:
+        """How the robot went last: the median of some scans, for one of them may be a jump."""
+        if not self.history.n_iterations:
+            return STILL
+        last = np.sort(self.history.motion[-STEADY:], axis=0)
+        yaw, x, y = last[len(last) // 2].tolist()
+        return PlanarMotion(yaw, np.array([x, y]))
+
+    @property
     def wall_end(self) -> NDArray[np.int64]:
         """Wall end of each corner: twice the number of the wall, and 1 more for its left end."""
         return self._wall_end.values
@@ -82,6 +95,14 @@ class PlaneRegistration:
         """Return landmarks (n,) as they are: they go by their number."""
         return landmarks
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Do nothing: walls are expected by their lines."""
+
+    @property
+    def rejected(self) -> list[int]:
+        """None: walls are judged one by one."""
+        return []
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
@@ -92,14 +113,15 @@ class PlaneRegistration:
         """Take in the walls of one scan."""
         self.planes = np.full(len(seen), -1)
         tracks = self._tracks
-        found = place(tracks, seen, self._motion) if tracks is not None and len(seen) else None
+        found = place(tracks, seen, self._usual) if tracks is not None and len(seen) else None
         if tracks is not None and found is not None:
             self._motion, match = found
             tracks = tracks.carried(self._motion.yaw, self._motion.t)
             tracks.see(match.tracks, seen, match.walls)
             self.planes[match.walls] = tracks.plane[match.tracks]
         elif tracks is not None:
-            tracks = tracks.carried(self._motion.yaw, self._motion.t)  # on as before
+            self._motion = self._usual  # on as before
+            tracks = tracks.carried(self._motion.yaw, self._motion.t)
             tracks.missed += 1
         new = self.planes < 0
         self.planes[new] = self._n_planes + np.arange(new.sum())

@@ -13,6 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.planes.history import PlaneHistory
+
+CROSSING = np.sin(np.deg2rad(10.0)) ** 2
+"""Walls whose directions spread less than by this hold no motion along themselves."""
+STRAY_M, STRAY_RAD = 1.0, np.deg2rad(30.0)
+FEW = 5
+"""So few scans in a row, so far off the others, are misplaced."""
+
 
 def stitched(
     pieces: Sequence[NDArray[np.float64]], motions: NDArray[np.float64]
@@ -30,7 +38,7 @@ def stitched(
     Returns
     -------
     (n, 4, 4) float64
-        ``T_map_robot``; all NaN where no piece fixes any.
+        ``T_map_robot``; where no piece fixes any, in the frame of the first iteration.
     """
     n = len(motions)
     steps = np.linalg.inv(_matrices(motions))
@@ -39,9 +47,11 @@ def stitched(
     for number, own in enumerate(pieces):
         free = (piece < 0) & np.isfinite(own[:, 0, 0])
         piece[free], poses[free] = number, own[free]
+    if n and not (piece == 0).any():
+        piece[0], poses[0] = 0, np.eye(4)
     fixed = np.flatnonzero(piece == 0)
     if not len(fixed):
-        return np.full((n, 4, 4), np.nan)
+        return poses
     placed = {0: np.eye(4)}
     for i in range(fixed[0] + 1, n):
         poses[i] = _placed(placed, piece[i], poses[i], poses[i - 1] @ steps[i])
@@ -72,3 +82,44 @@ def _matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     T[:, 1, 0], T[:, 0, 1] = s, -s
     T[:, :2, 3] = motions[:, 1:]
     return T
+
+
+def without_strays(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the poses (n, 4, 4) with NaN for the few that lie far off both their neighbours.
+
+    Far from where the motions (n, 3) from scan to scan lead: scans with hardly a wall that is
+    known, or a wrong one, which nothing holds.
+    """
+    off = np.linalg.inv(poses[:-1]) @ poses[1:] @ _matrices(motions[1:])
+    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
+    broken = (np.hypot(off[:, 0, 3], off[:, 1, 3]) > STRAY_M) | (turn > STRAY_RAD)
+    run = np.concatenate([[0], np.cumsum(broken)])
+    size = np.bincount(run)
+    beside = np.concatenate([[0], size, [0]])
+    stray = (size <= FEW) & (size < np.maximum(beside[:-2], beside[2:]))
+    return np.where(stray[run][:, None, None], np.nan, poses)
+
+
+def weak_links(history: PlaneHistory) -> NDArray[np.int64]:
+    """Return the iterations (k,) whose motion since the one before rests on the motion model.
+
+    Both saw no static corner in common, and no two walls in common that cross: along what they
+    saw, if anything, the robot is taken to have gone on as before.
+    """
+    n = history.n_iterations
+    n_planes = int(history.plane.max(initial=-1)) + 1
+    key = history.iteration * n_planes + history.plane
+    order = np.argsort(key, kind="stable")
+    before = np.searchsorted(key[order], key - n_planes).clip(max=max(len(key) - 1, 0))
+    row = np.flatnonzero((history.iteration > 0) & (key[order][before] == key - n_planes))
+    other, iteration = order[before[row]], history.iteration[row]
+    corner = history.corner[row]
+    both = ((corner >= 0) & (corner == history.corner[other])).any(axis=1)
+    held = np.bincount(iteration[both], minlength=n) > 0
+    along = history.ends[row, 1] - history.ends[row, 0]
+    x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
+    xx, xy, yy = (np.bincount(iteration, v, minlength=n) for v in (x * x, x * y, y * y))
+    # The smaller eigenvalue of the sum of the directions' outer products.
+    spread = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    weak = ~held & (spread < CROSSING)
+    return np.flatnonzero(weak[1:]) + 1

@@ -43,10 +43,10 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    of_map = "corner_rmse_m" if any(f.get("corner_rmse_m") for _, f in rows) else "landmark_rmse_m"
-    what = "corner" if of_map == "corner_rmse_m" else "landmark"
+    walls = any(f.get("corner_rmse_m") for _, f in rows)
+    of_map = ("corner_rmse_m", "corners") if walls else ("often_rmse_m", "landmarks seen ten times")
     panels = [
-        (of_map, f"{what} RMSE [m]"),
+        (of_map[0], f"RMSE of {of_map[1]} [m]"),
         ("ate_m", "error of the path (ATE) [m]"),
         ("total_s", "processor time of the whole log [s]"),
     ]
@@ -65,7 +65,10 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
 
 def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
     """Draw one figure of every method as a bar from the smallest on, in logarithmic scale."""
+    from matplotlib.ticker import NullFormatter
+
     axes.set_xscale("log")
+    axes.xaxis.set_minor_formatter(NullFormatter())
     values = [f.get(key) for _, f in rows]
     known = [value for value in values if value]
     least = min(known, default=1.0) / 3

@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
-from relmap.core.mapper import RelativeMapper
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relmap.core.config import MapperConfig
+from relmap.core.errors import RelmapError
+from relmap.core.readout import positions_in_largest_piece
+from relmap.core.recognition import PlaceFinder
+from relmap.core.registration.placement import Placement
+from relmap.core.scan import checked_ids, checked_points
+from relmap.durable import DurableMapper
 from relmap.points.basis import relative_map
 
+if TYPE_CHECKING:
+    from relmap.journal import RecordedScan
 
-class PointMapper(RelativeMapper):
+AROUND = 1.2
+"""How far from the robot landmarks are expected, in units of how far the scan reaches."""
+
+
+class PointMapper(DurableMapper):
     """Maps point landmarks, with six degrees of freedom in space or three in the plane.
+
+    Parameters
+    ----------
+    config : MapperConfig, optional
+    journal : path, optional
+        A file to be begun that keeps every scan, so that `resume` can go on from it.
+    run : dict, optional
+        What the journal should tell about the run.
 
     Examples
     --------
@@ -24,6 +47,110 @@ class PointMapper(RelativeMapper):
     >>> mapper.map.positions.round(6).tolist()
     [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [3.0, 3.0, 0.0]]
     """
+
+    _variant = "points"
+    _passing = ("_journal", "_finder")
+
+    def __init__(
+        self,
+        config: MapperConfig | None = None,
+        journal: PathLike[str] | str | None = None,
+        run: dict[str, Any] | None = None,
+    ) -> None:
+        super().__init__(config, journal, run)
+        self._finder: PlaceFinder | None = None
+
+    def update(self, points: ArrayLike, ids: ArrayLike | None = None) -> NDArray[np.int64]:
+        """Take in the observations of one iteration; see `RelativeMapper.update`."""
+        self._finder = None
+        if self._journal is None:
+            return super().update(points, ids)
+        self._journal.ready()
+        points_robot = checked_points(points, self._store.dimension)
+        known = None if ids is None else checked_ids(ids, len(points_robot))
+        labels = super().update(points_robot, known)
+        self._journal.append(points_robot, known, labels)
+        return labels
+
+    def refine(self) -> None:
+        """Bring all landmarks to where all observations agree best; see `RelativeMapper.refine`."""
+        self._note_call("refine")
+        self._finder = None
+        super().refine()
+
+    def finish(self) -> None:
+        """Map what is left; see `RelativeMapper.finish`."""
+        self._finder = None
+        super().finish()
+
+    def localise(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Return where a scan was taken, found from the map alone; the mapper stays as it is.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) array, robot frame, metres
+
+        Returns
+        -------
+        (4, 4) float64
+            ``T_map_robot``; NaN where too little of the scan is in the map, or more than one place
+            looks like it.
+
+        Raises
+        ------
+        RelmapError
+            Where the scan cannot be meant.
+        """
+        placement = self._placed(checked_points(points, self._store.dimension))
+        T_map_robot = np.full((4, 4), np.nan)
+        if placement is not None:
+            d = len(placement.t)
+            T_map_robot[:] = np.eye(4)
+            T_map_robot[:d, :d], T_map_robot[:d, 3] = placement.R, placement.t
+        return T_map_robot
+
+    def take_up(self, points: ArrayLike) -> bool:
+        """Let the next update, of this scan, go on with the map where the scan was taken.
+
+        So a log is added to a map whose last scan was taken elsewhere.  With known association
+        there is nothing to do: the ids tell.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) array, robot frame, metres
+
+        Returns
+        -------
+        bool
+            Whether the scan was found in the map; where not, nothing is changed.
+
+        Raises
+        ------
+        RelmapError
+            Where the scan cannot be meant, or a journal is kept, which would not tell of it.
+        """
+        if self._journal is not None:
+            raise RelmapError("a run that keeps a journal begins with an empty map")
+        seen = checked_points(points, self._store.dimension)
+        placement = self._placed(seen)
+        if placement is None or self._registration is None:
+            return False
+        positions = positions_in_largest_piece(self._builder.map)
+        landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
+        around = (positions[landmarks] - placement.t) @ placement.R
+        near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
+        self._registration.expect(landmarks[near], around[near])
+        return True
+
+    def _placed(self, points_robot: NDArray[np.float64]) -> Placement | None:
+        if self._finder is None:
+            positions = positions_in_largest_piece(self._builder.map)
+            mapped = positions[np.isfinite(positions).all(axis=1)]
+            self._finder = PlaceFinder(mapped, np.nan_to_num(self.noise_m))
+        return self._finder.find(points_robot)
+
+    def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
+        return self.update(scan.values, scan.ids)
 
     def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
         return relative_map(block)

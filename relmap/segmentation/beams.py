@@ -16,6 +16,10 @@ SKIPPED = 2.5
 """Beams without a return, in a row, that break a wall."""
 STRAYS = 3
 """So many beams of something else, in a row, do not part the pieces of a wall."""
+DOOR_M = 0.5
+"""Gaps as wide as this, through which beams go, part the pieces of a wall."""
+OPEN = 0.9
+"""Beams that go through."""
 OFF = 5.0
 """A line does not fit where a point lies so many standard deviations off it."""
 LIMIT = 4.0
@@ -40,17 +44,22 @@ def _off(xy: NDArray[np.float64], i: int, wall: NDArray[np.float64]) -> float:
 
 
 @compiled
-def _breaks(xy: NDArray[np.float64], sigma: float) -> NDArray[np.bool_]:
+def _turns(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angles (n - 1,) from each point to the next as the sensor sees them."""
+    turn = np.empty(len(xy) - 1)
+    for i in range(len(turn)):
+        x = xy[i, 0] * xy[i + 1, 0] + xy[i, 1] * xy[i + 1, 1]
+        turn[i] = abs(math.atan2(xy[i, 0] * xy[i + 1, 1] - xy[i, 1] * xy[i + 1, 0], x))
+    return turn
+
+
+@compiled
+def _breaks(xy: NDArray[np.float64], turn: NDArray[np.float64], sigma: float) -> NDArray[np.bool_]:
     """Tell after which points (n,) the next one is not on the same surface."""
-    n = len(xy)
-    bearing, turn, radius = np.empty(n), np.empty(n - 1), np.empty(n)
+    n, usual = len(xy), np.median(turn)
+    radius = np.empty(n)
     for i in range(n):
-        bearing[i] = math.atan2(xy[i, 1], xy[i, 0])
         radius[i] = math.hypot(xy[i, 0], xy[i, 1])
-    for i in range(n - 1):
-        step = abs(bearing[i + 1] - bearing[i])
-        turn[i] = min(step, 2 * math.pi - step)
-    usual = np.median(turn)
     broken = np.zeros(n, dtype=np.bool_)
     for i in range(n - 1):
         gap = math.hypot(xy[i + 1, 0] - xy[i, 0], xy[i + 1, 1] - xy[i, 1])
@@ -58,6 +67,17 @@ def _breaks(xy: NDArray[np.float64], sigma: float) -> NDArray[np.bool_]:
         steep = math.sin(max(STEEP - turn[i], 0.3 * STEEP))
         limit = near * math.sin(min(turn[i], STEEP)) / steep + 6 * sigma
         broken[i] = turn[i] > SKIPPED * usual + 1e-9 or gap > limit
+    return broken
+
+
+@compiled
+def range_breaks(xy: NDArray[np.float64], sigma: float) -> NDArray[np.int64]:
+    """Tell after which points (n,) the next beam meets something else: 1, else 0."""
+    broken = np.zeros(len(xy), dtype=np.int64)
+    if len(xy) > 1:
+        turn = _turns(xy)
+        near = turn < SKIPPED * np.median(turn)
+        broken[:-1] = _breaks(xy, turn, sigma)[:-1] & near
     return broken
 
 
@@ -89,11 +109,13 @@ def _scatter(xy: NDArray[np.float64], first: int, last: int) -> float:
 
 
 @compiled
-def _shift_breaks(xy: NDArray[np.float64], pieces: list[tuple[int, int]]) -> None:
+def _shift_breaks(
+    xy: NDArray[np.float64], broken: NDArray[np.bool_], pieces: list[tuple[int, int]]
+) -> None:
     """Give each point beside a bend to the line it is nearer to."""
     for k in range(len(pieces) - 1):
         (a, b), (c, d) = pieces[k], pieces[k + 1]
-        if b != c or b - a < 4 or d - c < 4:
+        if b != c or broken[b - 1] or b - a < 4 or d - c < 4:
             continue
         left, right = _fit(xy, a, b - 1), _fit(xy, c + 1, d)
         while b - a > 3 and _off(xy, b - 1, right) < _off(xy, b - 1, left):
@@ -123,12 +145,40 @@ def _straight(
 
 
 @compiled
-def _join(xy: NDArray[np.float64], pieces: list[tuple[int, int]], sigma: float) -> None:
+def _open_between(
+    xy: NDArray[np.float64], turn: NDArray[np.float64], b: int, c: int, sigma: float
+) -> bool:
+    """Tell whether beams go through between point b - 1 and point c, to meet something or nothing.
+
+    What lies nearer than the wall only hides it.
+    """
+    wide = math.hypot(xy[c, 0] - xy[b - 1, 0], xy[c, 1] - xy[b - 1, 1])
+    if wide < DOOR_M:
+        return False
+    unseen = turn[b - 1 : c].sum() / np.median(turn) - (c - b) - 1
+    line = _fit(xy[np.array([b - 1, c])], 0, 2)
+    side = line[PX] * line[UY] - line[PY] * line[UX]  # where the sensor stands
+    through = 0
+    for i in range(b, c):
+        off = (xy[i, 1] - line[PY]) * line[UX] - (xy[i, 0] - line[PX]) * line[UY]
+        if off * side < 0 and abs(off) > OFF * sigma:
+            through += 1
+    return bool(unseen + through >= OPEN)
+
+
+@compiled
+def _join(
+    xy: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    pieces: list[tuple[int, int]],
+    sigma: float,
+) -> None:
     """Join neighbours that one line fits."""
     k = 0
     while k < len(pieces) - 1:
         (a, b), (c, d) = pieces[k], pieces[k + 1]
         fits = c - b <= STRAYS and _scatter(xy, a, d) < LIMIT * sigma**2 * (d - a)
+        fits = fits and not _open_between(xy, turn, b, c, sigma)
         if fits and _split_at(xy, a, d, 1.5 * sigma) < 0:
             pieces[k] = (a, d)
             pieces.pop(k + 1)
@@ -142,13 +192,14 @@ def line_pieces(xy: NDArray[np.float64], sigma: float, least: int) -> NDArray[np
     if len(xy) < least:
         return np.zeros((0, 2), dtype=np.int64)
     pieces = [(0, 0)][:0]
-    broken, start = _breaks(xy, sigma), 0
+    turn, start = _turns(xy), 0
+    broken = _breaks(xy, turn, sigma)
     for i in range(len(xy)):
         if broken[i] or i == len(xy) - 1:
             _straight(xy, start, i + 1, sigma, pieces)
             start = i + 1
-    _shift_breaks(xy, pieces)
-    _join(xy, pieces, sigma)
+    _shift_breaks(xy, broken, pieces)
+    _join(xy, turn, pieces, sigma)
     kept = [(a, b) for a, b in pieces if b - a >= least]
     result = np.zeros((len(kept), 2), dtype=np.int64)
     for k in range(len(kept)):

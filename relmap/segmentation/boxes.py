@@ -20,12 +20,15 @@ from relmap.segmentation.kernels import (
     PEAK,
     PX,
     PY,
+    REACH,
     UX,
     UY,
     foot_and_height,
     thickness,
 )
 
+INWARD = 5.0
+"""An end is looked for no more than so many standard deviations inwards of where it was."""
 _ROOT = math.sqrt(2.0)
 
 
@@ -55,7 +58,8 @@ def _end_slope(
         if z < -5:  # the ratio's asymptote, where the difference below underflows
             slope += weight[i] * -z / sigma
         else:
-            box = exact_step(z) - exact_step((t[i] - other) / sigma)
+            beyond = (t[i] - other) / sigma
+            box = exact_step(z) - (exact_step(beyond) if beyond > -REACH else 0.0)
             slope += weight[i] * PEAK * math.exp(-0.5 * z * z) / sigma / max(box, 1e-12)
     return slope - density * thickness(at, foot, height, rays)
 
@@ -71,7 +75,7 @@ def _bracket(
     shape: tuple[float, float, bool],
 ) -> tuple[float, float]:
     """Return places about the lower end between which the likelihood is greatest."""
-    top = end - 0.5 * sigma
+    top = min(end - 0.5 * sigma, begin + INWARD * sigma)
     low = high = min(begin, top - sigma)
     step = 0.5 * sigma
     for _ in range(60):
@@ -115,6 +119,8 @@ def lower_end(
     """
     if sigma < EXACT_M:
         return _outermost(t, weight, begin)
+    near = t < begin + (INWARD + REACH) * sigma
+    t, weight = t[near], weight[near]
     low, high = _bracket(begin, end, t, weight, sigma, density, shape)
     for _ in range(14):
         middle = 0.5 * (low + high)

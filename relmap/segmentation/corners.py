@@ -20,7 +20,10 @@ CONTESTED = 0.5
 in units of the noise."""
 WORTH = 2.0
 """A crossing so many times less accurate than the end tells nothing of it."""
-ROUNDS = 4
+WANDER = 4.0
+"""No end moves farther than half its wall or so many standard deviations: with few points, what its
+accuracy allows grows with every move."""
+ROUNDS = 2
 HELD = 4
 """Steps of EM with the ends held in their corners."""
 
@@ -36,11 +39,14 @@ class Sharpened:
         Standard deviation of where each wall begins and ends along itself.
     joined : (k, 2) bool
         Whether it does so in a corner with another wall.
+    hidden : (k, 2) bool or None
+        Whether the next beam meets something nearer; None where points are in no order.
     """
 
     mixture: WallMixture
     spread: NDArray[np.float64]
     joined: NDArray[np.bool_]
+    hidden: NDArray[np.bool_] | None = None
 
 
 def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
@@ -91,7 +97,9 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
         usable &= (walls[:, BEGIN] - reach < t.T) & (walls[:, END] + reach > t.T)
         miss = np.where(usable, np.abs(t - walls[:, end, None]) / gate, 2.0)
         nearest = miss.argmin(axis=1)
-        rows = np.flatnonzero(miss.min(axis=1) < 1)
+        far = np.abs(t[np.arange(len(t)), nearest] - walls[:, end])
+        near = far < np.maximum(WANDER * mixture.sigma, 0.5 * length[:, 0])
+        rows = np.flatnonzero((miss.min(axis=1) < 1) & near)
         moved[rows, end] = t[rows, nearest[rows]]
         accuracy[rows, side] = spread[rows, nearest[rows]]
         joined[rows, side] = True

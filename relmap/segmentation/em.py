@@ -20,6 +20,8 @@ PARAMETERS = 5
 STRAY_AT_FIRST = 0.05
 STRAY_LEAST = 1e-4
 TOLERANCE = 1e-4
+CONCERNED = 0.01
+"""A point concerns a wall if so much of its density is that wall's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,8 @@ class WallMixture:
         Points at one bearing, which tell of the extent of a wall only once.
     fixed_noise : bool
         Whether the noise was given.
+    rest : (n,) float64 or None
+        Of a part of a scan's walls: the density of everything else at the points concerned.
     """
 
     walls: NDArray[np.float64]
@@ -51,12 +55,17 @@ class WallMixture:
     rays: bool = False
     repeat: float = 1.0
     fixed_noise: bool = False
+    rest: NDArray[np.float64] | None = None
 
     def density(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the density (k, n) of points (n, 2) under each wall, and of all together (n,)."""
         from relmap.segmentation.kernels import expect
 
-        return expect(xy, self.walls, self.sigma, self.stray / self.area, self.rays)
+        return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.rays)
+
+    def beside(self, n: int) -> NDArray[np.float64]:
+        """Return the density of everything but the walls at n points."""
+        return np.full(n, self.stray / self.area) if self.rest is None else self.rest
 
     def likelihood(self, xy: NDArray[np.float64]) -> float:
         """Return the log likelihood of points (n, 2)."""
@@ -84,11 +93,18 @@ class WallMixture:
         """Return the mixture with other walls (k, WALL)."""
         return replace(self, walls=walls)
 
-    def local(self, walls: list[NDArray[np.float64]], own: NDArray[np.float64]) -> WallMixture:
-        """Return the mixture of a few walls that share some points (m, 2) evenly."""
-        few = np.array(walls)
-        few[:, -1] = 1 / len(few)
-        return replace(self, walls=few, stray=STRAY_LEAST)
+    def around(
+        self, rows: list[int], xy: NDArray[np.float64]
+    ) -> tuple[WallMixture, NDArray[np.float64]]:
+        """Return the mixture of a few walls, all else held, and the points (m, 2) it concerns."""
+        density, total = self.density(xy)
+        theirs = density[rows].sum(axis=0)
+        near = theirs > CONCERNED * total
+        scale = len(xy) / max(int(near.sum()), 1)
+        few = self.walls[rows]
+        few[:, -1] *= scale
+        rest = scale * np.maximum(total - theirs, self.stray / self.area)[near]
+        return replace(self, walls=few, rest=rest), xy[near]
 
 
 def wall_cost(n: int) -> float:
@@ -105,7 +121,11 @@ def scan_area(xy: NDArray[np.float64], sigma: float) -> float:
 
 
 def maximise(
-    mixture: WallMixture, xy: NDArray[np.float64], steps: int, held: bool = False
+    mixture: WallMixture,
+    xy: NDArray[np.float64],
+    steps: int,
+    held: bool = False,
+    tolerance: float = TOLERANCE,
 ) -> WallMixture:
     """Return the mixture after some steps of EM, fewer where the likelihood rises no more.
 
@@ -116,13 +136,12 @@ def maximise(
     walls, sigma, stray = mixture.walls.copy(), mixture.sigma, mixture.stray
     before = -np.inf
     for _ in range(steps if len(walls) else 0):
-        likelihood, spread, loose = em_step(
-            xy, walls, sigma, stray / mixture.area, mixture.rays, held
-        )
+        rest = np.full(len(xy), stray / mixture.area) if mixture.rest is None else mixture.rest
+        likelihood, spread, loose = em_step(xy, walls, sigma, rest, mixture.rays, held)
         if not mixture.fixed_noise:
             sigma = min(max(spread, FLOOR_M), 1.5 * sigma)
         stray = max(loose, STRAY_LEAST)
-        if abs(likelihood - before) < TOLERANCE * len(walls):
+        if abs(likelihood - before) < tolerance * len(walls):
             break
         before = likelihood
     return replace(mixture, walls=walls, sigma=sigma, stray=stray)

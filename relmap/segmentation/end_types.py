@@ -60,6 +60,7 @@ def type_ends(
     spread: NDArray[np.float64],
     joined: NDArray[np.bool_],
     limits: Limits,
+    hidden: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.str_]:
     """Return why each of two ends (m, 2) is where it is, one of `END_TYPES`.
 
@@ -72,6 +73,8 @@ def type_ends(
     joined : (m, 2) bool
         Whether the end lies in a corner with another wall, so that nothing hides it.
     limits : Limits
+    hidden : (m, 2) bool, optional
+        Whether something nearer was seen beside the end, as beams in order tell.
     """
     if len(ends) == 0:
         return np.empty((0, 2), dtype="<U8")
@@ -88,6 +91,8 @@ def type_ends(
         "range": far > limits.range_m - SURE * spread * np.maximum(radial, 0.1) - SLACK_M,
         "occluded": _hidden(bearing, far, turn, spread) & ~joined,
     }
+    if hidden is not None:
+        cut_by["occluded"] |= hidden & ~joined
     kind = np.zeros(far.shape, dtype=np.int64)
     for reason in ("occluded", "range", "view"):  # the first of the order is written last
         kind[cut_by[reason]] = END_TYPES.index(reason)

@@ -83,17 +83,17 @@ def expect(
     xy: NDArray[np.float64],
     walls: NDArray[np.float64],
     sigma: float,
-    stray: float,
+    rest: NDArray[np.float64],
     rays: bool,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the density (k, n) of each point under each wall, and of all together (n,).
 
     Gaussian across the wall, along it the sensor's own density between two ends that the noise
     blurs: the convolution of a box with a Gaussian is a difference of two normal distribution
-    functions.  `stray` is the density of points of no wall.
+    functions.  `rest` (n,) is the density of everything but these walls.
     """
     n, k = len(xy), len(walls)
-    density, total = np.zeros((k, n)), np.full(n, stray)
+    density, total = np.zeros((k, n)), rest.copy()
     for j in range(k):
         w = walls[j]
         foot, height = foot_and_height(w)
@@ -249,20 +249,20 @@ def em_step(
     xy: NDArray[np.float64],
     walls: NDArray[np.float64],
     sigma: float,
-    stray: float,
+    rest: NDArray[np.float64],
     rays: bool,
     held: bool,
 ) -> tuple[float, float, float]:
     """Take one step of expectation and maximisation; walls (k, WALL) are changed in place.
 
     `held` ends stay where they are along their walls. Returns the log likelihood before the step,
-    the noise after it, and the share of stray points.
+    the noise after it, and the share of points that belong to the `rest` (n,), see `expect`.
     """
-    density, total = expect(xy, walls, sigma, stray, rays)
+    density, total = expect(xy, walls, sigma, rest, rays)
     n, likelihood, loose = len(xy), 0.0, 0.0
     for i in range(n):
         likelihood += math.log(total[i])
-        loose += stray / total[i]
+        loose += rest[i] / total[i]
     squares, amount = 0.0, 0.0
     for j in range(len(walls)):
         s = _gather(xy, density[j], total, walls[j], sigma)

@@ -7,20 +7,19 @@ that touching pieces of one line are one wall whatever the density of points alo
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.segmentation.em import PARAMETERS, WallMixture, maximise, wall_cost
+from relmap.segmentation.pairs import corners, flush, one_hides_other, side_by_side, within_reach
+from relmap.segmentation.shadows import parted
 
 BENT = 10.0
 """Loss of log likelihood above which two walls do not lie on one line."""
 EMPTY = 6.0
 """Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
-HIDDEN = 0.7
-"""Share of a wall's view before which there cannot be another wall."""
-FLUSH = 2.5
-"""Standard deviations within which a wall before another is the same one."""
-PARALLEL_SINE = 0.3
 MISSED = 1.6
 """Beams missing in a gap, where they are known to be evenly spaced."""
 CURVED = 3.0
@@ -29,6 +28,13 @@ SETTLE = 6
 """Steps of EM after a move."""
 TRIAL = 8
 """Steps of EM to see what a move is worth."""
+GLANCE = 4
+"""Steps of EM to see which of several moves are worth more of them."""
+FINALISTS = 2
+LEG = 3.0
+"""Standard deviations from a wall's end within which another may begin unseen."""
+ROUGH = 0.05
+"""Gain of log likelihood per wall and step below which a trial has settled."""
 
 
 def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixture:
@@ -50,29 +56,37 @@ def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixt
 
 def merge(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     """Join walls that are one: pieces of one line without a gap, and pairs not worth their cost."""
-    i = 0
-    while i < len(mixture.walls):
+    names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
+    while True:
         labels = mixture.labels(xy)
-        for j in range(len(mixture.walls)):
-            joined = _join(mixture, xy[(labels == i) | (labels == j)], i, j) if j != i else None
+        joined = None
+        for i, j in combinations(range(len(names)), 2):
+            if (names[i], names[j]) in parted:
+                continue
+            joined = _join(mixture, xy, labels, i, j)
             if joined is not None:
-                walls = mixture.walls.copy()
-                walls[i] = joined
-                mixture = mixture.with_walls(np.delete(walls, j, axis=0))
-                i = -1
                 break
-        i += 1
-    return mixture
+            parted.add((names[i], names[j]))
+        if joined is None:
+            return mixture
+        walls = np.delete(mixture.walls, j, axis=0)
+        walls[i] = joined
+        mixture = mixture.with_walls(walls)
+        names[i] = max(names) + 1
+        del names[j]
 
 
 def _join(
-    mixture: WallMixture, own: NDArray[np.float64], i: int, j: int
+    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64], i: int, j: int
 ) -> NDArray[np.float64] | None:
-    """Return two walls as one, given the points (m, 2) of both; None where they are two."""
+    """Return two walls as one, given the wall of each point; None where they are two."""
     from relmap.segmentation.kernels import SHARE
 
     w, v = mixture.walls[i], mixture.walls[j]
-    if len(own) < 3 or not _near(w, v, mixture.sigma):
+    if not within_reach(w, v, mixture.sigma):
+        return None
+    own = xy[(labels == i) | (labels == j)]
+    if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
         return None
     whole = wall_through(own, w)
     whole[SHARE] = w[SHARE] + v[SHARE]
@@ -85,27 +99,27 @@ def _join(
             apart += float(density[k] / total @ d**2)
         if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
             return whole
-    if _one_hides_other(w, v) and _flush(w, v, mixture.sigma):
+    if flush(w, v, mixture.sigma) and (one_hides_other(w, v) or side_by_side(w, v)):
         return whole
-    two = maximise(mixture.local([w, v], own), own, TRIAL)
-    one = maximise(mixture.local([whole], own), own, TRIAL)
-    if one.evidence(own) < two.evidence(own):
+    two, near = mixture.around([i, j], xy)
+    scale = len(xy) / len(near)
+    whole[SHARE] *= scale
+    two = maximise(two, near, TRIAL, tolerance=ROUGH)
+    one = maximise(two.with_walls(whole[None]), near, TRIAL, tolerance=ROUGH)
+    if one.evidence(near) < two.evidence(near):
         return None
-    one.walls[0, SHARE] = whole[SHARE]
+    one.walls[0, SHARE] /= scale
     return np.asarray(one.walls[0])
 
 
-def bend(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
-    """Split walls that are two: bent ones halfway along, thick ones lengthwise."""
-    from relmap.segmentation.kernels import SHARE
-
+def bend(mixture: WallMixture, xy: NDArray[np.float64], suspects_only: bool = True) -> WallMixture:
+    """Split walls that are two: bent ones somewhere along, thick ones lengthwise."""
     labels, walls = mixture.labels(xy), []
     for k, wall in enumerate(mixture.walls):
         own = xy[labels == k]
-        suspect = len(own) > 2 * PARAMETERS and _suspect(mixture.sigma, own, wall)
-        pieces = _bent(mixture, own, wall) if suspect else None
-        if pieces is not None:
-            pieces[:, SHARE] *= wall[SHARE]
+        suspect = len(own) > 2 * PARAMETERS
+        suspect = suspect and not (suspects_only and not _suspect(mixture.sigma, own, wall))
+        pieces = _bent(mixture, xy, own, k) if suspect else None
         walls.append(wall[None] if pieces is None else pieces)
     return mixture.with_walls(np.concatenate(walls)) if walls else mixture
 
@@ -122,44 +136,39 @@ def _suspect(sigma: float, own: NDArray[np.float64], wall: NDArray[np.float64]) 
 
 
 def _bent(
-    mixture: WallMixture, own: NDArray[np.float64], wall: NDArray[np.float64]
+    mixture: WallMixture, xy: NDArray[np.float64], own: NDArray[np.float64], k: int
 ) -> NDArray[np.float64] | None:
     """Return the two walls that a wall's points are better explained by, if they are."""
-    one = maximise(mixture.local([wall], own), own, TRIAL)
-    best, pieces = one.evidence(own), None
-    offset = own - wall[:2]
-    for direction in (wall[2:4], np.array([-wall[3], wall[2]])):
-        t = offset @ direction
-        upper = t > np.median(t)
-        halves = [wall_through(own[side], wall) for side in (upper, ~upper)]
-        two = maximise(mixture.local(halves, own), own, 2 * TRIAL)
-        if two.evidence(own) > best and not _one_hides_other(*two.walls):
-            best, pieces = two.evidence(own), two.walls
+    from relmap.segmentation.kernels import SHARE
+
+    one, near = mixture.around([k], xy)
+    wall = one.walls[0]
+    offset, trials = own - wall[:2], []
+    for upper in _halves(offset @ wall[2:4], offset @ (-wall[3], wall[2]), mixture.sigma):
+        if min(upper.sum(), (~upper).sum()) < PARAMETERS:
+            continue
+        halves = np.array([wall_through(own[side], wall) for side in (upper, ~upper)])
+        halves[:, SHARE] *= [upper.mean(), 1 - upper.mean()]
+        trials.append(maximise(one.with_walls(halves), near, GLANCE, tolerance=ROUGH))
+    best, pieces = maximise(one, near, TRIAL, tolerance=ROUGH).evidence(near), None
+    for trial in sorted(trials, key=lambda two: -two.likelihood(near))[:FINALISTS]:
+        two = maximise(trial, near, 2 * TRIAL, tolerance=ROUGH)
+        if two.evidence(near) > best and not one_hides_other(*two.walls):
+            best, pieces = two.evidence(near), two.walls.copy()
+    if pieces is not None:
+        pieces[:, SHARE] *= len(near) / len(xy)
     return pieces
 
 
-def _flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
-    """Tell whether the shorter of two walls lies along the longer one's line, within the noise."""
-    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
-        w, v = v, w
-    if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
-        return False
-    return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
-
-
-def _one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
-    """Tell whether two walls share most of the smaller one's view: the sensor sees only one."""
-    spans = []
-    for wall in (w, v):
-        ends = corners(wall)
-        middle = ends.mean(axis=0)
-        turned = ends @ np.array([[middle[0], -middle[1]], [middle[1], middle[0]]])
-        bearing = np.arctan2(turned[:, 1], turned[:, 0]) + np.arctan2(middle[1], middle[0])
-        spans.append((bearing.min(), bearing.max()))
-    (a, b), (c, d) = spans
-    shift = 2 * np.pi * round(((a + b) - (c + d)) / (4 * np.pi))
-    shared = min(b, d + shift) - max(a, c + shift)
-    return bool(shared > HIDDEN * min(b - a, d - c))
+def _halves(
+    t: NDArray[np.float64], d: NDArray[np.float64], sigma: float
+) -> list[NDArray[np.bool_]]:
+    """Return ways (m,) to part points at t along and d across a wall: ends, middle, sides."""
+    low, first, middle, last, high = np.quantile(t, [0, 0.25, 0.5, 0.75, 1])
+    cuts = [first, middle, last]
+    if high - low > 12 * sigma:
+        cuts += [low + LEG * sigma, high - LEG * sigma]
+    return [*(t > cut for cut in cuts), d > np.median(d)]
 
 
 def wall_through(own: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -171,25 +180,6 @@ def wall_through(own: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray
     t = (own - wall[PX : PX + 2]) @ wall[UX : UX + 2]
     wall[BEGIN], wall[END] = t.min(), max(t.max(), t.min() + EXACT_M)
     return wall
-
-
-def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the two ends (2, 2) of a wall."""
-    return wall[:2] + wall[4:6, None] * wall[2:4]
-
-
-def _near(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
-    """Tell whether two walls come so close that they may be one."""
-    from relmap.segmentation.kernels import BEGIN, END
-
-    reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
-    for one, other in ((w, v), (v, w)):
-        offset = corners(other) - one[:2]
-        t, d = offset @ one[2:4], offset @ (-one[3], one[2])
-        beyond = np.maximum(np.maximum(one[BEGIN] - t, t - one[END]), 0)
-        if (np.hypot(beyond, d) < reach).any():
-            return True
-    return False
 
 
 def _hangs_together(

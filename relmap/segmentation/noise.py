@@ -12,35 +12,33 @@ NEIGHBOURS = 10
 COLUMN_RAD = 1e-5
 FLOOR_M = 1e-9
 """Noise below this is taken for none."""
-SURE = 0.6
-"""Where so many windows show a wall, what they say of the noise needs no other trial."""
-FINER = (1.0, 1 / 1.6, 1 / 2.4)
-"""Else these multiples of it are tried: windows that hold a corner are too thick."""
+THINNER = 0.15
+"""Share of the windows that hold no corner, at least."""
+EVEN = 0.7
+"""Share of steps from bearing to bearing that are even where points lie by beams, at least."""
 OF_EXTENT = 0.09
-"""Where no window shows a wall, this share of the scan's extent is the thickest trial."""
+"""Where no window shows a wall, this share of the scan's extent is taken."""
 
 
-def noise_candidates(xy: NDArray[np.float64], rng: np.random.Generator) -> list[float]:
-    """Return what the noise may be (metres, standard deviation across a wall), likeliest first.
+def window_noise(xy: NDArray[np.float64], rng: np.random.Generator) -> float:
+    """Return what the noise is or a little more (metres, standard deviation across a wall).
 
     Windows about random points are grown until they are elongated; the thickness of the thinner
-    ones is the noise.
+    ones is the noise. Those that hold a corner are too thick, so what comes out may be twice the
+    noise where it is large.
     """
     from relmap.segmentation.windows import window_thickness
 
     if points_per_beam(xy) > 1:
-        return [max(_column_noise(xy), FLOOR_M)]
+        return max(_column_noise(xy), FLOOR_M)
     extent = float(np.hypot(*np.ptp(xy, axis=0)))
     at = rng.integers(0, len(xy), min(WINDOWS, 2 * len(xy)))
     smallest = max(2 * neighbour_distance(xy), FLOOR_M)
     radii = np.geomspace(smallest, max(extent, 2 * smallest), LEVELS)
     thick = window_thickness(xy, at, radii)
     seen = thick[np.isfinite(thick)]
-    if len(seen) == 0:
-        return [max(OF_EXTENT * extent * finer, FLOOR_M) for finer in FINER]
-    thin, middle = np.quantile(seen, [0.15, 0.6])
-    sure = len(seen) >= SURE * len(thick) and middle <= 1.3 * thin + FLOOR_M
-    return [max(float(thin) * finer, FLOOR_M) for finer in (FINER[:1] if sure else FINER)]
+    thin = np.quantile(seen, THINNER) if len(seen) else OF_EXTENT * extent
+    return max(float(thin), FLOOR_M)
 
 
 def neighbour_distance(xy: NDArray[np.float64]) -> float:
@@ -66,9 +64,20 @@ def points_per_beam(xy: NDArray[np.float64]) -> float:
 
 def beam_angle(xy: NDArray[np.float64]) -> float:
     """Return the angle (radians) between neighbouring columns of beams; 0 where there are none."""
-    if points_per_beam(xy) == 1:
-        return 0.0
-    return float(np.median(np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))))
+    step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))
+    return float(np.median(step)) if points_per_beam(xy) > 1 and len(step) else 0.0
+
+
+def by_beams(xy: NDArray[np.float64]) -> bool:
+    """Tell whether points (n, 2) lie where evenly spaced beams met something.
+
+    Then nearly all steps from one bearing to the next are multiples of one angle.
+    """
+    if points_per_beam(xy) > 1:
+        return True
+    step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])))
+    multiple = step / max(float(np.median(step)), 1e-12)
+    return bool(np.mean(np.abs(multiple - np.round(multiple)) < 0.05) > EVEN)
 
 
 def _column_noise(xy: NDArray[np.float64]) -> float:

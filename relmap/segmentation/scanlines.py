@@ -80,6 +80,24 @@ def extend_to_beams(
     return mixture.with_walls(walls)
 
 
+def hidden_ends(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which ends (k, 2) of the walls of a scan have something nearer just beside them.
+
+    However few beams meet it: a wall seen too steeply to be found hides others all the same.
+    """
+    from relmap.segmentation.beams import range_breaks
+
+    broken = range_breaks(xy, max(beam_noise(xy), NOISE_AT_LEAST_M))
+    radius = np.hypot(xy[:, 0], xy[:, 1])
+    hidden = np.zeros((int(labels.max(initial=-1)) + 1, 2), dtype=np.bool_)
+    for k in range(len(hidden)):
+        own = np.flatnonzero(labels == k)
+        i, j = own[0], own[-1]
+        hidden[k, 0] = i > 0 and broken[i - 1] and radius[i - 1] < radius[i]
+        hidden[k, 1] = j + 1 < len(xy) and broken[j] and radius[j + 1] < radius[j]
+    return hidden
+
+
 def _where_met(wall: NDArray[np.float64], bearing: float, otherwise: float) -> float:
     """Return how far along a wall a beam meets it, where that is near its end."""
     ray = np.array([np.cos(bearing), np.sin(bearing)])

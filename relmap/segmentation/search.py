@@ -9,31 +9,64 @@ from numpy.typing import NDArray
 
 from relmap.segmentation.em import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.lines import find_lines
-from relmap.segmentation.moves import bend, merge, prune, split
-from relmap.segmentation.noise import FLOOR_M, noise_candidates, points_per_beam
+from relmap.segmentation.moves import ROUGH, bend, merge, prune, split
+from relmap.segmentation.noise import FLOOR_M, by_beams, points_per_beam, window_noise
+from relmap.segmentation.shadows import part_at_shadows
 
+FEW = 1000
 MOST = 3000
+MORE = 6000
 """More points than these tell no more of how many walls there are; a random part is searched."""
 POLISHED = 20000
 """With so many, of all points, the lines and ends are made accurate."""
 LEAST = 8
 """Points of a wall, at least."""
 SHORTEST = 1.5
-"""A wall is longer than so many times the noise."""
+"""Of a scan at least one wall is longer than so many times the noise."""
+STARTS = (0.5, 0.8)
+"""Lines are first looked for as if the noise were so many times what windows say: pieces of walls
+join more easily than walls taken for one part."""
 ROUNDS = 4
-FIRST, SAMPLED, BETWEEN, LAST = 20, 3, 10, 40
+LOOSER = 12.0
+"""Spacings of points by which an end may have been missed."""
+FIRST, BETWEEN, LAST = 20, 10, 40
 """Steps of EM."""
 
 
 def fit_walls(
     xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
 ) -> WallMixture:
-    """Return the walls of points (n, 2), robot frame, metres, however many they are."""
-    few = part(xy, MOST, rng)
-    mixture = plausible(search_walls(few, noise, rng), few)
+    """Return the walls of points (n, 2), robot frame, metres, however many they are.
+
+    Several starts on a few points; the best of them is improved on more and more.
+    """
+    few = part(xy, FEW, rng)
+    mixture = search_walls(few, noise, rng)
+    for most in (MOST, MORE):
+        mixture, few = loosened(mixture, len(few)), part(xy, most, rng)
+        mixture = replace(mixture, repeat=points_per_beam(few))
+        mixture = improve(mixture, few, rng, thorough=True)
+        if len(few) == len(xy):
+            break
+    mixture = plausible(maximise(mixture, few, LAST), few)
     if len(few) == len(xy):
         return mixture
     return maximise(mixture, part(xy, POLISHED, rng), BETWEEN)
+
+
+def loosened(mixture: WallMixture, n: int) -> WallMixture:
+    """Return walls found among n points a little longer, so that more points can show their ends.
+
+    With no noise at all nothing beyond an end would ever be counted in.
+    """
+    from relmap.segmentation.kernels import BEGIN, END, SHARE
+
+    walls = mixture.walls.copy()
+    spacing = (walls[:, END] - walls[:, BEGIN]) / np.maximum(walls[:, SHARE] * n, 1.0)
+    more = np.where(spacing > mixture.sigma, LOOSER * spacing, 0.0)
+    walls[:, BEGIN] -= more
+    walls[:, END] += more
+    return mixture.with_walls(walls)
 
 
 def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
@@ -44,7 +77,11 @@ def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     from relmap.segmentation.kernels import BEGIN, END
 
     length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
-    mixture = mixture.only(length > SHORTEST * mixture.sigma)
+    solid = length > SHORTEST * mixture.sigma
+    if mixture.repeat > 1:  # else a single column of beams would make a wall
+        mixture = mixture.only(solid)
+    elif not solid.any():
+        return mixture.only([])
     spread = -len(xy) * np.log(scan_area(xy, 0.0))
     return mixture if mixture.evidence(xy) > spread else mixture.only([])
 
@@ -52,26 +89,21 @@ def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
 def search_walls(
     xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
 ) -> WallMixture:
-    """Return the walls of points (n, 2).
+    """Return the walls of points (n, 2): of several starts what has the best evidence."""
+    from relmap.segmentation.kernels import WALL
 
-    Where the scan does not say plainly how noisy it is, less and less noise is tried for as long
-    as the evidence grows.
-    """
-    trials = noise_candidates(xy, rng) if noise is None else [max(noise, FLOOR_M)]
-    best, evidence = None, -np.inf
-    for sigma in trials:
-        found = search_from(xy, sigma, noise is not None, rng)
-        if best is not None and found.evidence(xy) <= evidence:
-            break
-        best, evidence = found, found.evidence(xy)
-    assert best is not None
-    return best
-
-
-def with_sampling(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
-    """Return the mixture with the sampling, of beams or of surface, that explains points best."""
-    both = [maximise(replace(mixture, rays=rays), xy, SAMPLED) for rays in (False, True)]
-    return max(both, key=lambda one: one.likelihood(xy))
+    sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
+    nothing = WallMixture(
+        np.zeros((0, WALL)),
+        sigma,
+        STRAY_AT_FIRST,
+        scan_area(xy, sigma),
+        rays=by_beams(xy),
+        repeat=points_per_beam(xy),
+        fixed_noise=noise is not None,
+    )
+    found = [search_from(nothing, xy, start * sigma, rng) for start in STARTS]
+    return max(found, key=lambda one: one.evidence(xy))
 
 
 def part(xy: NDArray[np.float64], most: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -80,28 +112,38 @@ def part(xy: NDArray[np.float64], most: int, rng: np.random.Generator) -> NDArra
 
 
 def search_from(
-    xy: NDArray[np.float64], sigma: float, fixed: bool, rng: np.random.Generator
+    nothing: WallMixture, xy: NDArray[np.float64], sigma: float, rng: np.random.Generator
 ) -> WallMixture:
-    """Return the walls found from lines by EM and moves between numbers of walls."""
+    """Return the walls found from lines of some noise by EM and moves between numbers of walls."""
     walls, _ = find_lines(xy, sigma, LEAST, rng)
-    mixture = WallMixture(
-        walls,
-        sigma,
-        STRAY_AT_FIRST,
-        scan_area(xy, sigma),
-        repeat=points_per_beam(xy),
-        fixed_noise=fixed,
-    )
-    mixture = with_sampling(maximise(mixture, xy, FIRST), xy)
+    start = replace(nothing, walls=walls)
+    if not nothing.fixed_noise:
+        start = replace(start, sigma=sigma)
+    return improve(maximise(start, xy, FIRST, tolerance=ROUGH), xy, rng)
+
+
+def improve(
+    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator, thorough: bool = False
+) -> WallMixture:
+    """Return the mixture after moves between numbers of walls, until none is worth it."""
     for _ in range(ROUNDS):
-        before = mixture
-        mixture = merge(prune(mixture, xy, LEAST), xy)
-        mixture = bend(split(maximise(mixture, xy, BETWEEN), xy), xy)
-        mixture = maximise(_with_strays(mixture, xy, rng), xy, BETWEEN)
-        if len(mixture.walls) == len(before.walls):
-            break
-    mixture = with_sampling(mixture, xy)
-    return maximise(merge(prune(mixture, xy, LEAST), xy), xy, LAST)
+        sizes = [len(mixture.walls)]
+        mixture = prune(mixture, xy, LEAST)
+        sizes.append(len(mixture.walls))
+        mixture = merge(mixture, xy)
+        sizes.append(len(mixture.walls))
+        mixture = split(maximise(mixture, xy, BETWEEN, tolerance=ROUGH), xy)
+        sizes.append(len(mixture.walls))
+        mixture = bend(mixture, xy, not thorough or mixture.repeat > 1)
+        if thorough:
+            mixture = part_at_shadows(mixture, xy)
+        sizes.append(len(mixture.walls))
+        mixture = _with_strays(mixture, xy, rng)
+        mixture = maximise(mixture, xy, BETWEEN, tolerance=ROUGH)
+        sizes.append(len(mixture.walls))
+        if min(sizes) == max(sizes):
+            return mixture
+    return merge(prune(mixture, xy, LEAST), xy)
 
 
 def _with_strays(

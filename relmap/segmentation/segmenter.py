@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -118,12 +119,13 @@ class PlaneSegmenter:
     ) -> tuple[Sharpened, NDArray[np.int64]]:
         """Return accurate walls and the wall of each point."""
         from relmap.segmentation import search
-        from relmap.segmentation.scanlines import extend_to_beams, scan_walls
+        from relmap.segmentation.scanlines import extend_to_beams, hidden_ends, scan_walls
 
         rng = np.random.default_rng(self.random_state)
         if method == "scanlines":
             mixture, labels = scan_walls(xy, self.noise)
-            return meet(extend_to_beams(mixture, xy, labels), len(xy)), labels
+            sharp = meet(extend_to_beams(mixture, xy, labels), len(xy))
+            return replace(sharp, hidden=hidden_ends(xy, labels)), labels
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)
             sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))
@@ -141,12 +143,12 @@ class PlaneSegmenter:
     ) -> tuple[NDArray[np.int64], float]:
         """Return the plane of each point as found without the shape of a wall, and the noise."""
         from relmap.segmentation.lines import find_lines
-        from relmap.segmentation.noise import noise_candidates
+        from relmap.segmentation.noise import window_noise
         from relmap.segmentation.ransac3d import patch_labels, sequential_labels
 
         if method == "patches":
             return patch_labels(xyz), self.noise or 0.0
-        sigma = noise_candidates(xy, rng)[0] if self.noise is None else max(self.noise, 1e-9)
+        sigma = window_noise(xy, rng) if self.noise is None else max(self.noise, 1e-9)
         if method == "ransac3d":
             return sequential_labels(xyz, sigma, LEAST, self.random_state), sigma
         _, labels = find_lines(xy, sigma, LEAST, rng)
@@ -160,7 +162,7 @@ class PlaneSegmenter:
         self, xyz: NDArray[np.float64], sharp: Sharpened, labels: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], Planes]:
         """Return labels without gaps in their numbers, and the planes."""
-        from relmap.segmentation.moves import corners
+        from relmap.segmentation.pairs import corners
 
         kept = np.flatnonzero(np.bincount(labels[labels >= 0], minlength=len(sharp.spread)))
         number = np.full(len(sharp.spread) + 1, -1)
@@ -169,10 +171,12 @@ class PlaneSegmenter:
         ends = np.array([corners(w) for w in sharp.mixture.walls[kept]]).reshape(-1, 2, 2)
         spread, joined = sharp.spread[kept], sharp.joined[kept]
         turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
-        for pair in (ends, spread, joined):
-            pair[turned] = pair[turned][:, ::-1]
+        hidden = None if sharp.hidden is None else sharp.hidden[kept]
+        for pair in (ends, spread, joined, hidden):
+            if pair is not None:
+                pair[turned] = pair[turned][:, ::-1]
         limits = sensor_limits(ends, spread, joined, self.view_rad, self.range_m)
-        kind = type_ends(ends, spread, joined, limits)
+        kind = type_ends(ends, spread, joined, limits, hidden)
         return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)
 
 

@@ -12,7 +12,7 @@ UNIDENTIFIED = -1
 """In place of a landmark: the observation belongs to none that is known."""
 
 
-_RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 17)}
+_RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
 
 
 class Registration(Protocol):
@@ -26,6 +26,15 @@ class Registration(Protocol):
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
         """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
+        ...
+
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        ...
+
+    @property
+    def rejected(self) -> list[int]:
+        """Scans, counted from 0, that fit no other and so add nothing to the map."""
         ...
 
 

@@ -36,6 +36,8 @@ NEARBY = 0.2
 """How far these two may have moved, in spacings."""
 REACH = 1.6
 """How far the wider search goes, in spacings."""
+IDLE_STEP, LONG_IDLE = 10, 20
+"""Scans without landmarks after which the search goes as far again, and most that count."""
 CONTINUITY = 0.15
 """How far a moving landmark may stray in an iteration, in spacings."""
 YOUNG = 3
@@ -70,6 +72,11 @@ class Constellation:
         self._stray: LiveTracks | None = None
         self._spacing_m = np.inf
         self._noise_m: float | None = None
+        self._idle = 0
+        self._n_scans = 0
+        self._alone: list[int] = []
+        self._tracks_since: int | None = None
+        self._stray_since: int | None = None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return landmarks (n,) as they are: they go by their number."""
@@ -84,16 +91,35 @@ class Constellation:
         new = self._numbering.number_new(landmarks)
         begun = LiveTracks.begun(landmarks[new], points_robot[new])
         if continued is None:
+            if len(begun):
+                self._alone.append(self._n_scans)
             self._begin_anew(begun)
         else:
-            self._tracks, self._stray = continued.joined(begun), None
+            self._tracks, self._stray, self._idle = continued.joined(begun), None, 0
+            self._tracks_since = None
+        self._n_scans += 1
         return landmarks
+
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
+        self._tracks_since, self._idle = None, 0
+        self._spacing_m = _spacing(points_robot)
+
+    @property
+    def rejected(self) -> list[int]:
+        """Scans, counted from 0, that were tied to no other; one that is awaited is not yet."""
+        waits = self._tracks_since if self._stray is None else None
+        return [scan for scan in self._alone if scan != waits]
 
     def _continue(
         self, points_robot: NDArray[np.float64], landmarks: NDArray[np.int64]
     ) -> LiveTracks | None:
         """Enter the landmark of each point that continues a track; return the tracks, carried."""
-        for tracks in (self._tracks, self._stray):
+        for tracks, since in (
+            (self._tracks, self._tracks_since),
+            (self._stray, self._stray_since),
+        ):
             if tracks is None:
                 continue
             placement = self._placement(tracks, points_robot)
@@ -107,21 +133,30 @@ class Constellation:
                 landmarks[found] = tracks.landmarks[rows]
                 self._learn(carried.expected[rows[~strayed]], points_robot[found[~strayed]])
                 carried.see(rows, points_robot[found], strayed)
+                if since is not None:
+                    self._alone.remove(since)
                 return carried.kept(carried.missed <= self._max_missed)
         return None
 
     def _begin_anew(self, begun: LiveTracks) -> None:
-        """Wait with a scan that could not be tied to the tracks: the next one may tie to either."""
+        """Wait with a scan that could not be tied to the tracks: the next one may tie to either.
+
+        A scan of next to nothing does not tell that the tracks are over.
+        """
         if self._tracks is None:
-            self._tracks = begun if len(begun) else None
+            if len(begun):
+                self._tracks, self._tracks_since = begun, self._n_scans
             self._spacing_m = _spacing(begun.expected)
             return
+        if len(begun) < ENOUGH:
+            self._idle += 1
+            return
         self._tracks.missed += 1
-        if len(begun):
-            self._stray = begun
+        self._stray, self._stray_since = begun, self._n_scans
         if self._tracks.missed.min() > self._max_missed:
-            self._tracks, self._stray = self._stray, None
-            if self._noise_m is not None and len(begun) >= ENOUGH:  # was it learnt too small?
+            self._tracks, self._tracks_since = self._stray, self._stray_since
+            self._stray, self._idle = None, 0
+            if self._noise_m is not None:  # was it learnt too small?
                 self._noise_m = max(self._noise_m, FAINT * self._spacing_m)
 
     def _placement(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
@@ -143,7 +178,8 @@ class Constellation:
         claimed = nearest_claim(target, distance, n)
         rows = sample[claimed]
         near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._tolerance_m)
-        enough = ENOUGH + int(tracks.missed.min())
+        missed = int(tracks.missed.min())
+        enough = ENOUGH + max(missed, min(missed + self._idle, PLENTY - ENOUGH))
         if near is not None:
             if near.n_agreeing >= max(enough, SHARE * len(rows)):
                 return near
@@ -180,8 +216,10 @@ class Constellation:
         """Look for a constellation that moved farther than its landmarks are apart."""
         recent = np.flatnonzero(tracks.missed <= tracks.missed.min() + 1)
         known = recent[np.argsort(-tracks.seen[recent], kind="stable")[:SEARCH]]
-        distance, target = nearest(cKDTree(points), tracks.expected[known], NEIGHBOURS)
-        row, column = np.nonzero(distance <= REACH * self._spacing_m)
+        further = 1 + min(self._idle, LONG_IDLE) / IDLE_STEP
+        neighbours = round(further * NEIGHBOURS)
+        distance, target = nearest(cKDTree(points), tracks.expected[known], neighbours)
+        row, column = np.nonzero(distance <= further * REACH * self._spacing_m)
         if len(row) < ENOUGH:
             return None
         pairs = np.column_stack([known[row], target[row, column]])

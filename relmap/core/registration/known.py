@@ -7,15 +7,25 @@ from numpy.typing import NDArray
 
 from relmap.core.growing import GrowingArray
 from relmap.core.registration.base import UNIDENTIFIED
+from relmap.core.registration.rigidity import Rigidity
 
 PARTS = 64
 """Dictionaries that the ids are spread over: a single large one would stall when it grows."""
 
 
 class KnownAssociation:
-    """Takes the landmarks' ids as given."""
+    """Takes the landmarks' ids as given, where what was seen can be right; see `Rigidity`.
+
+    Attributes
+    ----------
+    rejected : list of int
+        Scans, counted from 0, that do not fit the others.
+    """
 
     def __init__(self) -> None:
+        self.rejected: list[int] = []
+        self._n_scans = 0
+        self._rigidity = Rigidity()
         self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
 
@@ -23,11 +33,19 @@ class KnownAssociation:
         """Return the ids of landmarks (n,)."""
         return self._labels.values[landmarks]
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Do nothing: the ids tell."""
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
-        """Return the landmark of each id (n,); negative ids are of none."""
+        """Return the landmark of each id (n,).
+
+        Negative ids are of none, and so is what cannot be right.
+        """
         known = np.empty(0, dtype=np.int64) if ids is None else ids
+        self._n_scans += 1
+        known = self._believed(known, points_robot)
         found = [self._parts[i % PARTS].get(i, UNIDENTIFIED) for i in known.tolist()]
         landmarks = np.array(found, dtype=np.int64)
         new = (landmarks == UNIDENTIFIED) & (known >= 0)
@@ -37,3 +55,16 @@ class KnownAssociation:
                 self._parts[label % PARTS][label] = number
             self._labels.extend(known[new])
         return landmarks
+
+    def _believed(
+        self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Return the ids (n,) with `UNIDENTIFIED` where an observation cannot be right."""
+        named = np.flatnonzero(ids >= 0)
+        good = self._rigidity.believed(ids[named], points_robot[named])
+        if good is None:
+            self.rejected.append(self._n_scans - 1)
+        believed = np.full(len(ids), UNIDENTIFIED)
+        if good is not None:
+            believed[named[good]] = ids[named[good]]
+        return believed

@@ -31,6 +31,15 @@ class NearestPrevious:
         """Return landmarks (n,) as they are: they go by their number."""
         return landmarks
 
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        self._landmarks, self._previous = landmarks, points_robot
+
+    @property
+    def rejected(self) -> list[int]:
+        """None: this matching judges no scan."""
+        return []
+
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:

@@ -1,9 +1,10 @@
 """The joint least squares over walls with the poses eliminated; see `relmap.planes.refinement`.
 
-`seen` are iteration (n,), wall (n,), points (n, 2, 2), corner_row (k,), corner_at (k, 2) and
-corner (k,): two points of each wall seen and the static corners, robot frame; `state` are yaw (i,),
-t (i, 2), centre (w, 2), angle (w,), across (w,) and along (c,).  Rows and corners of iteration `i`
-are those from `begin[i]` and `corner_begin[i]` on.  The unknowns that stay: 2 of each wall, its
+`seen` are iteration (n,), wall (n,), points (n, 2, 2), corner_row (k,), corner_at (k, 2), corner
+(k,) and open_along (i, 2): two points of each wall seen and the static corners, robot frame, and
+the direction, if any, in which an iteration saw nothing that tells where it was.  `state` are yaw
+(i,), t (i, 2), centre (w, 2), angle (w,), across (w,) and along (c,).  Rows and corners of one
+iteration are those from `begin[i]` and `corner_begin[i]` on.  The unknowns: 2 of each wall, its
 angle and its distance across, then one of each corner; `nodes` (v,) lists those of iteration after
 iteration in this order, from ``2 begin[i] + corner_begin[i]`` on.
 """
@@ -20,11 +21,12 @@ from relmap.core.kernels.linear import inverse3, product
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-Seen = tuple[Index, Index, Array, Index, Array, Index]
+Seen = tuple[Index, Index, Array, Index, Array, Index, Array]
 State = tuple[Array, Array, Array, Array, Array, Array]
 
-LOOSE = 1e-12
-"""What holds a pose that hangs by too little, as a share of what holds it otherwise."""
+LOOSE, STIFF = 1e-10, 1e3
+"""What holds a pose that hangs by too little, and one where nothing tells of it, as a share of what
+holds it otherwise."""
 
 
 @compiled
@@ -50,7 +52,7 @@ def _residual(
 @compiled
 def residuals(seen: Seen, state: State) -> tuple[Array, Array]:
     """Return how far points (n, 2) are from their lines and corners (k,) along theirs, metres."""
-    iteration, wall, points, corner_row, corner_at, corner = seen
+    iteration, wall, points, corner_row, corner_at, corner, _ = seen
     across, along = np.empty((len(wall), 2)), np.empty(len(corner))
     for r in range(len(wall)):
         for p in range(2):
@@ -127,7 +129,7 @@ def _one_scan(
     Of its nodes the matrix (u, u) and right side (u,), their coupling to the pose (u, 3), the
     matrix (3, 3) and right side (3,) of the pose.
     """
-    _, wall, points, corner_row, corner_at, corner = seen
+    _, wall, points, corner_row, corner_at, corner, open_along = seen
     first, m, k = rows[0], rows[1] - rows[0], corners[1] - corners[0]
     u = 2 * m + k
     own, right = np.zeros((u, u)), np.zeros(u)
@@ -146,8 +148,13 @@ def _one_scan(
             off -= state[5][corner[q]]
         by = (by_angle, by_yaw, by_x, by_y)
         _add(own, right, coupling, pose, pose_right, line, other, w, off, by)
+    c, s = math.cos(state[0][i]), math.sin(state[0][i])
+    x, y = open_along[i]
+    way, shift = (0.0, c * x - s * y, s * x + c * y), pose[1, 1] + pose[2, 2]
     for p in range(3):
-        pose[p, p] += LOOSE * pose[p, p] + 1e-300
+        for o in range(3):
+            pose[p, o] += STIFF * shift * way[p] * way[o]
+        pose[p, p] += LOOSE * (pose[0, 0] if p == 0 else shift) + 1e-300
     return own, right, coupling, pose, pose_right
 
 

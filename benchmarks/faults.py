@@ -1,0 +1,176 @@
+"""What the map loses to faults in the world and in the sensor.
+
+    python benchmarks/faults.py [--seeds N] [--density D ...]
+
+The figure eight with sigma 0.05 is mapped without a fault and with each, with known ids and without
+any; medians and worst of the seeds.  Compared is the landmark RMSE, refined, after rigid alignment,
+of the landmarks that the fault does not concern: of a landmark reported twice neither report
+counts, and of a fault at a time those seen only then do not.  The bar is 1.2 times the RMSE without
+a fault of the same landmarks.  "Covered" is the share of the landmarks seen ten times that are
+mapped, "rejected" how many iterations the mapper names, of how many that were wrong, and how many
+others it names.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from speed import on_one_core, table
+
+from relmap import PointMapper
+from relmap.core.alignment import fit_rigid
+from relmap.datasets import ObservationLog
+from relmap.evaluation.metrics import majority_ids
+from relmap.simulation import FigureEight, faults, simulate_figure_eight
+
+AT, COUNT = 450, 10
+"""Where faults at a time begin, and how many iterations they last."""
+OUTLIERS, MISSED, GHOSTS, TWICE = 0.05, 0.1, 0.05, 0.05
+SIGMA_M = 0.05
+OFTEN = 10
+BAR = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Fault:
+    """A log with a fault, the iterations of it that cannot be used, and the landmarks in it."""
+
+    log: ObservationLog
+    useless: np.ndarray
+    concerned: np.ndarray
+
+
+Make = Callable[[ObservationLog, np.random.Generator], Fault]
+NONE = np.empty(0, dtype=np.int64)
+
+
+def plain(make: Callable[[ObservationLog, np.random.Generator], ObservationLog]) -> Make:
+    return lambda log, rng: Fault(make(log, rng), NONE, NONE)
+
+
+def twice(log: ObservationLog, rng: np.random.Generator) -> Fault:
+    ids = np.unique(log.ids)
+    doubled = rng.choice(ids, round(TWICE * len(ids)), replace=False)
+    return Fault(faults.duplicated_landmarks(log, doubled, SIGMA_M, rng), NONE, doubled)
+
+
+def mirrored(log: ObservationLog, rng: np.random.Generator) -> Fault:
+    return Fault(faults.mirrored_scan(log, AT), np.array([AT]), NONE)
+
+
+def together(log: ObservationLog, rng: np.random.Generator) -> Fault:
+    """Put in all faults, those at a time 100 iterations apart."""
+    made = faults.big_step(log, 750, COUNT)
+    made = faults.time_backwards(made, 650, COUNT)
+    made = faults.few_landmarks(made, 350, COUNT)
+    made = faults.lost_scans(made, 250, COUNT)
+    made = faults.mirrored_scan(made, AT)
+    doubled = twice(made, rng)
+    made = faults.missed_detections(doubled.log, MISSED, rng)
+    made = faults.ghosts(made, GHOSTS, rng)
+    made = faults.gross_outliers(made, OUTLIERS, rng)
+    return Fault(made, np.array([AT]), doubled.concerned)
+
+
+FAULTS: dict[str, Make] = {
+    "5 % gross outliers": plain(lambda log, rng: faults.gross_outliers(log, OUTLIERS, rng)),
+    "10 % missed": plain(lambda log, rng: faults.missed_detections(log, MISSED, rng)),
+    "5 % ghosts": plain(lambda log, rng: faults.ghosts(log, GHOSTS, rng)),
+    "5 % reported twice": twice,
+    "a scan mirrored": mirrored,
+    "ten scans lost": plain(lambda log, rng: faults.lost_scans(log, AT, COUNT)),
+    "ten scans of two": plain(lambda log, rng: faults.few_landmarks(log, AT, COUNT)),
+    "a step ten times as far": plain(lambda log, rng: faults.big_step(log, AT, COUNT)),
+    "ten scans backwards": plain(lambda log, rng: faults.time_backwards(log, AT, COUNT)),
+    "all together": together,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """What came out: places and true ids of what is mapped, pieces and rejected iterations."""
+
+    positions: np.ndarray
+    true_ids: np.ndarray
+    pieces: int
+    rejected: np.ndarray
+
+
+def mapped(log: ObservationLog, known: bool) -> Mapped:
+    mapper = PointMapper()
+    labels = [mapper.update(s.points_robot, s.ids if known else None) for s in log.scans()]
+    mapper.finish()
+    mapper.refine()
+    landmarks = mapper.landmarks_of(np.concatenate(labels))
+    stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
+    true_ids = np.array([stands_for[label] for label in mapper.map.landmark_ids.tolist()])
+    return Mapped(mapper.map.positions, true_ids, len(mapper.pieces), mapper.rejected)
+
+
+def rmse(result: Mapped, world: FigureEight, ids: np.ndarray) -> float:
+    """Return the RMSE, metres, of the landmarks with some ids, after rigid alignment of them."""
+    chosen = np.isin(result.true_ids, ids)
+    positions, truth = result.positions[chosen], world.landmarks_map[result.true_ids[chosen]]
+    R, t = fit_rigid(positions, truth)
+    return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
+
+
+def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) -> list[float]:
+    """Return RMSE, its ratio, coverage, pieces, and what was rejected rightly and wrongly."""
+    fault = make(world.log, np.random.default_rng([seed, 1]))
+    result = mapped(fault.log, known)
+    ids, counts = np.unique(fault.log.ids, return_counts=True)
+    due = ids[(counts >= OFTEN) & (ids < len(world.landmark_ids))]
+    due = np.setdiff1d(due, fault.concerned)
+    both = due[np.isin(due, result.true_ids) & np.isin(due, sound.true_ids)]
+    error, before = rmse(result, world, both), rmse(sound, world, both)
+    right = np.isin(result.rejected, fault.useless).sum()
+    covered = np.isin(due, result.true_ids).mean()
+    named = [right, len(fault.useless), len(result.rejected) - right]
+    return [error, error / before, covered, result.pieces, *named]
+
+
+def compare(density: float, known: bool, n_seeds: int) -> list[list[str]]:
+    found: dict[str, list[list[float]]] = {name: [] for name in FAULTS}
+    for seed in range(n_seeds):
+        world = simulate_figure_eight(density=density, sigma=SIGMA_M, seed=seed)
+        sound = mapped(world.log, known)
+        for name, make in FAULTS.items():
+            found[name].append(loss(world, sound, make, known, seed))
+    rows = []
+    for name, of_seeds in found.items():
+        error, ratio, covered, pieces, right, useless, wrong = np.array(of_seeds).T
+        rows.append(
+            [
+                *(f"{density:g}", "known" if known else "none", name, f"{np.median(error):.4f}"),
+                *(f"{np.median(ratio):.2f}", f"{ratio.max():.2f}"),
+                "yes" if np.median(ratio) <= BAR else "no",
+                *(f"{covered.min():.3f}", f"{pieces.max():.0f}"),
+                f"{right.sum():.0f} of {useless.sum():.0f}, {wrong.sum():.0f} others",
+            ]
+        )
+    return rows
+
+
+HEADER = ["density", "ids", "fault", "RMSE [m]", "ratio", "worst", f"<= {BAR}"]
+HEADER += ["least covered", "most pieces", "rejected"]
+
+
+def main(densities: list[float], n_seeds: int) -> None:
+    rows = []
+    for density in densities:
+        for known in (True, False):
+            rows += compare(density, known, n_seeds)
+    table(f"Faults, figure eight, seeds 0-{n_seeds - 1}", HEADER, rows)
+
+
+if __name__ == "__main__":
+    on_one_core()
+    parser = argparse.ArgumentParser(description="Measure what the map loses to faults.")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--density", type=float, nargs="+", default=[25.0, 100.0])
+    arguments = parser.parse_args()
+    main(arguments.density, arguments.seeds)

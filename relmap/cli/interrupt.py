@@ -1,0 +1,33 @@
+"""Ctrl-C that lets a loop come to a good end."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def stoppable() -> Iterator[Callable[[], bool]]:
+    """Offer a function that tells whether Ctrl-C was pressed; pressed again it interrupts at once.
+
+    Where signals cannot be caught, outside the main thread, or are to be ignored, Ctrl-C does what
+    it did.
+    """
+    asked = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    if not main or before in (signal.SIG_IGN, None):
+        yield asked.is_set
+        return
+
+    def stop(*_: object) -> None:
+        signal.signal(signal.SIGINT, before)
+        asked.set()
+
+    signal.signal(signal.SIGINT, stop)
+    try:
+        yield asked.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,179 @@
+"""What `relmap map` was asked for, also as a journal keeps it for `relmap resume`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+from relmap.cli.console import tracked
+from relmap.core.errors import RelmapError
+from relmap.results import MAPPER
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from relmap.core.config import MapperConfig
+    from relmap.durable import DurableMapper
+
+Association = Literal["nearest", "known"]
+T = TypeVar("T")
+M = TypeVar("M", bound="DurableMapper")
+
+
+def _never() -> bool:
+    return False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A log to be mapped into a folder.
+
+    Attributes
+    ----------
+    source, out : Path
+    settings : MapperConfig
+    association : "nearest" or "known"
+    interval : (int, int) or None
+        Iterations to be mapped, half-open.
+    log_format : str or None
+    refine : bool
+    journal : Path or None
+    folder : Path
+        That other paths are relative to.
+    resumed : bool
+        Whether the journal is there already, and to be gone on with.
+    onto : Path or None
+        Result folder whose map the log is added to.
+    animate : bool
+        Of walls, whether to draw the whole run.
+    stopped : callable
+        Tells whether to stop before the log is at its end.
+    """
+
+    source: Path
+    out: Path
+    settings: MapperConfig
+    association: Association = "nearest"
+    interval: tuple[int, int] | None = None
+    log_format: str | None = None
+    refine: bool = True
+    journal: Path | None = None
+    folder: Path = field(default_factory=Path.cwd)
+    resumed: bool = False
+    onto: Path | None = None
+    animate: bool = False
+    stopped: Callable[[], bool] = _never
+
+    @property
+    def noted(self) -> dict[str, Any]:
+        """What a journal keeps of it."""
+        return {
+            "folder": str(self.folder),
+            "input": str(self.source),
+            "out": str(self.out),
+            "association": self.association,
+            "scans": self.interval,
+            "format": self.log_format,
+            "refine": self.refine,
+            "animate": self.animate,
+        }
+
+    @classmethod
+    def of_journal(cls, path: Path, meta: dict[str, Any]) -> Job:
+        """Return the job that a journal was kept for.
+
+        Raises
+        ------
+        RelmapError
+            Where it was kept by another program.
+        """
+        from relmap.core.config import MapperConfig
+
+        run = meta.get("run")
+        if run is None:
+            raise RelmapError(
+                f"journal {path} was not kept by relmap map and does not tell where the rest is to "
+                "come from; PointMapper.resume and PlaneMapper.resume go on with it"
+            )
+        try:
+            interval = run["scans"]
+            return cls(
+                source=Path(run["input"]),
+                out=Path(run["out"]),
+                settings=MapperConfig.from_mapping(meta["configuration"]),
+                association="known" if run["association"] == "known" else "nearest",
+                interval=None if interval is None else (int(interval[0]), int(interval[1])),
+                log_format=run["format"],
+                refine=bool(run["refine"]),
+                animate=bool(run["animate"]),
+                journal=path.absolute(),
+                folder=Path(run["folder"]),
+                resumed=True,
+            )
+        except (LookupError, TypeError, ValueError) as error:
+            raise RelmapError(f"journal {path}: its run cannot be read: {error!r}") from error
+
+    def at(self, path: Path) -> Path:
+        """Return where a path of the job is."""
+        return self.folder / path if self.resumed else path
+
+    def mapper(self, kind: type[M]) -> M:
+        """Return the mapper to begin or to go on with."""
+        if self.resumed and self.journal is not None:
+            return kind.resume(self.journal)
+        if self.onto is not None:
+            return kind.load(self.onto / MAPPER)
+        return kind(self.settings, journal=self.journal, run=self.noted)
+
+    def scans(self, scans: Iterable[T], total: int) -> Iterator[T]:
+        """Yield scans until it is to stop, and show how far it is."""
+        for scan in tracked(scans, total, "mapping"):
+            yield scan
+            if self.stopped():
+                return
+
+    def to(self, out: Path) -> Job:
+        """Return the same with another folder to write to."""
+        return replace(self, out=out.absolute())
+
+
+def journaled_labels(job: Job, scans: Iterable[Any] | None = None) -> list[NDArray[Any]]:
+    """Return the labels (n,) of each scan in the journal of a resumed job.
+
+    Parameters
+    ----------
+    job : Job
+    scans : iterable of relmap.datasets.Scan, optional
+        Those that the log has now.
+
+    Raises
+    ------
+    RelmapError
+        Where the journal is damaged or the log is no longer the one that it was begun with.
+    """
+    import numpy as np
+
+    from relmap.journal import JournalReader
+
+    if not job.resumed or job.journal is None:
+        return []
+    with JournalReader(job.journal) as reader:
+        if scans is None:
+            return [scan.labels for scan in reader.scans()]
+        labels, now = [], iter(scans)
+        for k, was in enumerate(reader.scans()):
+            scan = next(now, None)
+            same = scan is not None and np.array_equal(
+                was.values.ravel(), scan.points_robot.ravel()
+            )
+            if scan is not None and was.ids is not None:
+                same &= np.array_equal(was.ids, scan.ids)
+            if not same:
+                raise RelmapError(
+                    f"{job.source} is not what journal {job.journal} was begun with: its scan {k} "
+                    "is another"
+                )
+            labels.append(was.labels)
+    return labels

@@ -1,0 +1,148 @@
+"""Where a scan was taken, found from nothing but the map: by triangles of neighbours.
+
+Three landmarks near one another make a triangle; the lengths of its sides do not depend on where it
+is seen from.  Triangles of the scan are looked up among those of the map by these lengths.  Each
+hit says where the scan may lie, and the one that brings most of the scan onto mapped landmarks is
+right, if it brings enough.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.alignment import fit_rigid
+from relmap.core.registration.base import nearest
+from relmap.core.registration.placement import Placement, trimmed_fit
+
+NEIGHBOURS = 7
+"""Landmarks nearest to one that it makes triangles with."""
+SLIM = 0.1
+"""A triangle whose sides differ by less than this share of the longest tells nothing."""
+HITS = 400
+"""Triangles that are tried, those first that agree best."""
+ENOUGH, MORE = 5, 2
+"""Landmarks that must be found in the plane, and how many more in space."""
+SHARE = 0.5
+"""Share of the scan that must be found."""
+DISTINCT = 0.8
+"""Another place that so large a share of it is found at makes both uncertain."""
+SIGMAS = 4.0
+"""How far off a landmark may be, in standard deviations of an observation."""
+EXACT = 1e-3
+"""The same in spacings where there is no noise at all; and in spacings at most `COARSE`."""
+COARSE = 0.2
+
+
+class PlaceFinder:
+    """Finds scans in a map.
+
+    Parameters
+    ----------
+    positions : (m, d) float64, map frame, metres
+    noise_m : float
+        Standard deviation of an observed coordinate.
+    """
+
+    def __init__(self, positions: NDArray[np.float64], noise_m: float) -> None:
+        self._positions = positions
+        self._corners, sides = _triangles(positions)
+        self._sides = cKDTree(sides) if len(sides) else None
+        if self._sides is not None:
+            self._tree = cKDTree(positions)
+            apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
+            least, most = EXACT * apart_m, COARSE * apart_m
+            self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
+
+    def find(self, points: NDArray[np.float64]) -> Placement | None:
+        """Return the placement of a scan's frame in the map's; None where it is not clear.
+
+        Parameters
+        ----------
+        points : (n, d) float64, robot frame, metres
+        """
+        n, d = points.shape
+        needed = max(ENOUGH + MORE * (d - 2), SHARE * n)
+        if self._sides is None or n < needed or self._positions.shape[1] != d:
+            return None
+        found: list[Placement] = []
+        for placement in self._hypotheses(points):
+            better = self._settled(points, placement)
+            if better is not None and better.n_agreeing >= needed:
+                found.append(better)
+            if better is not None and better.n_agreeing > DISTINCT * n:
+                break
+        if not found:
+            return None
+        best = max(found, key=lambda placement: placement.n_agreeing)
+        return best if self._is_clear(points, best, found) else None
+
+    def _hypotheses(self, points: NDArray[np.float64]) -> list[Placement]:
+        """Return where triangles found in the map put the scan, the likeliest first."""
+        corners, sides = _triangles(points)
+        if self._sides is None or not len(sides):
+            return []
+        distance, hit = nearest(self._sides, sides, 4)
+        row, column = np.nonzero(distance <= 2 * self._tolerance_m)
+        order = np.argsort(distance[row, column], kind="stable")[:HITS]
+        placements = []
+        for triangle, other in zip(row[order], hit[row, column][order], strict=True):
+            there = self._positions[self._corners[other]]
+            R, t = fit_rigid(points[corners[triangle]], there)
+            off = points[corners[triangle]] @ R.T + t - there
+            if np.abs(off).max() <= 2 * self._tolerance_m:
+                placements.append(Placement(R, t, 3))
+        return placements
+
+    def _settled(self, points: NDArray[np.float64], placement: Placement) -> Placement | None:
+        """Fit a placement to all that it brings onto mapped landmarks."""
+        reach_m = 3 * self._tolerance_m
+        for _ in range(3):
+            distance, landmark = nearest(self._tree, placement.apply(points))
+            near = np.flatnonzero(distance[:, 0] <= reach_m)
+            if len(near) < ENOUGH:
+                return None
+            fitted = trimmed_fit(
+                points[near], self._positions[landmark[near, 0]], self._tolerance_m
+            )
+            if fitted is None:
+                return None
+            placement, reach_m = fitted, max(reach_m / 2, self._tolerance_m)
+        return placement
+
+    def _is_clear(
+        self, points: NDArray[np.float64], best: Placement, found: list[Placement]
+    ) -> bool:
+        """Tell whether no other place fits nearly as well."""
+        there = best.apply(points)
+        extent_m = float(np.ptp(points, axis=0).max())
+        return not any(
+            other.n_agreeing >= DISTINCT * best.n_agreeing
+            and np.abs(other.apply(points) - there).max() > 0.1 * extent_m
+            for other in found
+        )
+
+
+def _triangles(
+    positions: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return triangles of neighbours as corners (k, 3), and their sides (k, 3), in metres.
+
+    Sides are in ascending order, and each corner stands at the place of the side opposite.
+    """
+    rank = min(NEIGHBOURS + 1, len(positions))
+    if rank < 3:
+        return np.empty((0, 3), dtype=np.int64), np.empty((0, 3))
+    around = nearest(cKDTree(positions), positions, rank)[1]
+    a, b = np.triu_indices(rank - 1, k=1)
+    own = np.broadcast_to(around[:, :1], (len(positions), len(a)))
+    corners = np.stack([own, around[:, 1:][:, a], around[:, 1:][:, b]], axis=2).reshape(-1, 3)
+    corners = np.unique(np.sort(corners, axis=1), axis=0)
+    at = positions[corners]
+    sides = np.linalg.norm(at[:, [1, 2, 0]] - at[:, [2, 0, 1]], axis=2)
+    order = np.argsort(sides, axis=1)
+    corners = np.take_along_axis(corners, order, axis=1)
+    sides = np.take_along_axis(sides, order, axis=1)
+    told = np.diff(sides, axis=1).min(axis=1) > SLIM * sides[:, 2]
+    return corners[told], sides[told]

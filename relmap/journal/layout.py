@@ -1,0 +1,102 @@
+"""What a journal holds: its tables and their meaning, for points and for planes.
+
+``PRAGMA application_id`` tells a journal from other SQLite files, ``PRAGMA user_version`` is the
+version of what follows.
+
+``meta``
+    ``key`` and ``value``, a text in JSON: ``variant`` ("points" or "planes"), ``configuration`` of
+    the mapper, ``versions`` of relmap and what it is built on, and ``run``: what the command line
+    was asked for, null where a program of its own keeps the journal.
+``scans``
+    One row for each update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 where
+    ids came with it), ``checksum`` (CRC-32, see `checksum`).
+``observations``
+    One row for each observation in the order of ``iteration`` and ``row``, as given to the mapper.
+    Of points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id``
+    null where none came, and ``landmark``, the label that the mapper gave it.
+    Of planes the right end ``x0``, ``y0`` and the left end ``x1``, ``y1``, robot frame, metres, the
+    extent ``z0``, ``z1``, ``sd`` of the wall's distance, ``end0`` and ``end1`` (1 for a corner,
+    else 0), and ``landmark``, the number of the wall.
+``calls``
+    What else was asked of the mapper, "finish" or "refine", when it had taken in the scans before
+    ``iteration``.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+SCHEMA = 1
+"""Version of the tables."""
+APPLICATION = 0x726C6D70
+"""What SQLite's ``application_id`` says: relmap."""
+META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the observations of one variant are laid out.
+
+    Attributes
+    ----------
+    variant : str
+    values : tuple of str
+        The columns of what was seen, with their types.
+    has_ids : bool
+        Whether ids may come with what was seen.
+    """
+
+    variant: str
+    values: tuple[str, ...]
+    has_ids: bool
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All columns of the observations, with their types."""
+        ids = ("id INTEGER",) if self.has_ids else ()
+        return ("iteration INTEGER", "row INTEGER", *self.values, *ids, "landmark INTEGER")
+
+    @property
+    def names(self) -> str:
+        """The names of all columns, as SQL lists them."""
+        return ", ".join(column.split()[0] for column in self.columns)
+
+    @property
+    def tables(self) -> dict[str, str]:
+        """The SQL that makes each table."""
+        return {
+            "meta": META,
+            "scans": "CREATE TABLE scans (iteration INTEGER PRIMARY KEY, rows INTEGER, "
+            "known INTEGER, checksum INTEGER)",
+            "observations": f"CREATE TABLE observations ({', '.join(self.columns)})",
+            "calls": "CREATE TABLE calls (iteration INTEGER, call TEXT)",
+        }
+
+
+POINTS = Layout("points", ("x REAL", "y REAL", "z REAL"), has_ids=True)
+_WALL = [f"{name} REAL" for name in ("x0", "y0", "x1", "y1", "z0", "z1", "sd")]
+PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=False)
+LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
+
+
+def checksum(
+    iteration: int,
+    values: NDArray[np.float64],
+    ids: NDArray[np.int64] | None,
+    labels: NDArray[np.int64],
+) -> int:
+    """Return the CRC-32 of one scan.
+
+    It is that of the iteration number, the values (n, c) row by row, the ids where they came, and
+    the landmarks (n,); all as little-endian numbers of 8 bytes.
+    """
+    parts = [np.array([iteration]), values, *([] if ids is None else [ids]), labels]
+    total = 0
+    for part in parts:
+        kind = "<f8" if part.dtype.kind == "f" else "<i8"
+        total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
+    return total

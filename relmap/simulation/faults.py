@@ -1,0 +1,149 @@
+"""What goes wrong in the world and in a sensor: faults put into a log with ids, one function each.
+
+Each function takes a log and returns another; nothing is changed in place.  What a fault makes up
+lies where the log's own observations lie, so that its place alone does not give it away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+
+
+def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
+    """Put a share of the observations where others were: right ids at wrong places."""
+    wrong = _drawn(log, share, rng)
+    points = log.points_robot.copy()
+    points[wrong] = log.points_robot[rng.integers(len(points), size=len(wrong))]
+    return replace(log, points_robot=points)
+
+
+def missed_detections(
+    log: ObservationLog, share: float, rng: np.random.Generator
+) -> ObservationLog:
+    """Leave out a share of the observations."""
+    kept = np.ones(len(log.iteration), dtype=bool)
+    kept[_drawn(log, share, rng)] = False
+    return _rows(log, np.flatnonzero(kept))
+
+
+def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
+    """Add observations of nothing, as many as a share of all: each under an id of its own."""
+    seen_with = _drawn(log, share, rng)
+    n = len(seen_with)
+    places = log.points_robot[rng.integers(len(log.points_robot), size=n)]
+    return _joined(log, seen_with, places, _new_ids(log) + np.arange(n))
+
+
+def duplicated_landmarks(
+    log: ObservationLog, landmarks: NDArray[np.int64], sigma_m: float, rng: np.random.Generator
+) -> ObservationLog:
+    """Report landmarks twice wherever they are seen, the second time as others.
+
+    Parameters
+    ----------
+    log : ObservationLog
+    landmarks : (k,) int64
+        Their ids, all different.
+    sigma_m : float
+        How far apart the two reports are, per coordinate, metres.
+    rng : numpy.random.Generator
+    """
+    rows = np.flatnonzero(np.isin(_ids(log), landmarks))
+    noise = rng.normal(0.0, sigma_m, (len(rows), log.points_robot.shape[1]))
+    again = _new_ids(log) + np.searchsorted(np.sort(landmarks), _ids(log)[rows])
+    return _joined(log, rows, log.points_robot[rows] + noise, again)
+
+
+def mirrored_scan(log: ObservationLog, iteration: int) -> ObservationLog:
+    """Swap left and right in one iteration."""
+    points = log.points_robot.copy()
+    points[log.iteration == iteration, 1] *= -1
+    return replace(log, points_robot=points)
+
+
+def lost_scans(log: ObservationLog, first: int, count: int) -> ObservationLog:
+    """Leave some iterations without an observation."""
+    lost = (log.iteration >= first) & (log.iteration < first + count)
+    return _rows(log, np.flatnonzero(~lost))
+
+
+def few_landmarks(log: ObservationLog, first: int, count: int, few: int = 2) -> ObservationLog:
+    """Leave only the few longest known landmarks of each of some iterations."""
+    ids, begun = np.unique(_ids(log), return_index=True)
+    age = begun[np.searchsorted(ids, _ids(log))]
+    order = np.lexsort((age, log.iteration))
+    starts = np.searchsorted(log.iteration, log.iteration[order])
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order)) - starts
+    within = (log.iteration >= first) & (log.iteration < first + count)
+    return _rows(log, np.flatnonzero(~within | (rank < few)))
+
+
+def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
+    """Let the robot go so many times as far between `first` and the iteration after it."""
+    skipped = (log.iteration > first) & (log.iteration < first + steps)
+    kept = _rows(log, np.flatnonzero(~skipped))
+    later = kept.iteration > first
+    iteration = np.where(later, kept.iteration - (steps - 1), kept.iteration)
+    return replace(kept, iteration=iteration, end_iteration=log.end_iteration - (steps - 1))
+
+
+def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLog:
+    """Hand out some iterations in reverse, as where a buffer is emptied from the wrong end."""
+    within = (log.iteration >= first) & (log.iteration < first + count)
+    iteration = np.where(within, 2 * first + count - 1 - log.iteration, log.iteration)
+    order = np.argsort(iteration, kind="stable")
+    return replace(_rows(log, order), iteration=iteration[order])
+
+
+def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draw a share of the observations, in ascending order."""
+    if not 0 <= share <= 1:
+        raise RelmapError(f"share is {share}; it must lie in [0, 1]")
+    n = len(log.iteration)
+    return np.sort(rng.choice(n, round(share * n), replace=False))
+
+
+def _ids(log: ObservationLog) -> NDArray[np.int64]:
+    if log.ids is None:
+        raise RelmapError("the log has no ids, and a fault that concerns landmarks needs them")
+    return log.ids
+
+
+def _new_ids(log: ObservationLog) -> int:
+    return int(_ids(log).max(initial=-1)) + 1
+
+
+def _rows(log: ObservationLog, rows: NDArray[np.int64]) -> ObservationLog:
+    """Return some observations, numbered anew."""
+    return replace(
+        log,
+        points_robot=log.points_robot[rows],
+        iteration=log.iteration[rows],
+        rows=np.arange(len(rows)),
+        ids=None if log.ids is None else log.ids[rows],
+    )
+
+
+def _joined(
+    log: ObservationLog,
+    beside: NDArray[np.int64],
+    points: NDArray[np.float64],
+    ids: NDArray[np.int64],
+) -> ObservationLog:
+    """Add observations to the iterations of others that stand in some rows."""
+    iteration = np.concatenate([log.iteration, log.iteration[beside]])
+    everything = replace(
+        log,
+        points_robot=np.concatenate([log.points_robot, points]),
+        iteration=iteration,
+        ids=np.concatenate([_ids(log), ids]),
+    )
+    order = np.argsort(iteration, kind="stable")
+    return _rows(everything, order)

@@ -1,0 +1,175 @@
+"""Hostile files for every reader: valid ones, damaged at random, and what was made to do harm.
+
+    python -m tests.fuzz [--inputs N] [--seconds S] [--seed SEED] [READER ...]
+
+Each reader is given N inputs, or as many as S seconds of one core allow.  Only a RelmapError of one
+line may come back.  The program ends with 1 where anything else did, where an input took more than
+its share of time, where memory ran out, or where something that a file holds was executed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import warnings
+from pathlib import Path
+from time import process_time
+from types import FrameType
+
+import numpy as np
+
+from relmap.core.errors import RelmapError
+from tests.damage import GIB, made_to_harm, mutated, nearly_too_large
+from tests.hostile import Files, Reader, evaluate, readers
+
+MEMORY = 2 * GIB
+SECONDS = 60.0
+"""Processor time after which an input counts as one that hangs; the machine may be busy."""
+MESSAGE = 2000
+"""No message is longer."""
+
+
+class Hang(BaseException):
+    """An input took too long; no reader may catch it."""
+
+
+def _hang(signal_number: int, frame: FrameType | None) -> None:
+    raise Hang
+
+
+def put(folder: Path, files: Files) -> None:
+    """Write files into an empty folder."""
+    for name, content in files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def problem_with(reader: Reader, folder: Path) -> str | None:
+    """Read what stands in the folder; say what went wrong, if anything."""
+    signal.setitimer(signal.ITIMER_VIRTUAL, SECONDS)
+    try:
+        reader.read(folder)
+    except RelmapError as error:
+        text = str(error)
+        if len(text.splitlines()) != 1 or len(text) > MESSAGE:
+            return f"message of {len(text.splitlines())} lines and {len(text)} characters"
+    except Hang:
+        return f"more than {SECONDS:g} s"
+    except Exception as error:  # noqa: BLE001 - whatever it is, it must not get out
+        return f"{type(error).__name__}: {error}"[:300]
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+    return None
+
+
+def resident_at_most() -> int:
+    """Return the most memory that this process has had since `forget_resident`, bytes."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(status.partition("VmHWM:")[2].split()[0])
+
+
+def forget_resident() -> None:
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def fuzz(
+    reader: Reader, folder: Path, inputs: int, seconds: float, seed: int
+) -> tuple[int, dict[str, bytes]]:
+    """Read damaged files; return how many, and of each different problem the first input."""
+    put(folder, reader.files)
+    rng = np.random.default_rng(seed)
+    problems: dict[str, bytes] = {}
+    end, n = process_time() + seconds, 0
+    while n < inputs and process_time() < end:
+        data = mutated(reader.files[reader.damaged], rng)
+        (folder / reader.damaged).write_bytes(data)
+        if reader.damaged != "summary.json" and reader.read is evaluate:
+            (folder / "summary.json").write_bytes(reader.files["summary.json"])
+        found = problem_with(reader, folder)
+        if found is not None:
+            problems.setdefault(found, data)
+        n += 1
+    return n, problems
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Give every reader hostile files.")
+    parser.add_argument("--inputs", type=int, default=200_000)
+    parser.add_argument("--seconds", type=float, default=3600.0, help="of one core, per reader")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder for the inputs that made trouble")
+    parser.add_argument("--harm", action="store_true", help="only what is made to do harm")
+    parser.add_argument("--large", action="store_true", help="only what is nearly too large")
+    parser.add_argument("readers", nargs="*", metavar="READER")
+    arguments = parser.parse_args()
+    warnings.simplefilter("ignore")
+    logging.disable()
+    known = readers()
+    signal.signal(signal.SIGVTALRM, _hang)
+    with tempfile.TemporaryDirectory(prefix="relmap-fuzz-") as name:
+        canary = Path(name) / "canary"
+        harm = made_to_harm(canary) if arguments.harm else None
+        harm = nearly_too_large() if arguments.large else harm
+        _limit_memory()
+        chosen = arguments.readers or list(harm or known)
+        return int(sum(_tried(n, known[n], canary, harm, arguments) for n in chosen) > 0)
+
+
+def _limit_memory() -> None:
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + MEMORY, now + MEMORY))
+
+
+def _tried(
+    name: str,
+    reader: Reader,
+    canary: Path,
+    harm: dict[str, Files] | None,
+    arguments: argparse.Namespace,
+) -> int:
+    """Try a reader, and tell what came out; return the number of problems."""
+    folder = canary.parent / name.replace("/", "-")
+    folder.mkdir()
+    forget_resident()
+    began = process_time()
+    if harm is not None:
+        n, problems = _harmed(reader, folder, harm[name])
+    else:
+        limits = arguments.inputs, arguments.seconds, arguments.seed
+        n, problems = fuzz(reader, folder, *limits)
+    if canary.exists():
+        problems["something was executed"] = b""
+    took, most = process_time() - began, resident_at_most() / 2**20
+    print(f"{name}: {n} inputs, {took:.0f} s, at most {most:.0f} MiB, {len(problems)} problems")
+    for k, (problem, data) in enumerate(problems.items()):
+        print(f"  {problem}", flush=True)
+        if arguments.keep:
+            arguments.keep.mkdir(exist_ok=True)
+            (arguments.keep / f"{folder.name}-{k}").write_bytes(data)
+    sys.stdout.flush()
+    shutil.rmtree(folder)
+    return len(problems)
+
+
+def _harmed(reader: Reader, folder: Path, inputs: Files) -> tuple[int, dict[str, bytes]]:
+    put(folder, reader.files)
+    problems = {}
+    for kind, data in inputs.items():
+        (folder / reader.damaged).write_bytes(data)
+        began = process_time()
+        forget_resident()
+        found = problem_with(reader, folder)
+        took, most = process_time() - began, resident_at_most() / 2**20
+        print(f"  {kind}: {took:.1f} s, at most {most:.0f} MiB", flush=True)
+        if found is not None:
+            problems[f"{kind}: {found}"] = data
+    return len(inputs), problems
+
+
+if __name__ == "__main__":
+    sys.exit(main())

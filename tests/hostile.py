@@ -1,0 +1,186 @@
+"""Every reader, with valid files for it."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import lzma
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+from relmap.cli.evaluate import evaluate_folder
+from relmap.cli.map import map_input, read_config
+from relmap.datasets import open_log, open_scans, read_relations
+from relmap.evaluation.plane_evaluate import evaluate_planes, read_wall_truth
+from relmap.evaluation.truth import read_truth
+from relmap.planefiles import read_planes
+from relmap.results import read_result
+from tests.logs import PLAIN, TREES
+from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, pcd, ply
+
+Files = dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader, valid files for it, and which of them is damaged.
+
+    ``read`` takes the folder that holds the files.
+    """
+
+    files: Files
+    damaged: str
+    read: Callable[[Path], object]
+
+
+def packed(content: bytes) -> bytes:
+    return gzip.compress(content, 1, mtime=0)
+
+
+def npz(**arrays: object) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def mat(compress: bool = True, **arrays: NDArray[np.float64]) -> bytes:
+    with tempfile.TemporaryDirectory() as name:
+        savemat(Path(name) / "a.mat", arrays, do_compression=compress)
+        return (Path(name) / "a.mat").read_bytes()
+
+
+def scans(**changes: object) -> bytes:
+    arrays: dict[str, object] = {
+        "points": np.arange(9.0).reshape(3, 3),
+        "iteration": np.array([0, 0, 1]),
+        "stamps_s": np.array([0.5, 1.5]),
+    }
+    return npz(**(arrays | changes))
+
+
+OBSERVED = np.column_stack([[1, 1, 2], [4, 7, 4], [3, 2, 5.0], [0.1, 1, -1], np.zeros((3, 3))])
+MRPT = (
+    "# sensor on robot: t = 0.5 0.2 0.1 ; R (row major) = 1 0 0 0 1 0 0 0 1\n"
+    "# sigma: range 0.01 m, yaw 0.001745 rad, pitch 0 rad; x\n"
+    "step,id,range_m,yaw_rad,pitch_rad\n0,3,5,0.5,0\n0,4,6,-0.5,0\n1,3,5.5,0.25,0\n"
+)
+CIRCLES = (
+    "STEP a.jpg 0 0 0 1 0 1 0 0 1\nLANDMARK_C 1 2 0.9 1 0 1 5\nLANDMARK_C 2 2 0.9 1 0 1 -1\n"
+    "STEP b.jpg 1 0 0.1 1 0 1 0 0 1\nLANDMARK_C 1 1 0.9 1 0 1 5 6\n"
+)
+RELATIONS = "# a\n1.5 2.5 1 2 0 0 0 0.5\n2.5 3.5 0.1 0 0 0 0 -1e-3\n"
+POSES = "1,0,0,1\n0,1,0,2\n0,0,1,3\n0,0,0,4.5\n"
+CONFIG = 'group_after = 12\nmax_missed = 4\nregistration = "nearest-previous"\ngate_m = 0.5\n'
+WALLS = (
+    "plane,x0,y0,x1,y1,z0,z1,nx,ny,nz,end0,end1,observations,first_iteration,last_iteration,"
+    "status,corner0,corner1\n0,0,0,4,0,0,2,0,1,0,corner,open,12,0,11,static,0,-1\n"
+    "1,4,0,4,3,0,2,-1,0,0,corner,corner,12,0,11,static,1,2\n"
+)
+TUM = "# t x y z qx qy qz qw\n0.0 0 0 0 0 0 0 1\n1.0 1 0 0 0 0 0.1 0.995\n"
+
+
+def _mapped() -> Files:
+    """Return the files of a mapped log beside its truth."""
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (8, 3))
+    rows = ["iteration,x,y,z,id"]
+    for k in range(14):
+        points = world - [0.1 * k, 0, 0] + rng.normal(0, 0.01, world.shape)
+        rows += [f"{k},{x},{y},{z},{i}" for i, (x, y, z) in enumerate(points.tolist())]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        log = folder / "observations.csv"
+        log.write_text("\n".join(rows))
+        map_input(log, folder, association="known")
+        files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    summary = json.loads(files["summary.json"]) | {"input": "gone", "refinement": None}
+    truth = ["landmark,x,y,z,status"]
+    truth += [f"{i},{x},{y},{z},static" for i, (x, y, z) in enumerate(world.tolist())]
+    del files["map.png"]
+    return files | {
+        "summary.json": json.dumps(summary).encode(),
+        "planes.csv": WALLS.encode(),
+        "truth/landmarks.csv": "\n".join(truth).encode(),
+        "truth/planes.csv": WALLS.encode(),
+        "truth/trajectory.tum": TUM.encode(),
+    }
+
+
+def evaluate(folder: Path) -> None:
+    (folder / "summary.json").write_text(
+        (folder / "summary.json").read_text("utf-8", "ignore").replace('"gone"', f'"{folder}"')
+    )
+    evaluate_folder(folder, folder / "truth")
+
+
+def _evaluate_walls(folder: Path) -> None:
+    evaluate_planes(read_result(folder), read_planes(folder), read_wall_truth(folder / "truth"))
+
+
+def _log(name: str, form: str | None = None) -> Callable[[Path], object]:
+    return lambda folder: open_log(folder / name, form)
+
+
+def _scan_log(name: str, form: str | None = None) -> Callable[[Path], object]:
+    def read(folder: Path) -> None:
+        for _ in zip(range(20), open_scans(folder / name, form).scans(), strict=False):
+            pass
+
+    return read
+
+
+def readers() -> dict[str, Reader]:
+    """Return every reader by the name of what it reads."""
+    mapped = _mapped()
+    trees = np.column_stack([[300, 300, 700], [10, 5, 5], [np.pi / 2, 0, np.pi], *np.ones((3, 3))])
+    park = {
+        "trees.csv": TREES.encode(),
+        "VictoriaParkSinSincronizar.mat": mat(TLsr=np.array([[0.1, 0.3, 0.5, 0.7]])),
+        "data_sensor_clean_clean.mat": mat(data_sensor_clean_clean=trees),
+    }
+    beacons = {
+        "sensor_data.mat": mat(sensor_data=OBSERVED),
+        "store_beaconsTrue.mat": mat(store_beaconsTrue=np.array([[4, 1, 2], [7, 3, 4.0]])),
+        "store_robotTrue.mat": mat(False, store_robotTrue=np.eye(3)),
+    }
+    clouds = {
+        "0.pcd": pcd(CLOUD),
+        "1.ply": ply(CLOUD[:2]),
+        "2.pcd.xz": lzma.compress(pcd(CLOUD)),
+        "alidarPose.csv": (POSES * 3).encode(),
+    }
+    found = {
+        "observation-csv": Reader({"a": PLAIN.encode()}, "a", _log("a", "observation-csv")),
+        "observation-csv-gz": Reader({"a": packed(PLAIN.encode())}, "a", _log("a")),
+        "mrpt-landmarks": Reader({"a": MRPT.encode()}, "a", _log("a", "mrpt-landmarks")),
+        "victoria-park": Reader(park, "trees.csv", _log("", "victoria-park")),
+        "dlr-circles": Reader({"a": CIRCLES.encode()}, "a", _log("a", "dlr-circles")),
+        "slsjf-sim": Reader(beacons, "sensor_data.mat", _log("", "slsjf-sim")),
+        "scans-npz": Reader({"a": scans()}, "a", _scan_log("a", "scans-npz")),
+        "mrpt-laser2d": Reader({"a": LASER.encode()}, "a", _scan_log("a", "mrpt-laser2d")),
+        "relations": Reader({"a": RELATIONS.encode()}, "a", lambda f: read_relations(f / "a")),
+        "config": Reader({"a": CONFIG.encode()}, "a", lambda f: read_config(f / "a")),
+    }
+    for name, content in {"corrected": CORRECTED, "graph": GRAPH}.items():
+        read = _scan_log("a", "carmen-log")
+        found[f"carmen-log-{name}"] = Reader({"a": content.encode()}, "a", read)
+    for name in clouds:
+        found[f"point-clouds-{name}"] = Reader(clouds, name, _scan_log("", "point-clouds"))
+    for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat"):
+        found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
+    for name in ("store_beaconsTrue.mat", "store_robotTrue.mat"):
+        found[f"slsjf-sim-{name}"] = Reader(beacons, name, read_truth)
+    for name in ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "summary.json"):
+        found[f"result-{name}"] = Reader(mapped, name, evaluate)
+    for name in ("truth/landmarks.csv", "truth/trajectory.tum"):
+        found[name] = Reader(mapped, name, evaluate)
+    for name in ("planes.csv", "truth/planes.csv"):
+        found[f"walls-{name}"] = Reader(mapped, name, _evaluate_walls)
+    return found

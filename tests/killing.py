@@ -1,0 +1,78 @@
+"""A program that kills runs at random moments and goes on with them; see test_journal_killed.py.
+
+It forks, so that each run begins with everything imported and compiled.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.journal import writing
+from tests.worlds import walk
+
+writing.INTERVAL_S = 0.005
+FLUSH_EVERY = 7
+LONG_S = 1e6
+"""In which every run ends by itself."""
+
+
+def mapped(mapper: PointMapper, scans: list[NDArray[np.float64]], acknowledged: Path) -> str:
+    """Map what is still to be mapped, note what was flushed, and return the map."""
+    for points in scans[mapper.n_iterations :]:
+        mapper.update(points)
+        if mapper.n_iterations % FLUSH_EVERY == 0:
+            mapper.flush()
+            acknowledged.write_text(f"{mapper.n_iterations:04d}")
+    mapper.finish()
+    mapper.refine()
+    return (mapper.map.positions.tobytes() + mapper.trajectory.tobytes()).hex()
+
+
+def killed_after(seconds: float, journal: Path, scans: list[NDArray[np.float64]]) -> bool:
+    """Begin or go on with a run in a process of its own; tell whether it was killed in time."""
+    child = os.fork()
+    if child == 0:
+        begun = journal.exists()
+        mapper = PointMapper.resume(journal) if begun else PointMapper(journal=journal)
+        mapped(mapper, scans, journal.with_suffix(".flushed"))
+        os._exit(0)
+    if seconds < LONG_S:
+        time.sleep(seconds)
+        os.kill(child, signal.SIGKILL)
+    return os.WIFSIGNALED(os.waitpid(child, 0)[1])
+
+
+def main(folder: Path, moments: int) -> None:
+    """Print what became of each run, as JSON."""
+    scans = [points for _, points in walk(3, 5, 0.02, iterations=110).scans]
+    whole = mapped(PointMapper(), scans, folder / "warm")
+    began = time.perf_counter()
+    killed_after(LONG_S, folder / "whole.journal", scans)
+    took = time.perf_counter() - began
+    rng, told = random.Random(1), []
+    for k in range(moments):
+        journal = folder / f"{k}.journal"
+        killed = killed_after(rng.uniform(0, took), journal, scans)
+        if k % 3 == 0:  # and once more while it goes on
+            killed_after(rng.uniform(0, took), journal, scans)
+        flushed = journal.with_suffix(".flushed")
+        safe = int(flushed.read_text() or 0) if flushed.exists() else 0
+        mapper = PointMapper.resume(journal) if journal.exists() else PointMapper()
+        held = mapper.n_iterations
+        same = mapped(mapper, scans, folder / "end") == whole
+        told.append({"killed": killed, "flushed": safe, "held": held, "same": same})
+    print(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]))

@@ -1,0 +1,253 @@
+"""Faults in the world and in the sensor: what each does to a log, and what a map makes of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.cli import main
+from relmap.core.errors import RelmapError
+from relmap.core.registration.rigidity import CARRIED, PLENTY, Rigidity
+from relmap.datasets import ObservationLog, write_observation_csv
+from relmap.evaluation.run import MANY, rejected_iterations
+from relmap.simulation import faults, simulate_figure_eight
+from tests.worlds import aligned_rmse, random_rotation
+
+WORLD = simulate_figure_eight(density=60, iterations=120, seed=5)
+LOG = WORLD.log
+AT = 60
+
+
+def rows_of(log: ObservationLog) -> set[tuple[float, ...]]:
+    assert log.ids is not None
+    rows = np.column_stack([log.iteration, log.ids, log.points_robot])
+    return {tuple(row) for row in rows.tolist()}
+
+
+def is_sound(log: ObservationLog) -> bool:
+    """Tell whether a log is in order, its rows are its own, and each id comes once in a scan."""
+    assert log.ids is not None
+    pairs = np.column_stack([log.iteration, log.ids])
+    once = len(np.unique(pairs, axis=0)) == len(pairs)
+    own = np.array_equal(log.rows, np.arange(len(log.rows)))
+    return bool(once and own and (np.diff(log.iteration) >= 0).all())
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_what_faults_of_single_observations_do(seed: int, share: float) -> None:
+    n = len(LOG.iteration)
+    outliers = faults.gross_outliers(LOG, share, np.random.default_rng(seed))
+    assert np.array_equal(outliers.iteration, LOG.iteration)
+    assert (outliers.points_robot != LOG.points_robot).any(axis=1).sum() <= round(share * n)
+    missed = faults.missed_detections(LOG, share, np.random.default_rng(seed))
+    assert len(missed.iteration) == n - round(share * n)
+    assert rows_of(missed) <= rows_of(LOG)
+    ghosts = faults.ghosts(LOG, share, np.random.default_rng(seed))
+    assert len(ghosts.iteration) == n + round(share * n)
+    assert rows_of(ghosts) >= rows_of(LOG)
+    assert is_sound(missed)
+    assert is_sound(ghosts)
+
+
+def test_duplicated_landmarks() -> None:
+    assert LOG.ids is not None
+    chosen = np.unique(LOG.ids)[[7, 3]]
+    made = faults.duplicated_landmarks(LOG, chosen, 0.01, np.random.default_rng(0))
+    assert made.ids is not None
+    assert is_sound(made)
+    for rank, landmark in enumerate(sorted(chosen.tolist())):
+        first, second = made.ids == landmark, made.ids == LOG.ids.max() + 1 + rank
+        np.testing.assert_array_equal(made.iteration[first], made.iteration[second])
+        apart = made.points_robot[first] - made.points_robot[second]
+        assert 0 < np.abs(apart).max() < 0.06
+
+
+def test_faults_of_whole_scans() -> None:
+    mirrored = faults.mirrored_scan(LOG, AT)
+    there = LOG.iteration == AT
+    np.testing.assert_array_equal(mirrored.points_robot[~there], LOG.points_robot[~there])
+    np.testing.assert_array_equal(
+        mirrored.points_robot[there], LOG.points_robot[there] * [1, -1, 1]
+    )
+    lost = faults.lost_scans(LOG, AT, 10)
+    assert not np.isin(lost.iteration, range(AT, AT + 10)).any()
+    assert len(lost) == len(LOG)
+    few = faults.few_landmarks(LOG, AT, 10)
+    counts = np.bincount(few.iteration)
+    assert (counts[AT : AT + 10] == 2).all()
+    np.testing.assert_array_equal(
+        np.delete(counts, range(AT, AT + 10)),
+        np.delete(np.bincount(LOG.iteration), range(AT, AT + 10)),
+    )
+    back = faults.time_backwards(LOG, AT, 10)
+    assert rows_of(back) != rows_of(LOG)
+    assert rows_of(faults.time_backwards(back, AT, 10)) == rows_of(LOG)
+    step = faults.big_step(LOG, AT, 10)
+    assert len(step) == len(LOG) - 9
+    for before, after in ((AT, AT), (AT + 10, AT + 1), (119, 110)):
+        np.testing.assert_array_equal(
+            step.points_robot[step.iteration == after], LOG.points_robot[LOG.iteration == before]
+        )
+    for made in (mirrored, lost, few, back, step):
+        assert is_sound(made)
+
+
+def test_a_fault_that_cannot_be_meant() -> None:
+    with pytest.raises(RelmapError, match=r"share is 1\.5"):
+        faults.ghosts(LOG, 1.5, np.random.default_rng(0))
+    without = ObservationLog(LOG.points_robot, LOG.iteration, LOG.rows, 0, len(LOG))
+    with pytest.raises(RelmapError, match="needs them"):
+        faults.few_landmarks(without, AT, 10)
+
+
+def mapped(log: ObservationLog, known: bool) -> PointMapper:
+    mapper = PointMapper()
+    for scan in log.scans():
+        mapper.update(scan.points_robot, scan.ids if known else None)
+    mapper.finish()
+    return mapper
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_mirrored_scan_is_rejected_and_changes_nothing(known: bool) -> None:
+    mirrored = mapped(faults.mirrored_scan(LOG, AT), known)
+    without = mapped(faults.lost_scans(LOG, AT, 1), known)
+    assert mirrored.rejected.tolist() == [AT]
+    assert without.rejected.tolist() == []
+    if known:
+        np.testing.assert_array_equal(mirrored.map.positions, without.map.positions)
+    else:
+        assert len(mirrored.map.landmark_ids) == len(without.map.landmark_ids)
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("first", [0, 30])
+def test_rejected_iterations_are_the_callers(known: bool, first: int) -> None:
+    mapper = PointMapper()
+    for _ in range(first):
+        mapper.update(np.empty((0, 3)))
+    for scan in faults.mirrored_scan(LOG, 7).between(0, 20).scans():
+        mapper.update(scan.points_robot, scan.ids if known else None)
+    assert mapper.rejected.tolist() == [first + 7]
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_first_scan_may_be_the_wrong_one(known: bool) -> None:
+    mapper = mapped(faults.mirrored_scan(LOG, 0), known)
+    assert mapper.rejected.tolist() == ([1] if known else [0])
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("make", [faults.lost_scans, faults.few_landmarks, faults.big_step])
+def test_gaps_are_bridged(make: Callable[..., ObservationLog], known: bool) -> None:
+    mapper = mapped(make(LOG, AT, 10), known)
+    assert len(mapper.pieces) == 1
+    assert len(mapper.map.landmark_ids) > 0.9 * len(mapped(LOG, known).map.landmark_ids)
+
+
+def test_gross_outliers_under_right_ids() -> None:
+    sound = mapped(LOG, known=True).map
+    mapper = mapped(faults.gross_outliers(LOG, 0.05, np.random.default_rng(0)), known=True)
+    found = mapper.map
+    both = np.intersect1d(sound.landmark_ids, found.landmark_ids)
+    assert len(both) > 0.9 * len(sound.landmark_ids)
+    truth = WORLD.landmarks_map[both]
+    error, before = (
+        aligned_rmse(one.positions[np.isin(one.landmark_ids, both)], truth)
+        for one in (found, sound)
+    )
+    assert error < 2 * before
+    assert mapper.rejected.tolist() == []
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]), st.sampled_from([0.0, 0.05]))
+def test_what_is_rigid_is_believed(seed: int, d: int, sigma: float) -> None:
+    rng = np.random.default_rng(seed)
+    world, rigidity = rng.uniform(-20, 20, (30, d)), Rigidity()
+    R, t = np.eye(d), np.zeros(d)
+    for _ in range(20):
+        R, t = R @ random_rotation(d, 0.3, rng), t + rng.uniform(-1, 1, d)
+        seen = rng.permutation(30)[: rng.integers(0, 31)]
+        points = (world[seen] - t) @ R + sigma * rng.standard_normal((len(seen), d))
+        good = rigidity.believed(seen, points)
+        assert good is not None
+        assert good.all()
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
+def test_what_is_not_rigid_is_not_believed(seed: int, d: int) -> None:
+    rng = np.random.default_rng(seed)
+    world, ids, rigidity = rng.uniform(-20, 20, (30, d)), np.arange(30), Rigidity()
+
+    def scan() -> NDArray[np.float64]:
+        return world + 0.02 * rng.standard_normal((30, d))
+
+    for _ in range(5):
+        assert rigidity.believed(ids, scan()) is not None
+    mirror = np.ones(d)
+    mirror[1] = -1
+    assert rigidity.believed(ids, scan() * mirror) is None
+    assert rigidity.believed(ids, scan()[rng.permutation(30)]) is None
+    good = rigidity.believed(ids, scan())
+    assert good is not None
+    assert good.all()
+    off = scan()
+    off[4] += 15.0
+    good = rigidity.believed(ids, off)
+    assert good is not None
+    assert np.flatnonzero(~good).tolist() == [4]
+    good = rigidity.believed(ids, off + 0.01)  # it is there again: it has gone there
+    assert good is not None
+    assert good.all()
+
+
+def test_too_little_in_common_is_not_judged() -> None:
+    rng = np.random.default_rng(0)
+    rigidity = Rigidity()
+    for n in (PLENTY - 1, PLENTY - 1, 3, 0, 1):
+        good = rigidity.believed(np.arange(n), rng.uniform(-9, 9, (n, 3)))
+        assert good is not None
+        assert good.all()
+    assert CARRIED > 0
+
+
+@pytest.mark.parametrize("n", [0, 3, MANY, MANY + 1, 1000])
+def test_many_rejected_iterations_are_listed_by_their_ends(n: int) -> None:
+    listed = rejected_iterations(np.arange(n))
+    assert listed["count"] == n
+    assert len(listed["iterations"]) == min(n, MANY)
+    assert listed["iterations"][:1] == list(range(n))[:1]
+    assert listed["iterations"][-1:] == list(range(n))[-1:]
+
+
+def test_the_summary_names_rejected_iterations(tmp_path: Path) -> None:
+    log = faults.mirrored_scan(LOG, AT).between(40, 80)
+    write_observation_csv(tmp_path / "observations.csv", log)
+    for association in ("known", "nearest"):
+        out = tmp_path / association
+        source = str(tmp_path / "observations.csv")
+        assert main(["map", source, "-o", str(out), "--association", association]) == 0
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["rejected_iterations"] == {"count": 1, "iterations": [AT]}
+
+
+def test_gross_outliers_that_nobody_holds_back_end_in_no_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def believed(_: Rigidity, ids: NDArray[np.int64], __: object) -> NDArray[np.bool_]:
+        return np.ones(len(ids), dtype=bool)
+
+    monkeypatch.setattr(Rigidity, "believed", believed)
+    log = simulate_figure_eight(density=25, seed=0).log
+    mapper = mapped(faults.gross_outliers(log, 0.05, np.random.default_rng([0, 3])), known=True)
+    mapper.refine()
+    assert np.isfinite(mapper.map.positions).all()

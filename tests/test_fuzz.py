@@ -1,0 +1,133 @@
+"""Hostile files: nothing but a RelmapError of one line comes back; see `tests.fuzz`."""
+
+from __future__ import annotations
+
+import io
+import logging
+import lzma
+import warnings
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.io import loadmat
+
+from relmap.core.errors import RelmapError
+from relmap.datasets import cloud_file, matfile, open_scans, scans_npz, table, textfile
+from relmap.datasets.matfile import read_matrix
+from relmap.tables import read_table
+from tests.damage import npz_made_to_harm, packed_rows
+from tests.fuzz import fuzz, problem_with
+from tests.hostile import mat, readers, scans
+from tests.logs import failure, put
+from tests.scanlogs import CLOUD, CORRECTED, pcd
+
+READERS = readers()
+SOME = 60
+"""Damaged files for each reader; `python -m tests.fuzz` takes 200 000."""
+
+
+@pytest.fixture
+def quiet() -> None:
+    """Let warnings of numpy pass: they are no traceback, and the command line turns them off."""
+    logging.disable()
+    warnings.simplefilter("ignore")
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_damaged_files_are_read_or_refused(name: str, tmp_path: Path, quiet: None) -> None:
+    n, problems = fuzz(READERS[name], tmp_path, SOME, 60.0, seed=7)
+    assert n == SOME
+    assert not problems
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if not name.startswith("result")])
+@settings(max_examples=15)
+@given(data=st.binary(max_size=300))
+def test_any_bytes_are_read_or_refused(name: str, folder: Path, data: bytes) -> None:
+    reader = READERS[name]
+    for file, content in reader.files.items():
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_bytes(content)
+    (folder / reader.damaged).write_bytes(data)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert problem_with(reader, folder) is None
+
+
+@pytest.mark.parametrize("kind", ["objects", "pickle", "billions"])
+def test_npz_made_to_harm(kind: str, tmp_path: Path) -> None:
+    canary = tmp_path / "canary"
+    path = put(tmp_path, npz_made_to_harm(canary)[kind], "scans.npz")
+    with pytest.raises(RelmapError, match="cannot be read"):
+        open_scans(path, "scans-npz")
+    assert not canary.exists()
+
+
+def test_paths_in_archives_are_not_followed(tmp_path: Path) -> None:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(scans())) as old, zipfile.ZipFile(stream, "w") as new:
+        for name in old.namelist():
+            new.writestr(f"../{name}", old.read(name))
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    path = put(inner, stream.getvalue(), "scans.npz")
+    with pytest.raises(RelmapError, match=r"points\.npy"):
+        open_scans(path)
+    assert sorted(tmp_path.rglob("*")) == [inner, path]
+
+
+@pytest.mark.parametrize("directory", [1 << 20, 1 << 17])
+def test_archive_with_a_huge_directory_is_refused(tmp_path: Path, directory: int) -> None:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for k in range(directory // 60):
+            archive.writestr(f"{k}", b"")
+    path = put(tmp_path, stream.getvalue(), "scans.npz")
+    with pytest.raises(RelmapError, match="no directory of a zip file with a few arrays"):
+        open_scans(path)
+
+
+def test_bombs_are_refused_by_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(textfile, "MAX_LINES", 1000)
+    rows = packed_rows(b"iteration,x,y\n", b"0,0,0\n", 1 << 20)
+    assert "more than 1000 lines" in failure(put(tmp_path, rows, "a.csv"))
+    monkeypatch.setattr(textfile, "MAX_LINES", 1 << 30)
+    monkeypatch.setattr(table, "MAX_NUMBERS", 1000)
+    assert "more than 1000 numbers" in failure(tmp_path / "a.csv")
+    monkeypatch.setattr(cloud_file, "MAX_BYTES", 100_000)
+    cloud = put(tmp_path, lzma.compress(pcd(CLOUD) + bytes(1 << 20)), "0.pcd.xz")
+    with pytest.raises(RelmapError, match="more than 100000 bytes"):
+        list(open_scans(cloud).scans())
+    monkeypatch.setattr(matfile, "MAX_BYTES", 10_000)
+    with pytest.raises(RelmapError, match="more than 10000 bytes when unpacked"):
+        read_matrix(put(tmp_path, mat(a=np.zeros((500, 500))), "a.mat"), "a")
+    monkeypatch.setattr(scans_npz, "MAX_BYTES", 100)
+    with pytest.raises(RelmapError, match="bytes when unpacked, more than 100"):
+        open_scans(put(tmp_path, scans(), "scans.npz"))
+
+
+def test_a_long_word_does_not_widen_its_column(tmp_path: Path) -> None:
+    path = put(tmp_path, f"status\nstatic\n{'a' * 60_000}\n", "a.csv")
+    with pytest.raises(RelmapError, match=r"line 3, field status: .* at most 32 characters"):
+        read_table(path, {"status": "text"})
+
+
+@pytest.mark.parametrize("compress", [False, True])
+@pytest.mark.parametrize("kind", ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"])
+def test_matrices_are_read_as_scipy_does(tmp_path: Path, kind: str, compress: bool) -> None:
+    rng = np.random.default_rng(0)
+    for n, m in ((1, 1), (1, 4), (3, 2), (40, 7)):
+        matrix = (100 * rng.random((n, m))).astype(kind)
+        path = put(tmp_path, mat(compress, other=np.eye(3), name=matrix), "a.mat")
+        np.testing.assert_array_equal(read_matrix(path, "name"), loadmat(path)["name"])
+
+
+def test_unsorted_stamps_are_told_in_one_line(tmp_path: Path) -> None:
+    later, earlier = CORRECTED.splitlines()[-1], CORRECTED.splitlines()[3]
+    path = put(tmp_path, f"{later}\n{earlier}\n", "a.log")
+    with pytest.raises(RelmapError, match=r"line 2, field t: time 4.5 after 5.5, .* ascending"):
+        open_scans(path)

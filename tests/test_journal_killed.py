@@ -1,0 +1,275 @@
+"""Runs that are killed, run out of disk or are stopped by Ctrl-C, and how they go on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.cli import main
+from relmap.datasets import write_observation_csv, write_scans_npz
+from relmap.journal import writing
+from relmap.journal.layout import POINTS
+from relmap.simulation import simulate_building, simulate_figure_eight
+from tests.commands import load, names, table
+
+SAME = ["landmarks.csv", "map.ply", "mapper.npz", "pieces.csv", "tracks.csv.gz", "trajectory.tum"]
+
+
+def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(
+    tmp_path: Path, child_env: dict[str, str], repo_root: Path
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.killing", str(tmp_path), "25"],
+        env=child_env | {"OMP_NUM_THREADS": "1"},
+        cwd=repo_root,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert len(told) == 25
+    assert all(run["same"] for run in told)
+    assert all(run["held"] >= run["flushed"] for run in told)
+    # The moments were spread over the runs.
+    assert sum(run["killed"] for run in told) >= 10
+    assert len({run["held"] for run in told}) >= 4
+
+
+@pytest.fixture(scope="module")
+def eight(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log, and the result of mapping it without a stop."""
+    folder = tmp_path_factory.mktemp("eight")
+    write_observation_csv(folder / "log.csv", simulate_figure_eight(seed=3, iterations=200).log)
+    assert main(["map", str(folder / "log.csv"), "-o", str(folder / "whole")]) == 0
+    return folder
+
+
+def same(result: Path, whole: Path) -> bool:
+    return all((result / name).read_bytes() == (whole / name).read_bytes() for name in SAME)
+
+
+def test_relmap_resume_after_a_kill(
+    eight: Path, tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    journal = tmp_path / "run.journal"
+    # Slow enough to be killed half way, and with a flush for every scan.
+    code = (
+        "import sys, time\n"
+        "from relmap.cli import main\n"
+        "from relmap.journal import writing\n"
+        "writing.INTERVAL_S = 0.0\n"
+        "append = writing.Journal.append\n"
+        "def slow(self, *scan):\n"
+        "    append(self, *scan)\n"
+        "    time.sleep(0.005)\n"
+        "writing.Journal.append = slow\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    command = [sys.executable, "-c", code, "map", "log.csv", "-o", str(tmp_path / "out")]
+    child = subprocess.Popen([*command, "--journal", str(journal)], env=child_env, cwd=eight)
+    deadline = time.monotonic() + 60
+    held = 0
+    while held < 70:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+        if journal.exists():
+            other = sqlite3.connect(journal)
+            held = other.execute("SELECT count(*) FROM scans").fetchone()[0]
+            other.close()
+    child.kill()
+    child.wait(timeout=60)
+    assert held < 200
+    assert not (tmp_path / "out" / "summary.json").exists()
+    assert main(["resume", str(journal)]) == 0
+    assert same(tmp_path / "out", eight / "whole")
+    assert main(["resume", str(journal), "-o", str(tmp_path / "again")]) == 0
+    assert "none of them new" in capsys.readouterr().out
+    assert same(tmp_path / "again", eight / "whole")
+
+
+def test_relmap_resume_with_ids_and_an_interval(eight: Path, tmp_path: Path) -> None:
+    log, journal = str(eight / "log.csv"), str(tmp_path / "run.journal")
+    asked = ["map", log, "--association", "known", "--scans", "20:90", "--no-refine", "-o"]
+    assert main([*asked, str(tmp_path / "out"), "--journal", journal]) == 0
+    connection = sqlite3.connect(journal)
+    with connection:
+        connection.execute("DELETE FROM scans WHERE iteration >= 30")
+        connection.execute("DELETE FROM observations WHERE iteration >= 30")
+    connection.close()
+    assert main(["resume", journal, "-o", str(tmp_path / "again")]) == 0
+    assert same(tmp_path / "again", tmp_path / "out")
+    summaries = [load(tmp_path / name / "summary.json") for name in ("out", "again")]
+    for summary in summaries:
+        del summary["timing"]
+    assert summaries[0] == summaries[1]
+
+
+def test_relmap_resume_of_walls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    scans = simulate_building(seed=0, points=200).scans[:40]
+    points, stamps_s = [scan.points for scan in scans], np.arange(40.0)
+    write_scans_npz(tmp_path / "scans.npz", points, stamps_s)
+    asked = ["map", "scans.npz", "--variant", "planes", "-o"]
+    assert main([*asked, "whole"]) == 0
+    assert main([*asked, "out", "--journal", "run.journal"]) == 0
+    connection = sqlite3.connect("run.journal")
+    with connection:
+        connection.execute("DELETE FROM scans WHERE iteration >= 25")
+        connection.execute("DELETE FROM observations WHERE iteration >= 25")
+    connection.close()
+    assert main(["resume", "run.journal", "-o", "again"]) == 0
+    for name in ("planes.csv", *SAME):
+        assert Path("again", name).read_bytes() == Path("whole", name).read_bytes()
+    write_scans_npz(tmp_path / "scans.npz", points[:20], stamps_s[:20])
+    assert main(["resume", "run.journal"]) == 2
+
+
+def test_relmap_resume_says_what_is_wrong(
+    eight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, journal = tmp_path / "log.csv", tmp_path / "run.journal"
+    log.write_bytes((eight / "log.csv").read_bytes())
+    assert main(["map", str(log), "-o", str(tmp_path / "out"), "--journal", str(journal)]) == 0
+    capsys.readouterr()
+
+    def refused(*arguments: str) -> str:
+        assert main(arguments) == 2
+        said = capsys.readouterr().err
+        assert said.startswith("relmap: error: ")
+        assert said.count("\n") == 1
+        return said
+
+    assert "is there already" in refused("map", str(log), "-o", "x", "--journal", str(journal))
+    assert "there is no journal" in refused("resume", str(tmp_path / "none"))
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(lines[:40] + lines[41:]))
+    assert "is not what journal" in refused("resume", str(journal))
+    log.unlink()
+    assert str(log) in refused("resume", str(journal))
+    log.write_text("".join(lines))
+    data = bytearray(journal.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 5000] = bytes(5000)
+    journal.write_bytes(data)
+    assert "scans before can be recovered" in refused("resume", str(journal))
+    assert main(["resume", str(journal), "--salvage"]) == 0
+    assert "recovered " in capsys.readouterr().out
+    assert same(tmp_path / "out", eight / "whole")
+    meta = {"variant": "points", "configuration": {}}
+    writing.create_file(tmp_path / "own.journal", POINTS, meta)
+    assert "PointMapper.resume" in refused("resume", str(tmp_path / "own.journal"))
+
+
+def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
+    eight: Path, tmp_path: Path, child_env: dict[str, str]
+) -> None:
+    journal = tmp_path / "run.journal"
+    # No file of the child may grow beyond 100 KiB; SQLite is told so by the operating system.
+    limit = (
+        "import resource, sys\n"
+        "from relmap.cli import main\n"
+        "from relmap.journal import writing\n"
+        "writing.INTERVAL_S = 0.0\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    command = [sys.executable, "-c", limit, "map", "log.csv", "-o", str(tmp_path / "out")]
+    done = subprocess.run(
+        [*command, "--journal", str(journal)],
+        env=child_env,
+        cwd=eight,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"relmap: error: journal {journal} cannot be written: ")
+    assert done.stderr.count("\n") == 1
+    assert names(tmp_path) == ["run.journal"]
+    assert main(["resume", str(journal)]) == 0
+    assert same(tmp_path / "out", eight / "whole")
+
+
+def test_ctrl_c_writes_what_was_mapped_so_far(
+    tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "observations.csv"
+    write_observation_csv(log, simulate_figure_eight(seed=1, iterations=400).log)
+    out, journal = tmp_path / "out", tmp_path / "run.journal"
+    slowed = (
+        "import sys, time\n"
+        "from relmap.cli import main\n"
+        "from relmap.points import PointMapper\n"
+        "update = PointMapper.update\n"
+        "def slow(self, *scan, **more):\n"
+        "    time.sleep(0.002)\n"
+        "    return update(self, *scan, **more)\n"
+        "PointMapper.update = slow\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", slowed, "map", str(log), "-o", str(out), "--journal", str(journal)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=child_env,
+        cwd=tmp_path,
+    )
+    deadline = time.monotonic() + 60
+    while not journal.exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    time.sleep(0.3)
+    child.send_signal(signal.SIGINT)
+    said, errors = child.communicate(timeout=60)
+    assert (child.returncode, errors) == (130, "relmap: interrupted\n")
+    summary = load(out / "summary.json")
+    n = summary["counts"]["iterations"]
+    assert summary["interrupted"]
+    assert 0 < n < 400
+    assert said.startswith(f"stopped after {n} of 400: wrote ")
+    assert f"'relmap resume {journal}' goes on with it" in said
+    assert len(table(out / "landmarks.csv")) > 0
+    part, whole = tmp_path / "part", tmp_path / "whole"
+    assert main(["map", str(log), "-o", str(part), "--scans", f"0:{n}"]) == 0
+    assert same(out, part)
+    assert main(["resume", str(journal)]) == 0
+    assert main(["map", str(log), "-o", str(whole)]) == 0
+    assert same(out, whole)
+    assert not load(out / "summary.json")["interrupted"]
+
+
+def test_ctrl_c_twice_ends_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "from relmap.cli import main\n"
+        "from relmap.points import PointMapper\n"
+        "def hang(self, *scan, **more):\n"
+        "    for _ in range(2):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    raise AssertionError('not interrupted')\n"
+        "PointMapper.update = hang\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    (tmp_path / "log.csv").write_text("iteration,x,y\n0,1,2\n1,1,2\n")
+    done = subprocess.run(
+        [sys.executable, "-c", code, "map", "log.csv", "-o", "out"],
+        env=child_env | {"PYTHONDONTWRITEBYTECODE": "1"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stderr, done.stdout) == (130, "relmap: interrupted\n", "")
+    assert names(tmp_path) == ["log.csv"]

@@ -1,0 +1,282 @@
+"""Saved maps: nothing is lost, and no file makes the loader do anything."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from relmap import MapperConfig, PlaneMapper, PlaneSegmenter, PointMapper, RelmapError
+from relmap.cli import main
+from relmap.datasets import write_observation_csv
+from relmap.simulation import simulate_building, simulate_figure_eight
+from tests.commands import load, table
+from tests.worlds import walk
+
+
+def told(mapper: Any) -> tuple[bytes, ...]:
+    """Return all that a mapper hands out."""
+    found, rows = mapper.map, mapper.landmarks
+    return (
+        *(found.positions.tobytes(), found.landmark_ids.tobytes(), found.covariances.tobytes()),
+        *(mapper.trajectory.tobytes(), rows.sd.tobytes(), rows.level.tobytes()),
+        *(group.relative_map.tobytes() for group in mapper.groups),
+    )
+
+
+def ended(mapper: Any) -> tuple[bytes, ...]:
+    mapper.finish()
+    before = told(mapper)
+    mapper.refine()
+    return (*before, *told(mapper))
+
+
+@pytest.mark.parametrize(
+    ("settings", "dimension", "with_ids"),
+    [
+        (MapperConfig(), 3, False),
+        (MapperConfig(group_after=6, keep_observations=True), 2, True),
+        (MapperConfig(registration="nearest-previous"), 3, False),
+    ],
+)
+def test_a_run_goes_on_as_if_it_had_not_been_saved(
+    tmp_path: Path, settings: MapperConfig, dimension: int, with_ids: bool
+) -> None:
+    scans = walk(dimension, 3, 0.02).scans
+    plain, saved = PointMapper(settings), PointMapper(settings)
+    for k, (ids, points) in enumerate(scans):
+        if k in (0, 1, 9, 30, 31, 77):
+            saved.save(tmp_path / "mapper.npz")
+            saved = PointMapper.load(tmp_path / "mapper.npz")
+            assert saved.n_iterations == k
+            assert told(saved) == told(plain)
+        known = ids if with_ids else None
+        np.testing.assert_array_equal(saved.update(points, known), plain.update(points, known))
+    assert saved.config == settings
+    assert ended(saved) == ended(plain)
+    saved.save(tmp_path / "mapper.npz")
+    assert told(PointMapper.load(tmp_path / "mapper.npz")) == told(plain)
+
+
+def test_a_step_of_the_live_refinement_goes_on(tmp_path: Path) -> None:
+    scans = list(simulate_figure_eight(seed=2).log.scans())[:470]
+    plain, saved, busy = PointMapper(), PointMapper(), 0
+    for scan in scans:
+        if saved._live.is_busy:
+            busy += 1
+            saved.save(tmp_path / "mapper.npz")
+            saved = PointMapper.load(tmp_path / "mapper.npz")
+        plain.update(scan.points_robot, scan.ids)
+        saved.update(scan.points_robot, scan.ids)
+    assert busy >= 5
+    assert not saved._live.is_busy
+    assert told(saved) == told(plain)
+
+
+def test_walls_go_on_too(tmp_path: Path) -> None:
+    scans = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:90]
+    plain, saved = PlaneMapper(), PlaneMapper(segmenter=PlaneSegmenter())
+    for k, scan in enumerate(scans):
+        if k in (0, 40, 41):
+            saved.save(tmp_path / "mapper.npz")
+            saved = PlaneMapper.load(tmp_path / "mapper.npz")
+        np.testing.assert_array_equal(saved.update(scan), plain.update(scan))
+    assert ended(saved) == ended(plain)
+    saved.save(tmp_path / "mapper.npz")
+    again = PlaneMapper.load(tmp_path / "mapper.npz")
+    assert told(again) == told(plain)
+    assert again.planes.ends.tobytes() == plain.planes.ends.tobytes()
+
+
+def saved_map(folder: Path) -> Path:
+    mapper = PointMapper()
+    for _, points in walk(3, 3, 0.02, iterations=40).scans:
+        mapper.update(points)
+    mapper.save(folder / "mapper.npz")
+    return folder / "mapper.npz"
+
+
+def test_the_same_state_gives_the_same_bytes(tmp_path: Path) -> None:
+    path = saved_map(tmp_path)
+    before = path.read_bytes()
+    PointMapper.load(path).save(path)
+    again = path.read_bytes()
+    assert len(again) == len(before)
+    PointMapper.load(path).save(path)
+    assert path.read_bytes() == again
+
+
+def test_what_is_no_saved_map_of_this_kind(tmp_path: Path) -> None:
+    path = saved_map(tmp_path)
+    with pytest.raises(RelmapError, match="holds a PointMapper, not a PlaneMapper"):
+        PlaneMapper.load(path)
+    with pytest.raises(RelmapError, match="there is no saved map"):
+        PointMapper.load(tmp_path / "none.npz")
+    with pytest.raises(RelmapError, match="cannot write"):
+        PointMapper().save(tmp_path / "none" / "mapper.npz")
+    np.savez(path, graph=np.array([None], dtype=object))
+    with pytest.raises(RelmapError, match="is damaged or none"):
+        PointMapper.load(path)
+    path.write_text("iteration,x,y\n")
+    with pytest.raises(RelmapError, match="is damaged or none"):
+        PointMapper.load(path)
+
+
+def rewritten(path: Path, change: Any) -> None:
+    """Change the graph of a saved map."""
+    with np.load(path) as content:
+        arrays = dict(content)
+    graph = json.loads(arrays["graph"].tobytes())
+    change(graph)
+    arrays["graph"] = np.frombuffer(json.dumps(graph).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)
+
+
+def node(graph: Any, ending: str) -> Any:
+    return next(n for n in graph["nodes"] if n.get("class", "").endswith(ending))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda g: g.update(format=2), "of version 2, and this relmap reads up to 1"),
+        (lambda g: node(g, ":Merger").update({"class": "os:system"}), "no part of a mapper"),
+        (
+            lambda g: node(g, ":Merger").update({"class": "relmap.core.merging:nearest"}),
+            "no part of a mapper",
+        ),
+        (
+            lambda g: node(g, ":Merger").update({"class": "relmap.core.merging:Merger.find"}),
+            "no part of a mapper",
+        ),
+        (lambda g: g["nodes"].append(0) or g.update(root=[len(g["nodes"])]), "is not there"),
+        (lambda g: node(g, ":Merger")["state"].pop("_asked"), "parts of its Merger differ"),
+        (lambda g: node(g, ":LiveTracks")["state"].pop("seen"), "a LiveTracks lacks seen"),
+        (lambda g: next(n for n in g["nodes"] if "method" in n).update(method="update"), "method"),
+        (lambda g: next(n for n in g["nodes"] if "array" in n).update(shape=[10**15]), "not there"),
+        (lambda g: next(n for n in g["nodes"] if "array" in n).update(array="object"), "object"),
+        (lambda g: g.update(root={"a": 1}), "neither plain nor"),
+        (lambda g: g.update(nodes=[{"list": [[0]]}], root=[0]), "hangs on itself"),
+        (lambda g: g.clear(), "format"),
+    ],
+)
+def test_a_file_that_was_meddled_with(tmp_path: Path, change: Any, message: str) -> None:
+    path = saved_map(tmp_path)
+    rewritten(path, change)
+    with pytest.raises(RelmapError, match=message) as caught:
+        PointMapper.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_damage_is_told_and_bombs_are_refused(tmp_path: Path) -> None:
+    path = saved_map(tmp_path)
+    data, rng = path.read_bytes(), np.random.default_rng(0)
+    whole = told(PointMapper.load(path))
+    for _ in range(80):
+        broken = bytearray(data)
+        at = int(rng.integers(len(data)))
+        broken[at : at + 8] = rng.bytes(len(broken[at : at + 8]))
+        path.write_bytes(broken[: len(data) if at % 3 else at])
+        try:
+            assert told(PointMapper.load(path)) == whole
+        except RelmapError as error:
+            said = str(error)
+            assert "damaged or none" in said
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("graph.npy", bytes(10**7))
+    path.write_bytes(packed.getvalue())
+    with pytest.raises(RelmapError, match="not part of a saved map"):
+        PointMapper.load(path)
+
+
+@pytest.fixture(scope="module")
+def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a log of an eight, a map of its first part, and one of all of it."""
+    folder = tmp_path_factory.mktemp("tour")
+    write_observation_csv(folder / "log.csv", simulate_figure_eight(seed=4).log)
+    log = str(folder / "log.csv")
+    assert main(["map", log, "-o", str(folder / "part"), "--scans", "0:450"]) == 0
+    return folder
+
+
+def test_a_log_is_added_to_a_map(tour: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, part, more = str(tour / "log.csv"), str(tour / "part"), str(tour / "more")
+    assert main(["map", log, "-o", more, "--scans", "300:700", "--onto", part]) == 0
+    assert "no scan was found" not in capsys.readouterr().out
+    summary = load(tour / "more" / "summary.json")
+    assert summary["tied_at"] == 300
+    assert len(summary["pieces"]) == 1
+    before, after = (table(tour / name / "landmarks.csv") for name in ("part", "more"))
+    mapped = {row["landmark"]: row for row in after if row["status"] == "static"}
+    assert len(mapped) > len(before) + 20
+    shared = [row for row in before if row["landmark"] in mapped]
+    assert len(shared) >= 0.95 * len(before)
+    away = [
+        [float(row[axis]) - float(mapped[row["landmark"]][axis]) for axis in "xyz"]
+        for row in shared
+        if row["x"]
+    ]
+    assert np.linalg.norm(away, axis=1).max() < 0.5
+    assert len((tour / "more" / "trajectory.tum").read_text().splitlines()) == 401
+
+
+def test_scans_are_found_in_a_map_that_stays_as_it_is(tour: Path) -> None:
+    part, where = tour / "part", tour / "where"
+    before = (part / "mapper.npz").read_bytes()
+    asked = ["localise", str(tour / "log.csv"), "--map", str(part), "-o", str(where)]
+    assert main([*asked, "--scans", "0:440"]) == 0
+    assert (part / "mapper.npz").read_bytes() == before
+    found = np.loadtxt(where / "trajectory.tum")
+    mapped = np.loadtxt(part / "trajectory.tum")
+    assert len(found) >= 0.9 * 440
+    off = found[:, 1:4] - mapped[np.searchsorted(mapped[:, 0], found[:, 0]), 1:4]
+    assert np.linalg.norm(off, axis=1).max() < 0.5
+
+
+def test_localise_in_the_plane_and_of_what_is_nowhere() -> None:
+    world = walk(2, 3, 0.01, iterations=150)
+    mapper = PointMapper()
+    for _, points in world.scans:
+        mapper.update(points)
+    mapper.finish()
+    before = told(mapper)
+    poses = np.array([mapper.localise(points) for _, points in world.scans])
+    there = np.isfinite(poses[:, 0, 0])
+    assert there.mean() > 0.3  # a walk sees some eight landmarks, the first and last ones fewer
+    assert np.abs(poses - mapper.trajectory)[there].max() < 0.1
+    rng = np.random.default_rng(0)
+    assert np.isnan([mapper.localise(rng.uniform(-8, 8, (9, 2))) for _ in range(20)]).all()
+    assert np.isnan(mapper.localise([])).all()
+    assert np.isnan(PointMapper().localise([[1.0, 2.0, 3.0]])).all()
+    assert told(mapper) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["--onto", "part", "--journal", "run.journal"],
+            "--journal keeps a run from its beginning",
+        ),
+        (["--onto", "part", "--variant", "planes"], "--onto adds to a map of points"),
+        (["--onto", "part", "--registration", "constellation"], "give no others"),
+        (["--onto", "nowhere"], "there is no saved map"),
+    ],
+)
+def test_what_does_not_go_with_onto(
+    tour: Path,
+    arguments: list[str],
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tour)
+    assert main(["map", "log.csv", "-o", "none", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tour / "none").exists()
