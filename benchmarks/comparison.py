@@ -1,10 +1,9 @@
 """relmap beside other methods: the figures of the README.
 
-    OMP_NUM_THREADS=1 python benchmarks/comparison.py [--seeds 10] [--curves FILE.csv]
+    OMP_NUM_THREADS=1 python benchmarks/comparison.py [--seeds 10]
 
 The figure eight, density 25, sigma 0.05 m, known ids; landmark RMSE of the static landmarks after
-rigid alignment, median over the seeds.  Times are processor time with one thread.  --curves writes
-the data of Fig. 16: landmark error over the iterations, Gaussian and flat noise, every seed.
+rigid alignment, median over the seeds.  Times are processor time with one thread.
 Methods of the extra `relmap[peers]` are left out, and named, where it is not installed.
 
 Moving landmarks: the same log with their observations taken out is what *static* means, so that the
@@ -16,17 +15,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from speed import on_one_core, table
 
-from relmap.evaluation.compare import landmark_error_curve
 from relmap.evaluation.methods.registry import METHODS, find_method
-from relmap.evaluation.methods.running import run_method, setup_for
+from relmap.evaluation.methods.running import run_method
 from relmap.evaluation.sources import EightSource, Landmarks
-from relmap.files import atomic_write
-from relmap.tables import csv_text
 
 Errors = dict[str, list[float]]
 MAPPING = [
@@ -34,7 +29,6 @@ MAPPING = [
     for method in METHODS
     if "landmarks" in method.logs and method.name not in ("kiss-icp", "small-gicp")
 ]
-CURVES = ("relmap-points-live", "relmap-points-paper", "ekf-mrpt", "ekf")
 MOVING = ("relmap-points", "relmap-points-live", "ekf-mrpt", "ekf", "frame-to-map")
 SHARE = 0.4
 
@@ -125,26 +119,10 @@ def moving(seeds: int) -> None:
     table(f"moving landmarks, seeds 0-{seeds - 1}, medians", header, rows)
 
 
-def curves(path: Path, seeds: int) -> None:
-    rows = []
-    for noise in ("gaussian", "uniform"):
-        for seed, world in enumerate(worlds(seeds, noise=noise)):
-            for name in CURVES:
-                method = find_method(name).make(setup_for(world, 0.05))
-                curve = landmark_error_curve(method, world.log, world.truth)
-                rows += [[noise, seed, name, *point] for point in zip(*curve, strict=True)]
-    header = ("noise", "seed", "method", "iteration", "landmark_rmse_m")
-    atomic_write(path, csv_text(header, ([*row[:4], float(row[4])] for row in rows)))
-    print(f"\nwrote {path}")
-
-
 if __name__ == "__main__":
     on_one_core()
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--curves", type=Path, metavar="FILE.csv")
     arguments = parser.parse_args()
     accuracy_and_time(installed(), arguments.seeds)
     moving(arguments.seeds)
-    if arguments.curves:
-        curves(arguments.curves, arguments.seeds)

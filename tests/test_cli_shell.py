@@ -59,6 +59,7 @@ def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]
         ["simulate", "figure-eight"],
         ["map"],
         ["evaluate"],
+        ["figures"],
         ["demo"],
         ["resume"],
         ["localise"],

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.evaluation.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
-from relmap.evaluation.noisy_map import NoisyMaps, run_noisy_maps
-from relmap.evaluation.surface_points import scan_surface_points
+from relmap.figures.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
+from relmap.figures.figure07 import outcome as noisy_outcome
+from relmap.figures.figure_crossing import outcome as crossing_outcome
+from relmap.figures.noisy_map import NoisyMaps, run_noisy_maps
+from relmap.figures.surface_points import scan_surface_points
 from relmap.plots.crossing import plot_crossing, plot_noisy_maps, said
 from relmap.simulation import simulate_building
 
@@ -187,26 +187,20 @@ def test_rows_and_picture_of_both_maps(maps: NoisyMaps) -> None:
     assert titles[1].startswith("points: ")
 
 
-def test_the_program_draws_figure_4(
-    repo_root: Path, child_env: dict[str, str], tmp_path: Path
-) -> None:
-    program = repo_root / "benchmarks" / "plane_figures.py"
-    done = subprocess.run(
-        [sys.executable, str(program), "4", "-o", "out", "--quick"],
-        env=child_env,
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "figure04.csv",
-        "figure04.png",
-    ]
-    header, *lines = (tmp_path / "out" / "figure04.csv").read_text(encoding="utf-8").splitlines()
-    assert header == "iteration,first_end,second_end,dx,dy,deviation,chosen"
-    deviation = {float(line.split(",")[5]): int(line.split(",")[6]) for line in lines}
-    assert len(deviation) == 4
-    assert deviation[min(deviation)] == 1
+def test_verdict_on_both_maps(maps: NoisyMaps) -> None:
+    found = noisy_outcome(maps)
+    assert found.verdict == "borne out"
+    assert found.value == maps.planes_rmse_m
+    assert list(found.table.rows) == list(maps.rows())
+    as_good = replace(maps, points_rmse_m=maps.planes_rmse_m, points_coverage=1.0)
+    assert noisy_outcome(as_good).verdict == "partly borne out"
+    assert noisy_outcome(replace(as_good, planes_coverage=0.1)).verdict == "not borne out"
+
+
+def test_verdict_on_the_crossing() -> None:
+    found = crossing_outcome(crossing())
+    assert found.verdict == "borne out"
+    assert found.value == pytest.approx(0.3)
+    runs = rows_of("planes", [0.02] * 2, [1.0] * 2) + rows_of("points", [0.01] * 2, [1.0] * 2)
+    runs += rows_of("points, ids given", [0.01] * 2, [1.0] * 2)
+    assert crossing_outcome(Crossing(tuple(runs))).verdict == "not borne out"

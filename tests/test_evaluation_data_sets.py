@@ -15,7 +15,8 @@ from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import evaluate, overlay
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.truth import read_truth
-from relmap.plots.victoria_park import compare_with_reference, plot_panels, write_panels_png
+from relmap.plots.sheet import write_png
+from relmap.plots.victoria_park import compare_with_reference, plot_panels
 from relmap.results import Result
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse
@@ -120,7 +121,7 @@ def test_figure_of_two_stretches(tmp_path: Path) -> None:
     assert len(figure.legends[0].get_texts()) == 4
     files = [tmp_path / "a.png", tmp_path / "b.png"]
     for file in files:
-        write_panels_png(file, panels)
+        write_png(file, lambda: plot_panels(panels))
     assert files[0].read_bytes() == files[1].read_bytes() != b""
     with pytest.raises(RelmapError, match="the log has no ids"):
         compare_with_reference(mapped(log), replace(log, ids=None))

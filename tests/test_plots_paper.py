@@ -1,10 +1,8 @@
-"""The pictures of the paper's figures 9 to 15, from tiny data; and the program that draws them."""
+"""The pictures of the paper's figures 9 to 16, from tiny data."""
 
 from __future__ import annotations
 
 import io
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +14,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from relmap.core.errors import RelmapError
-from relmap.core.store import ObservationStore
 from relmap.plots import curves
 from relmap.plots.chart import (
     ChartPicture,
@@ -26,57 +23,19 @@ from relmap.plots.chart import (
     plot_sorted,
     plot_unsorted,
 )
-from relmap.plots.eight import EightPicture, plot_eight
+from relmap.plots.eight import plot_eight
+from relmap.plots.errors import plot_errors
 from relmap.plots.sheet import write_png
-
-# Who is seen in iterations 0 to 7.  Landmark 2, the seed, is seen in 1 to 6.
-SEEN = {
-    0: [0, 1, 2, 3],
-    1: [1, 2, 3, 4, 5],
-    2: [1, 2, 3, 4, 5, 6],
-    3: [2, 3, 4, 5, 6],
-    4: [2, 3, 4, 5, 6, 7],
-    5: [0, 7],
-    6: [1, 2, 3, 4, 5, 6, 7],
-}
-
-
-def tiny_store() -> ObservationStore:
-    store = ObservationStore()
-    for iteration in range(8):
-        seen = np.array([landmark for landmark, when in SEEN.items() if iteration in when])
-        store.append(seen, np.zeros((len(seen), 3)))
-    return store
-
-
-def tiny_chart() -> ChartPicture:
-    return chart_picture(tiny_store(), 2, 0, 8)
-
-
-def tiny_comparisons() -> curves.Comparisons:
-    n, dynamic = np.array([20, 50, 100]), np.array([0.1, 0.4, 0.7])
-    bound = curves.n_log_n(n)
-    counts = np.stack([0.3 * bound, 0.9 * bound, 1.1 * bound])[:, :, None].repeat(5, axis=2)
-    return curves.Comparisons(n, dynamic, counts.astype(np.int64), counts % 2 < 1)
-
-
-def tiny_loop() -> curves.LoopTiming:
-    visible = np.full(80, 100)
-    time_ms = np.where(np.arange(80) % 10 == 0, 5.0, 1.0)
-    return curves.LoopTiming(time_ms, visible, np.arange(1, 81) * 10, np.arange(1, 81) * 9)
-
-
-def tiny_densities(power: float = 1.0) -> curves.DensityTiming:
-    n = np.array([10.0, 40.0, 160.0, 640.0])
-    time_ms = 0.2 + 1e-4 * curves.n_log_n(n) ** power
-    return curves.DensityTiming(n, time_ms, 2 * time_ms)
-
-
-def tiny_eight() -> EightPicture:
-    rng = np.random.default_rng(0)
-    landmarks, path = rng.uniform(-50, 50, (12, 3)), np.linspace([-50, 0, 0], [50, 0, 20], 9)
-    return EightPicture(landmarks + 0.1, path + 0.1, landmarks, path, 0.1)
-
+from tests.tinyfigures import (
+    SEEN,
+    tiny_chart,
+    tiny_comparisons,
+    tiny_densities,
+    tiny_eight,
+    tiny_errors,
+    tiny_loop,
+    tiny_store,
+)
 
 DRAWN: dict[str, Callable[[], Figure]] = {
     "9": lambda: plot_unsorted(tiny_chart()),
@@ -86,6 +45,7 @@ DRAWN: dict[str, Callable[[], Figure]] = {
     "13": lambda: plot_eight(tiny_eight()),
     "14": lambda: curves.plot_loop_timing(tiny_loop()),
     "15": lambda: curves.plot_density_timing(tiny_densities()),
+    "16": lambda: plot_errors(tiny_errors(mine=(0.02, 0.01), theirs=(0.04, 0.05))),
 }
 
 
@@ -197,6 +157,9 @@ def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
     slower = data.time_ms * np.linspace(1, 2, 80)
     grows = curves.LoopTiming(slower, data.visible, data.landmarks, data.true_landmarks)
     assert grows.said.startswith("not flat: ")
+    at_the_end = np.where(np.arange(80) % 10 == 0, np.where(np.arange(80) > 50, 50.0, 5.0), 1.0)
+    spikes = curves.LoopTiming(at_the_end, data.visible, data.landmarks, data.true_landmarks)
+    assert spikes.said.startswith("flat in the median, not in the mean: ")
 
 
 def test_growth_beyond_n_log_n_is_called_so() -> None:
@@ -214,27 +177,12 @@ def test_running_median_follows_and_ignores_spikes() -> None:
     assert smooth.tolist() == [1.0] * 80
 
 
-# The program.
-
-
-def test_the_program_draws_the_chart(
-    repo_root: Path, child_env: dict[str, str], tmp_path: Path
-) -> None:
-    program = repo_root / "benchmarks" / "figures.py"
-    done = subprocess.run(
-        [sys.executable, str(program), "9", "11", "-o", "out", "--quick"],
-        env=child_env,
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    assert names == ["figure09.csv", "figure09.png", "figure11.csv", "figure11.png"]
-    table = (tmp_path / "out" / "figure11.csv").read_text(encoding="utf-8").splitlines()
-    assert table[0] == "row,landmark,common_interval,area,member"
-    area = [int(line.split(",")[3]) for line in table[1:]]
-    members = sum(line.endswith(",1") for line in table[1:])
-    assert np.argmax(area[3:]) + 4 == members
+def test_errors_of_methods_have_a_panel_for_each_noise() -> None:
+    figure = plot_errors(tiny_errors(mine=(0.02, 0.01), theirs=(0.04, 0.05)))
+    assert [axes.get_title() for axes in figure.axes] == [
+        "Gaussian noise (median of 3 seeds, each seed thinly)",
+        "flat noise (median of 3 seeds, each seed thinly)",
+    ]
+    assert "theirs: 0.0500 m at the end" in legends(figure)
+    thick = [line for line in figure.axes[1].get_lines() if line.get_linewidth() == 2]
+    assert [np.asarray(line.get_ydata()).tolist() for line in thick] == [[0.5, 0.01], [0.5, 0.05]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,16 +13,18 @@ from PIL import Image
 
 from relmap.cli import main
 from relmap.core.errors import RelmapError
-from relmap.evaluation.bench import BenchFrame, BenchRecorder, frame_step
-from relmap.evaluation.corner_test import CornerTest, clearest, corner_tests
-from relmap.evaluation.partial_wall import (
+from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.figures.bench import BenchFrame, BenchRecorder, frame_step
+from relmap.figures.corner_test import CornerTest, clearest, corner_tests
+from relmap.figures.figure04 import outcome as corner_outcome
+from relmap.figures.figure06 import outcome as wall_outcome
+from relmap.figures.partial_wall import (
     PartialWall,
     longest,
     run_partial_wall,
     weak_links,
 )
-from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.evaluation.pose_fit import fit_poses
+from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
@@ -95,6 +98,16 @@ def test_corner_test_is_drawn_with_its_deviations() -> None:
     said = [text.get_text() for text in legend.get_texts()]
     assert sum("static" in text for text in said) == 1
     assert any(f"{0.1 * np.arange(15).std():.3f} m" in text for text in said)
+
+
+def test_verdict_on_the_corner_test_is_that_of_all_pairs() -> None:
+    (right,) = corner_tests(cut_walls())
+    wrong = replace(right, static=(0, 0))
+    found = corner_outcome([right] * 19 + [wrong], np.pi / 2, 8.0)
+    assert (found.verdict, found.value) == ("borne out", 0.95)
+    assert corner_outcome([right, wrong], np.pi / 2, 8.0).verdict == "partly borne out"
+    assert corner_outcome([right, wrong, wrong], np.pi / 2, 8.0).verdict == "not borne out"
+    assert list(found.table.rows) == list(right.rows())
 
 
 # Figure 5.
@@ -263,3 +276,12 @@ def test_picture_and_rows_mark_the_weak_links(exact: PartialWall) -> None:
     np.testing.assert_allclose(path[:begin, :2], path[:begin, 2:], atol=1e-9)
     titles = plot_partial_wall(exact).get_suptitle()
     assert titles.startswith(f"Figure 6: {exact.weak_m:.1f} m along one partial wall")
+
+
+def test_verdict_on_the_partial_wall(exact: PartialWall) -> None:
+    found = wall_outcome(exact)
+    assert found.verdict == "partly borne out"  # exact but for what the motion model bridges
+    assert found.value == abs(exact.shift[0])
+    assert list(found.table.rows) == list(exact.rows())
+    at_once = replace(exact, poses=exact.true_poses, R=np.eye(2), t=np.zeros(2))
+    assert wall_outcome(at_once).verdict == "borne out"

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from relmap import __version__
-from relmap.cli import compare, demo, evaluate, localise, map, resume, simulate, sweep
+from relmap.cli import compare, demo, evaluate, figures, localise, map, resume, simulate, sweep
 from relmap.cli.console import INTERRUPTED
 from relmap.core.errors import RelmapError
 
@@ -46,6 +46,7 @@ app.command("localise", help=localise.HELP)(localise.localise_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
 app.command("compare", help=compare.HELP)(compare.compare_command)
 app.command("sweep", help=sweep.HELP)(sweep.sweep_command)
+app.command("figures", help=figures.HELP)(figures.figures_command)
 app.command("demo", help=demo.HELP)(demo.demo_command)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
@@ -64,8 +64,14 @@ def _with_bar(source: Iterator[T], done: int, total: int, what: str) -> Iterator
 
 
 @contextmanager
-def busy(what: str) -> Iterator[None]:
-    """Tell on stderr what is being done, where that is a terminal and it takes long."""
+def busy(what: str) -> Iterator[Callable[[str], None]]:
+    """Tell on stderr what is being done, where that is a terminal and it takes long.
+
+    Yields
+    ------
+    callable
+        Takes what is being done now.
+    """
     from rich.console import Console
 
     status = Console(stderr=True).status(what)
@@ -73,7 +79,7 @@ def busy(what: str) -> Iterator[None]:
     if status.console.is_terminal:
         timer.start()
     try:
-        yield
+        yield status.update
     finally:
         timer.cancel()
         if timer.ident is not None:

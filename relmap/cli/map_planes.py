@@ -15,9 +15,9 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.datasets.scans import PointScan, ScanLog
-    from relmap.evaluation.bench import BenchRecorder
     from relmap.evaluation.plane_evaluate import WallTruth
     from relmap.evaluation.plane_run import PlaneRun
+    from relmap.figures.bench import BenchRecorder
     from relmap.planes import PlaneMapper
 
 BENCH_PNG = "bench.png"
@@ -56,8 +56,8 @@ def map_scans(job: Job) -> PlaneRun:
         then as it was.
     """
     from relmap.cli.console import busy
-    from relmap.evaluation.bench import BenchRecorder, frame_step
     from relmap.evaluation.plane_run import run_plane_mapper
+    from relmap.figures.bench import BenchRecorder, frame_step
     from relmap.files import staged_folder
     from relmap.planes import PlaneMapper
     from relmap.segmentation import PlaneSegmenter

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.evaluation.bench import BenchFrame
+from relmap.figures.bench import BenchFrame
 from relmap.plots.paper import GREY, RED, finish
 from relmap.plots.planes import CORNER, TRUE_WALL, WALL, draw_walls
 from relmap.plots.sheet import write_png

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.evaluation.corner_test import SIDES, CornerTest
+from relmap.figures.corner_test import SIDES, CornerTest
 from relmap.plots.paper import BLUE, GREY, ORANGE, RED, SAND, blank, finish
 
 if TYPE_CHECKING:

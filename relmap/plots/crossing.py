@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.evaluation.crossing import HALF, METHODS, Crossing, Method
+from relmap.figures.crossing import HALF, METHODS, Crossing, Method
 from relmap.plots.paper import BLUE, GREY, ORANGE, RED, blank, finish
 from relmap.plots.planes import TRUE_WALL, WALL, draw_walls
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from relmap.evaluation.noisy_map import NoisyMaps
+    from relmap.figures.noisy_map import NoisyMaps
 
 COLOURS: dict[Method, str] = {"planes": BLUE, "points": RED, "points, ids given": ORANGE}
 BAR = 1.2

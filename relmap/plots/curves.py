@@ -78,14 +78,21 @@ class LoopTiming:
     true_landmarks: NDArray[np.int64]
 
     @property
+    def growth_each(self) -> tuple[float, float]:
+        """By what factor median and mean time per visible landmark change over the loop."""
+        each_ms = self.time_ms / np.maximum(self.visible, 1)
+        return growth(each_ms), growth(each_ms, np.mean)
+
+    @property
     def said(self) -> str:
         """How the last quarter of the loop compares with the first, in ratios."""
-        each = growth(self.time_ms / np.maximum(self.visible, 1))
+        median, mean = self.growth_each
+        flat = "not flat" if median > FLAT else "flat in the median, not in the mean"
         return (
-            f"{'' if each <= FLAT else 'not '}flat: last quarter to first (from {BEGINNING} on), "
-            f"landmarks x {growth(self.landmarks):.1f}, "
-            f"median time x {growth(self.time_ms):.2f} "
-            f"(per visible landmark x {each:.2f}), mean x {growth(self.time_ms, np.mean):.2f}"
+            f"{'flat' if max(median, mean) <= FLAT else flat}: last quarter to first (from "
+            f"{BEGINNING} on), landmarks x {growth(self.landmarks):.1f},\n"
+            f"median time x {growth(self.time_ms):.2f} (per visible landmark x {median:.2f}), "
+            f"mean x {growth(self.time_ms, np.mean):.2f} (x {mean:.2f})"
         )
 
 
@@ -105,15 +112,25 @@ class DensityTiming:
     mean_ms: NDArray[np.float64]
 
     @property
+    def first(self) -> int:
+        """Where growth is read off from: the first with `MANY` visible, two being there to grow."""
+        return min(int(np.searchsorted(self.visible, MANY)), max(len(self.visible) - 2, 0))
+
+    @property
+    def growth(self) -> tuple[float, float, float]:
+        """By what factor n log n, the median and the mean grow from `first` to the last."""
+        kinds = (n_log_n(self.visible), self.median_ms, self.mean_ms)
+        bound, median, mean = (float(values[-1] / values[self.first]) for values in kinds)
+        return bound, median, mean
+
+    @property
     def said(self) -> str:
         """How the times grow from `MANY` visible landmarks on, beside n log n, in ratios."""
-        first = min(int(np.searchsorted(self.visible, MANY)), max(len(self.visible) - 2, 0))
-        kinds = (n_log_n(self.visible), self.median_ms, self.mean_ms)
-        bound, median, mean = (values[-1] / values[first] for values in kinds)
+        bound, median, mean = self.growth
         verdict = "within" if max(median, mean) <= bound else "more than"
         return (
-            f"{verdict} n log n: from {self.visible[first]:.0f} to {self.visible[-1]:.0f} visible, "
-            f"n log n x {bound:.1f}, median time x {median:.1f}, mean x {mean:.1f}"
+            f"{verdict} n log n: from {self.visible[self.first]:.0f} to {self.visible[-1]:.0f} "
+            f"visible, n log n x {bound:.1f}, median time x {median:.1f}, mean x {mean:.1f}"
         )
 
 

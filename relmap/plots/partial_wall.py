@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from relmap.evaluation.partial_wall import PartialWall
+from relmap.figures.partial_wall import PartialWall
 from relmap.plots.paper import ORANGE, RED, blank, finish
 from relmap.plots.planes import CORNER, TRUE_WALL, WALL, draw_walls
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import evaluate, overlay
 from relmap.evaluation.metrics import seen_often
 from relmap.evaluation.truth import Truth
-from relmap.plots.sheet import write_png
 from relmap.results import Result
 
 if TYPE_CHECKING:
@@ -30,7 +28,8 @@ PATH = "#b9b9b9"
 HEIGHT_IN = 7.0
 """Height of the panels; their widths follow, all in one scale."""
 NARROWEST_IN = 4.2
-LEFT_IN, GAP_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.8, 0.9, 0.3, 0.75, 1.15
+LEFT_IN, GAP_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.8, 0.9, 0.3, 1.1, 1.15
+TITLE_IN = 0.12
 RIM_M = 10.0
 TREES = "trees mapped without ids (no dot: has no published id)"
 
@@ -50,6 +49,10 @@ class Panel:
         Which of those were seen at least ten times.
     path_map : (k, 2) float64, map frame, metres
         Of the robot, as relmap has it.
+    rmse_m : float
+        Of the trees against the reference.
+    coverage : float
+        Share of the trees seen at least ten times that are mapped.
     """
 
     title: str
@@ -57,6 +60,8 @@ class Panel:
     reference_map: NDArray[np.float64]
     often: NDArray[np.bool_]
     path_map: NDArray[np.float64]
+    rmse_m: float
+    coverage: float
 
 
 def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
@@ -90,18 +95,8 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     )
     trees = result.landmarks.position[result.mapped][:, :2]
     path = result.poses[:, :2, 3]
-    return Panel(title, trees, laid_over.landmarks_map[:, :2], often, path)
-
-
-def write_panels_png(path: Path, panels: Sequence[Panel]) -> None:
-    """Draw panels into a PNG file; see `plot_panels`.  The same panels give the same bytes.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    write_png(path, lambda: plot_panels(panels))
+    reference_map, rmse_m = laid_over.landmarks_map[:, :2], evaluation.landmark_rmse_m
+    return Panel(title, trees, reference_map, often, path, rmse_m, evaluation.coverage or 0.0)
 
 
 def plot_panels(panels: Sequence[Panel]) -> Figure:
@@ -130,6 +125,8 @@ def plot_panels(panels: Sequence[Panel]) -> Figure:
         axes.set_ylim(y - tall_m / 2, y + tall_m / 2)
         _draw(axes, panel)
         left += wide + GAP_IN
+    title = "Figure 17: trees of Victoria Park, mapped without ids and odometry"
+    figure.suptitle(title, y=1 - TITLE_IN / height, fontsize=11)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncols=2, frameon=False, fontsize=9)
     return figure

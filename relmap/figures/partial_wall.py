@@ -17,7 +17,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_run import Progress, run_plane_mapper
-from relmap.evaluation.pose_fit import fit_poses
+from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.table import PlaneTable

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from relmap.datasets.scans import PointScan, SensorView
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.evaluation.pose_fit import fit_poses
+from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.segmentation import PlaneSegmenter
 

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.partial_wall import longest
 from relmap.evaluation.plane_evaluate import evaluate_planes
 from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
 from relmap.evaluation.run import run_mapper
-from relmap.evaluation.surface_points import SurfacePoints, scan_surface_points
+from relmap.figures.partial_wall import longest
+from relmap.figures.surface_points import SurfacePoints, scan_surface_points
 from relmap.planes import PlaneMapper
 from relmap.points.mapper import PointMapper
 from relmap.results import Result

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.evaluation import metrics
-from relmap.evaluation.crossing import map_planes, map_points, wall_points
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.plane_evaluate import evaluate_planes
-from relmap.evaluation.pose_fit import fit_poses
+from relmap.figures.crossing import map_planes, map_points, wall_points
+from relmap.figures.pose_fit import fit_poses
 from relmap.results import Result
 
 NOISE = 0.3

@@ -1,0 +1,107 @@
+"""``relmap figures``: the paper's figures from runs of this software."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import typer
+
+from relmap.cli.console import Out
+
+if TYPE_CHECKING:
+    from relmap.figures.making import Made
+
+T = TypeVar("T")
+
+HELP = """Draw the paper's figures from runs of relmap, beside what the paper claims with them.
+
+NUMBER is 4 to 7 or 9 to 17; all of them where none is named.  The others are sketches without
+results.  'crossing' names a picture that the paper does not have: planes and points over the noise.
+
+\b
+It writes into DIR
+  index.html     all of them: the paper's claim, our figure and the verdict side by side
+  figureNN.png   each as a picture
+  figureNN.csv   the data behind it (of some more: figureNN-*.csv, figure05.gif)
+  verdicts.csv   figure, value and verdict
+
+Figure 17 is of real data: the folder of Victoria Park, or one that holds it as victoria-park, is
+given with --data.  Figures 14 and 15 are times: run them on a quiet machine.
+
+\b
+Examples:
+  relmap figures -o figures --quick
+  relmap figures 14 15 -o times
+  relmap figures -o figures --data datasets
+"""
+
+
+def figures_command(
+    out: Out,
+    numbers: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NUMBER ...]", help="Which figures; all where left out."),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Small runs: all figures in a few minutes.")
+    ] = False,
+    data: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Victoria Park's data, for figure 17.")
+    ] = None,
+) -> None:
+    """Draw; the arguments are explained in the help text."""
+    made = figures_into(out, numbers or [], quick, data)
+    drawn = sum(each.outcome is not None for each in made)
+    typer.echo(f"wrote index.html and {drawn} figure{'s' if drawn != 1 else ''} to {out}")
+
+
+def figures_into(
+    out: Path, names: Sequence[str], quick: bool = False, data: Path | None = None
+) -> list[Made]:
+    """Run figures, tell the verdict on each, and write all files.
+
+    Raises
+    ------
+    RelmapError
+        Where there is no such figure, the data cannot be used, or the folder cannot be written;
+        what was in it is then as it was.
+    """
+    from relmap.cli.console import busy
+    from relmap.figures.making import check_data, make_figure, write_page
+    from relmap.figures.registry import chosen_figures
+    from relmap.files import staged_folder
+
+    figures = chosen_figures(names)
+    check_data(figures, data)
+    made = []
+    with staged_folder(out) as staging:
+        for number, figure in enumerate(figures, 1):
+            what = f"figure {figure.name}, {number} of {len(figures)}"
+            with busy(what) as tell:
+                made.append(make_figure(figure, staging, quick, data, _Counted(tell, what)))
+            _say(made[-1])
+        write_page(staging, made, quick)
+    return made
+
+
+class _Counted:
+    """Tells how many items of a loop are done."""
+
+    def __init__(self, tell: Callable[[str], None], what: str) -> None:
+        self._tell, self._what = tell, what
+
+    def __call__(self, items: Sequence[T], /) -> Iterable[T]:
+        for number, item in enumerate(items, 1):
+            self._tell(f"{self._what}: step {number} of {len(items)}")
+            yield item
+
+
+def _say(made: Made) -> None:
+    name = made.figure.name
+    shown = f"figure {name}" if name.isdigit() else name
+    if made.outcome is None:
+        typer.echo(f"relmap: {shown} is left out: it {made.note}", err=True)
+    else:
+        typer.echo(f"{shown}: {made.outcome.verdict}. {made.outcome.ours}")

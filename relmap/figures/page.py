@@ -1,0 +1,162 @@
+"""One page of all figures: claim, finding and verdict side by side; it opens offline."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from relmap.evaluation.run import versions
+from relmap.figures.base import Outcome, PaperFigure
+
+SKIPPED = "not run"
+DENSITY = 1.5
+"""Pixels of a picture for one of the page."""
+STYLE = """
+:root { color-scheme: light; }
+body { margin: 0 auto; max-width: 72rem; padding: 1.5rem; color: #22262b; background: #fff;
+  font: 16px/1.5 system-ui, "DejaVu Sans", Arial, sans-serif; }
+h1 { font-size: 1.7rem; margin: 0 0 .3rem; }
+h2 { font-size: 1.25rem; margin: 0 0 .6rem; }
+p { margin: .3rem 0; }
+a { color: #1f4e9e; }
+section { border-top: 1px solid #d8dce1; margin-top: 2rem; padding-top: 1.2rem; }
+table { border-collapse: collapse; width: 100%; margin: 1rem 0; }
+th, td { border-bottom: 1px solid #e2e5e9; padding: .4rem .6rem; text-align: left;
+  vertical-align: top; }
+td:first-child, td.verdict { white-space: nowrap; }
+.beside { display: grid; grid-template-columns: 1fr 1fr auto; gap: 1.5rem; margin-bottom: 1rem; }
+.beside h3 { font-size: .85rem; margin: 0; color: #5f6670; text-transform: uppercase;
+  letter-spacing: .04em; }
+.badge { display: inline-block; border-radius: .3rem; padding: .1rem .6rem; font-weight: 600;
+  white-space: nowrap; }
+.yes { background: #d9f0dd; color: #14532d; }
+.partly { background: #fdeec6; color: #6b4400; }
+.no { background: #fadbd8; color: #7a1c12; }
+.none { background: #e8eaed; color: #3f464e; }
+.small { color: #5f6670; font-size: .9rem; }
+img { display: block; max-width: 100%; height: auto; margin: .8rem auto; }
+code { font-size: .92em; }
+@media (max-width: 50rem) { .beside { grid-template-columns: 1fr; gap: .6rem; } }
+"""
+BADGES = {
+    "borne out": "yes",
+    "partly borne out": "partly",
+    "not borne out": "no",
+    SKIPPED: "none",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A figure on the page.
+
+    Attributes
+    ----------
+    figure : PaperFigure
+    outcome : Outcome or None
+    note : str
+        Why it was not run, where it was not.
+    picture : bytes
+        PNG.
+    files : list of str
+        Names of its files.
+    """
+
+    figure: PaperFigure
+    outcome: Outcome | None
+    note: str
+    picture: bytes
+    files: list[str]
+
+    @property
+    def verdict(self) -> str:
+        """What is said of the claim."""
+        return SKIPPED if self.outcome is None else self.outcome.verdict
+
+    @property
+    def heading(self) -> str:
+        """Number and title."""
+        name = self.figure.name
+        return f"Figure {name}" if name.isdigit() else name.capitalize()
+
+
+def page(entries: Sequence[Entry], quick: bool) -> str:
+    """Return the page as HTML with everything in it, in the order of the entries."""
+    found = versions()
+    size = (
+        "small runs (--quick): figures and verdicts of the full size may differ"
+        if quick
+        else ("runs of full size")
+    )
+    said = ", ".join(f"{name} {version}" for name, version in found.items())
+    parts = [
+        "<!DOCTYPE html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        "<title>The paper's figures from runs of relmap</title>",
+        f"<style>{STYLE}</style></head><body>",
+        "<h1>The paper's figures from runs of relmap</h1>",
+        "<p>What &ldquo;A Relative Mapping Algorithm&rdquo; claims with each figure, what this "
+        "software does, and whether the claim is borne out: computed from the data by the rule "
+        "that stands below each figure.</p>",
+        f'<p class="small">{escape(size)}. {escape(said)}. Times are processor time of one '
+        "machine.</p>",
+        _summary(entries),
+        *map(_section, entries),
+        "</body></html>",
+    ]
+    return "\n".join(parts) + "\n"
+
+
+def _badge(verdict: str) -> str:
+    return f'<span class="badge {BADGES[verdict]}">{escape(verdict)}</span>'
+
+
+def _summary(entries: Sequence[Entry]) -> str:
+    rows = [
+        f'<tr><td><a href="#f{entry.figure.name}">{escape(entry.heading)}</a></td>'
+        f"<td>{escape(entry.figure.title)}</td>"
+        f"{_figure(entry)}"
+        f'<td class="verdict">{_badge(entry.verdict)}</td></tr>'
+        for entry in entries
+    ]
+    names = ("figure", "shows", "our figure", "what that is", "the claim is")
+    head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
+    return f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _figure(entry: Entry) -> str:
+    """Return the two cells that hold our figure, and what it is."""
+    if entry.outcome is None:
+        return f"<td></td><td>{escape(entry.note)}</td>"
+    return f"<td>{entry.outcome.value:.3g}</td><td>{escape(entry.outcome.unit)}</td>"
+
+
+def _shown_width(png: bytes) -> int:
+    """Return the width, in pixels of the page, at which the text of a picture is as large as ours.
+
+    The width of a PNG stands in its header, big-endian, after 16 bytes.
+    """
+    return round(int.from_bytes(png[16:20], "big") / DENSITY)
+
+
+def _section(entry: Entry) -> str:
+    figure, outcome = entry.figure, entry.outcome
+    ours = entry.note if outcome is None else outcome.ours
+    parts = [
+        f'<section id="f{figure.name}"><h2>{escape(entry.heading)}: {escape(figure.title)}</h2>',
+        f'<div class="beside"><div><h3>The paper</h3><p>{escape(figure.claim)}</p></div>',
+        f"<div><h3>relmap</h3><p>{escape(ours)}</p></div>",
+        f"<div><h3>The claim is</h3><p>{_badge(entry.verdict)}</p></div></div>",
+        f'<p class="small">Borne out where: {escape(figure.criterion)}.</p>',
+    ]
+    if outcome is not None:
+        picture = b64encode(entry.picture).decode()
+        alt = escape(f"{entry.heading}: {figure.title}", quote=True)
+        names = ", ".join(f"<code>{escape(name)}</code>" for name in entry.files)
+        width = _shown_width(entry.picture)
+        parts.append(f'<img alt="{alt}" width="{width}" src="data:image/png;base64,{picture}">')
+        parts.append(f'<p class="small">Beside this page: {names}</p>')
+    return "".join([*parts, "</section>"])
