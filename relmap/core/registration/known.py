@@ -61,7 +61,10 @@ class KnownAssociation:
     ) -> NDArray[np.int64]:
         """Return the ids (n,) with `UNIDENTIFIED` where an observation cannot be right."""
         named = np.flatnonzero(ids >= 0)
-        good = self._rigidity.believed(ids[named], points_robot[named])
+        if len(named) == len(ids):
+            good = self._rigidity.believed(ids, points_robot)
+        else:
+            good = self._rigidity.believed(ids[named], points_robot[named])
         if good is None:
             self.rejected.append(self._n_scans - 1)
         believed = np.full(len(ids), UNIDENTIFIED)

@@ -74,6 +74,7 @@ class Rigidity:
         self._usual_m: float | None = None
         self._n_doubted = 0
         self._wary = 0
+        self._extent_m = 0.0
 
     def believed(
         self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
@@ -91,6 +92,9 @@ class Rigidity:
         (n,) bool or None
             None where the scan is rejected as a whole.
         """
+        from relmap.core.kernels.rigidity import extent_of
+
+        self._extent_m = extent_of(points_robot)
         order = np.argsort(ids)
         scan = _Places(ids[order], points_robot[order], np.zeros(len(ids), dtype=np.int64))
         good = np.ones(len(ids), dtype=bool)
@@ -100,7 +104,7 @@ class Rigidity:
                 self._begin_with(scan)
             return good
         usual_m = middle(fit.misfit_m) if len(fit.misfit_m) else np.inf
-        if usual_m > self._limit_m(scan):
+        if usual_m > self._limit_m():
             return good if self._fits_the_doubted(scan) else None
         self._learn(usual_m)
         far = self._far(fit, scan)
@@ -118,25 +122,25 @@ class Rigidity:
 
         if places is None or len(scan.ids) < PLENTY:
             return None
-        limits = (2 * self._usual(scan), SAMPLE, PLENTY)
+        limits = (2 * self._usual(), SAMPLE, PLENTY)
         rows, shared, R, t, misfit_m = lay_on(
             places.ids, places.points, scan.ids, scan.points, limits
         )
         return _Fit(rows, shared, Placement(R, t, 0), misfit_m) if len(rows) >= PLENTY else None
 
-    def _usual(self, scan: _Places) -> float:
+    def _usual(self) -> float:
         """Return the usual middle misfit, metres."""
-        return FIRST / UNLIKE * _extent(scan) if self._usual_m is None else self._usual_m
+        return FIRST / UNLIKE * self._extent_m if self._usual_m is None else self._usual_m
 
-    def _limit_m(self, scan: _Places) -> float:
+    def _limit_m(self) -> float:
         """Return the middle misfit up to which a scan is believed."""
-        in_doubt = UNLIKE * self._usual(scan) * DOUBT**self._n_doubted
-        return max(in_doubt, CLEAR * _extent(scan))
+        in_doubt = UNLIKE * self._usual() * DOUBT**self._n_doubted
+        return max(in_doubt, CLEAR * self._extent_m)
 
     def _fits_the_doubted(self, scan: _Places) -> bool:
         """Tell whether a scan fits the one rejected just now: then the scans before were wrong."""
         fit = self._fit(self._doubted, scan)
-        if fit is not None and len(fit.misfit_m) and middle(fit.misfit_m) <= self._limit_m(scan):
+        if fit is not None and len(fit.misfit_m) and middle(fit.misfit_m) <= self._limit_m():
             self._begin_with(scan)
             return True
         self._doubted = scan
@@ -158,7 +162,7 @@ class Rigidity:
         One that is where it strayed to in the scan before has gone there.
         """
         assert self._last is not None
-        gate_m = max(UNLIKE * self._usual(scan), FAR * _extent(scan))
+        gate_m = max(UNLIKE * self._usual(), FAR * self._extent_m)
         if fit.misfit_m.max() <= gate_m:
             return np.empty(0, dtype=np.int64)
         far = np.flatnonzero(fit.misfit_m > gate_m * (1 + self._last.missed[fit.rows]))
@@ -185,9 +189,3 @@ class Rigidity:
             last.ids, last.points, last.missed, scan.ids, scan.points, placement, CARRIED
         )
         self._last = _Places(*carried)
-
-
-def _extent(scan: _Places) -> float:
-    from relmap.core.kernels.rigidity import extent_of
-
-    return float(extent_of(scan.points))
