@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -38,6 +40,14 @@ def test_uniform_noise_is_made_use_of() -> None:
         assert mapper.refined[0].power == 16
         ratios.append(error(mapper, world) / error(refined(world, MapperConfig()), world))
     assert np.median(ratios) <= 0.8
+
+
+def test_landmarks_seen_once_or_twice_stay_where_they_are() -> None:
+    world = simulate_figure_eight(noise="uniform", seed=2)
+    world = replace(world, log=world.log.between(0, 100))
+    assert world.log.ids is not None
+    assert np.any(np.bincount(world.log.ids) == 1)
+    assert error(refined(world, KEEP), world) < 1.2 * error(refined(world, MapperConfig()), world)
 
 
 def test_normal_noise_and_outliers_leave_least_squares_as_it_is() -> None:

@@ -25,8 +25,8 @@ STEPS = 2
 """Newton steps for each power on the way."""
 SHARES = (1.0, 0.5, 0.25)
 """Parts of Newton's step that are tried: where little is seen the whole of it is too long."""
-FAINT = 0.05
-"""Least residual, as a share of the largest, that a weight is taken from."""
+FAINT = 1e-4
+"""Least weight, as a share of the largest: what was seen once or twice leaves no residual."""
 EXACT = 1e-9
 """Residual, as a share of the map's size, that is taken for rounding."""
 SPARSE = 20
@@ -114,7 +114,7 @@ class _Solution:
 
         at, of = self.seen.iteration, self.seen.landmark
         left = np.abs(self.left)
-        weight = np.maximum(left / left.max(), FAINT) ** (power - 2)
+        weight = np.maximum((left / left.max()) ** (power - 2), FAINT)
         turned = np.einsum("nij,nj->ni", self.R[at], self.seen.points)
         residual = turned + self.t[at] - self.positions[of]
         right, buffer = np.zeros_like(self.positions), np.zeros(self.levels.size)
