@@ -42,11 +42,12 @@ def test_uniform_noise_is_made_use_of() -> None:
     assert np.median(ratios) <= 0.8
 
 
-def test_landmarks_seen_once_or_twice_stay_where_they_are() -> None:
+def test_landmarks_seen_a_few_times_do_not_drift_away() -> None:
     world = simulate_figure_eight(noise="uniform", seed=2)
     world = replace(world, log=world.log.between(0, 100))
     assert world.log.ids is not None
-    assert np.any(np.bincount(world.log.ids) == 1)
+    counts = np.bincount(world.log.ids)
+    assert counts[counts > 0].min() < 5
     assert error(refined(world, KEEP), world) < 1.2 * error(refined(world, MapperConfig()), world)
 
 

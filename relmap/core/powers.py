@@ -26,7 +26,7 @@ STEPS = 2
 SHARES = (1.0, 0.5, 0.25)
 """Parts of Newton's step that are tried: where little is seen the whole of it is too long."""
 FAINT = 1e-4
-"""Least weight, as a share of the largest: what was seen once or twice leaves no residual."""
+"""Least weight, as a share of the largest: what was seen a few times leaves no residual."""
 EXACT = 1e-9
 """Residual, as a share of the map's size, that is taken for rounding."""
 SPARSE = 20
