@@ -122,7 +122,8 @@ class Rigidity:
 
         if places is None or len(scan.ids) < PLENTY:
             return None
-        limits = (2 * self._usual(), SAMPLE, PLENTY)
+        tolerance_m = max(2 * self._usual(), CLEAR / UNLIKE * self._extent_m)
+        limits = (tolerance_m, SAMPLE, PLENTY)
         rows, shared, R, t, misfit_m = lay_on(
             places.ids, places.points, scan.ids, scan.points, limits
         )
