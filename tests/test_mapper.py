@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -203,6 +206,20 @@ def test_a_rejected_scan_says_why_and_changes_nothing(
                 tried.update(points, ids)  # type: ignore[arg-type]
     assert tried.trajectory.tobytes() == plain.trajectory.tobytes()
     assert tried.map.positions.tobytes() == plain.map.positions.tobytes()
+
+
+def test_a_mapper_that_is_let_go_frees_its_memory_at_once() -> None:
+    world = walk(3, 5, sigma=0.05)
+    mapped(world.scans)  # compiles the kernels, which may hold on to what they were called with
+    mapper = mapped(world.scans)
+    mapper.refine()
+    alive = weakref.ref(mapper)
+    gc.disable()
+    try:
+        del mapper
+        assert alive() is None
+    finally:
+        gc.enable()
 
 
 def test_the_scan_is_copied() -> None:

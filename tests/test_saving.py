@@ -157,7 +157,10 @@ def node(graph: Any, ending: str) -> Any:
         (lambda g: g["nodes"].append(0) or g.update(root=[len(g["nodes"])]), "is not there"),
         (lambda g: node(g, ":Merger")["state"].pop("_asked"), "parts of its Merger differ"),
         (lambda g: node(g, ":LiveTracks")["state"].pop("seen"), "a LiveTracks lacks seen"),
-        (lambda g: next(n for n in g["nodes"] if "method" in n).update(method="update"), "method"),
+        (
+            lambda g: next(n for n in g["nodes"] if "function" in n).update(function="os:system"),
+            "function 'os:system' is none",
+        ),
         (lambda g: next(n for n in g["nodes"] if "array" in n).update(shape=[10**15]), "not there"),
         (lambda g: next(n for n in g["nodes"] if "array" in n).update(array="object"), "object"),
         (lambda g: g.update(root={"a": 1}), "neither plain nor"),

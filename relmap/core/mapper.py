@@ -76,8 +76,9 @@ class RelativeMapper(ABC):
         self._live = LiveRefinement(self._segments, self._builder.map)
         self._merger = Merger(self._builder.map, self._sightings, self.config.group_after)
 
+    @staticmethod
     @abstractmethod
-    def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Average a group's block (g, i, d) in its consistent basis, or None if it fixes none."""
 
     @abstractmethod

@@ -79,8 +79,8 @@ class PlaneMapper(DurableMapper):
     [[3.0, 2.0, 0.0], [3.0, 2.0, 0.0]]
     """
 
+    _relative_map = staticmethod(relative_map)
     _noise_spread = 3.0
-
     _variant = "planes"
     _passing = ("_journal", "_segmenter")
 
@@ -218,9 +218,6 @@ class PlaneMapper(DurableMapper):
 
     def _own_registration(self) -> Registration:
         return self._planes
-
-    def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        return relative_map(block)
 
     def _min_shared(self) -> int:
         return 2  # points: one corner and its midpoint

@@ -48,6 +48,7 @@ class PointMapper(DurableMapper):
     [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [3.0, 3.0, 0.0]]
     """
 
+    _relative_map = staticmethod(relative_map)
     _variant = "points"
     _passing = ("_journal", "_finder")
 
@@ -151,9 +152,6 @@ class PointMapper(DurableMapper):
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         return self.update(scan.values, scan.ids)
-
-    def _relative_map(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        return relative_map(block)
 
     def _min_shared(self) -> int:
         return self._store.dimension
