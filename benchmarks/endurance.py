@@ -21,10 +21,11 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields
-from itertools import islice
+from itertools import count, islice
 from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,8 @@ HALF_WIDTH_M, HALF_HEIGHT_M = 30.0, 20.0
 WEAVE_M, WAVE_M = 20.0, 800.0
 """The road swings this far to each side, once in this length."""
 CHUNK_M = 50.0
-"""Length of road that is made at once."""
+PER_CHUNK = round(PER_M * CHUNK_M)
+"""Length of road that is made at once, and its landmarks."""
 WINDOW = 1000
 """Iterations in the windows that are compared: the second of the run and the last."""
 CHECKPOINTS = 10
@@ -52,39 +54,41 @@ WARM_UP = 100
 BARS = {"last / early": 1.2, "slowest / median": 20.0}
 
 
-class Road:
-    """A road of landmarks, made ahead of the robot and forgotten behind it."""
+Scans: TypeAlias = Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]
 
-    def __init__(self, seed: int) -> None:
-        self._rng = np.random.default_rng(seed)
-        self._chunks: deque[NDArray[np.float64]] = deque()
-        self._first_chunk, self._end_chunk = 0, 0
 
-    def scans(self) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-        """Yield, without end, the points (n, 3) of a scan, robot frame, metres, and their ids."""
-        at_m = 0.0
-        per_chunk = round(PER_M * CHUNK_M)
-        while True:
-            self._look_ahead(at_m, per_chunk)
-            in_robot = _in_robot(np.concatenate(self._chunks), at_m)
-            distance = np.linalg.norm(in_robot, axis=1)
-            ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
-            seen = np.flatnonzero(ahead & (distance <= RANGE_M))
-            noise = self._rng.normal(0.0, SIGMA_M, (len(seen), 3))
-            yield in_robot[seen] + noise, seen + self._first_chunk * per_chunk
-            at_m += STEP_M
+def road(seed: int, sigma_m: float = SIGMA_M) -> Scans:
+    """Yield, without end, the points (n, 3) of a scan, robot frame, metres, and their ids.
 
-    def _look_ahead(self, at_m: float, per_chunk: int) -> None:
-        reach_m = RANGE_M + HALF_WIDTH_M
-        while self._end_chunk * CHUNK_M < at_m + reach_m:
-            x = CHUNK_M * (self._end_chunk + self._rng.random(per_chunk))
-            side = self._rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, per_chunk)
-            up = self._rng.uniform(-HALF_HEIGHT_M, HALF_HEIGHT_M, per_chunk)
-            self._chunks.append(np.column_stack([x, _weave(x)[0] + side, up]))
-            self._end_chunk += 1
-        while (self._first_chunk + 1) * CHUNK_M < at_m - reach_m:
-            self._chunks.popleft()
-            self._first_chunk += 1
+    The road is made ahead of the robot and forgotten behind it.
+    """
+    rng, ahead = np.random.default_rng(seed), stretches(seed)
+    near: deque[NDArray[np.float64]] = deque()
+    first, end, at_m, reach_m = 0, 0, 0.0, RANGE_M + HALF_WIDTH_M
+    while True:
+        while end * CHUNK_M < at_m + reach_m:
+            near.append(next(ahead))
+            end += 1
+        while (first + 1) * CHUNK_M < at_m - reach_m:
+            near.popleft()
+            first += 1
+        in_robot = _in_robot(np.concatenate(near), at_m)
+        distance = np.linalg.norm(in_robot, axis=1)
+        in_view = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
+        seen = np.flatnonzero(in_view & (distance <= RANGE_M))
+        noise = rng.normal(0.0, sigma_m, (len(seen), 3))
+        yield in_robot[seen] + noise, seen + first * PER_CHUNK
+        at_m += STEP_M
+
+
+def stretches(seed: int) -> Iterator[NDArray[np.float64]]:
+    """Yield, without end, the landmarks (PER_CHUNK, 3) along one stretch after another."""
+    rng = np.random.default_rng([seed, 1])
+    for k in count():
+        x = CHUNK_M * (k + rng.random(PER_CHUNK))
+        side = rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, PER_CHUNK)
+        up = rng.uniform(-HALF_HEIGHT_M, HALF_HEIGHT_M, PER_CHUNK)
+        yield np.column_stack([x, _weave(x)[0] + side, up])
 
 
 def _weave(x_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -127,10 +131,10 @@ class Drive:
 
 def drive(known: bool, iterations: int) -> Drive:
     """Drive the road in a process that has mapped nothing yet."""
-    _go(PointMapper(), Road(seed=1), known, WARM_UP)
+    _go(PointMapper(), road(seed=1), known, WARM_UP)
     gc.collect()
     mapper = PointMapper()
-    time_ms, visible, resident = _go(mapper, Road(seed=0), known, iterations)
+    time_ms, visible, resident = _go(mapper, road(seed=0), known, iterations)
     landmarks, groups = mapper.landmarks, mapper.groups
     held = [landmarks, *groups]
     map_bytes = sum(getattr(one, field.name).nbytes for one in held for field in fields(one))
@@ -141,14 +145,14 @@ def drive(known: bool, iterations: int) -> Drive:
 
 
 def _go(
-    mapper: PointMapper, road: Road, known: bool, iterations: int
+    mapper: PointMapper, scans: Scans, known: bool, iterations: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Drive; return time and number visible of each iteration, and memory now and then."""
     time_ms, visible = np.full(iterations, np.nan), np.full(iterations, -1)
     marks = np.linspace(0, iterations, CHECKPOINTS + 1).astype(int)[1:]
     seen = np.full(round(PER_M * (STEP_M * iterations + 2 * RANGE_M + CHUNK_M)), False)
     resident, at_start = [], _resident()
-    for k, (points_robot, ids) in enumerate(islice(road.scans(), iterations)):
+    for k, (points_robot, ids) in enumerate(islice(scans, iterations)):
         began = process_time()
         mapper.update(points_robot, ids if known else None)
         time_ms[k] = 1e3 * (process_time() - began)

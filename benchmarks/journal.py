@@ -17,7 +17,7 @@ from pathlib import Path
 from time import perf_counter, process_time
 
 import numpy as np
-from endurance import Road
+from endurance import road
 from numpy.typing import NDArray
 from speed import on_one_core
 
@@ -42,7 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--iterations", type=int, default=2000)
     n = parser.parse_args().iterations
-    scans = [points for points, _ in islice(Road(0).scans(), n + WARM_UP)]
+    scans = [points for points, _ in islice(road(seed=0), n + WARM_UP)]
     cost_s(PointMapper(), scans[: WARM_UP + 50])
     rows = []
     with tempfile.TemporaryDirectory() as folder:
