@@ -5,6 +5,8 @@ Each iteration of a segment has a placement of its own; those that saw the same 
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,17 +30,17 @@ class FreePlacements:
     """
 
     def __init__(self, rows: JointRows, anchor: tuple[int, int]) -> None:
+        d = rows.points.shape[1]
         self._rows = rows
         self._begin = rows.begin
         bits = (rows.visible >> np.arange(LENGTH)[:, None]) & 1 > 0
         self._patterns = []
         for begin, end in zip(self._begin[:-1], self._begin[1:], strict=True):
-            there = bits[:, begin:end]
-            saw, counts = np.unique(there[there.any(axis=1)], axis=0, return_counts=True)
-            self._patterns.append((saw, counts))
+            self._patterns.append(_patterns(np.repeat(bits[:, begin:end], d, axis=1)))
         self._anchor = anchor[0]
         begin, end = self._begin[anchor[0] : anchor[0] + 2]
-        self._fixed = (self._patterns[anchor[0]][0] == bits[anchor[1], begin:end]).all(axis=1)
+        seen = np.repeat(bits[anchor[1], begin:end], d)
+        self._fixed = (self._patterns[anchor[0]][0] == seen).all(axis=1)
 
     def equations(
         self,
@@ -77,7 +79,7 @@ class FreePlacements:
         for s, (saw, counts) in enumerate(self._patterns):
             begin, end = self._begin[s], self._begin[s + 1]
             at = slice(d * begin, d * end)
-            T = _taken_away(roots[at], np.repeat(saw, d, axis=1), counts, d)
+            T = _taken_away(roots[at], saw, counts, d)
             left[at] -= (T @ errors[at]) @ T
             if len(buffer):
                 if s == self._anchor:
@@ -107,6 +109,13 @@ class FreePlacements:
         return J
 
 
+def _patterns(bits: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """Return what iterations (k, n) saw that saw anything, each once, and how many saw that."""
+    times = Counter(row.tobytes() for row in bits if row.any())
+    saw = np.frombuffer(b"".join(times), dtype=bool).reshape(len(times), -1)
+    return saw, np.array(list(times.values()))
+
+
 def _taken_away(
     roots: NDArray[np.float64], saw: NDArray[np.bool_], counts: NDArray[np.int64], d: int
 ) -> NDArray[np.float64]:
@@ -116,10 +125,10 @@ def _taken_away(
     iterations saw them.
     """
     q = roots.shape[1]
-    seen = np.where(saw[:, :, None], roots, 0.0).transpose(0, 2, 1)
+    seen = saw[:, None, :] * np.ascontiguousarray(roots.T)
     G = seen @ seen.transpose(0, 2, 1)
     hold = np.diagonal(G, axis1=1, axis2=2).copy()
     hold[:, : q - d] = hold[:, : q - d].max(axis=1, keepdims=True)
     G[:, range(q), range(q)] += LOOSE * hold + 1e-300
-    T = np.linalg.inv(np.linalg.cholesky(G)) @ seen
-    return np.asarray((np.sqrt(counts)[:, None, None] * T).reshape(-1, len(roots)))
+    root = np.sqrt(counts)[:, None, None] * np.linalg.inv(np.linalg.cholesky(G))
+    return np.asarray((root @ seen).reshape(-1, len(roots)))

@@ -36,6 +36,8 @@ WORTH_SAYING = 0.1
 REWEIGHTED = 5
 SAME = 0.05
 """Change of a weight that makes no difference."""
+ALIKE = 0.01
+"""Mean change of the weights that asks for no new factor."""
 
 
 def settle(
@@ -61,9 +63,11 @@ def settle(
     settled, solved = _settled(system, rows, positions, weight)
     for _ in range(REWEIGHTED):
         before, weight = weight, _weights(rows, settled, weight)
-        if np.abs(weight - before).max() < SAME:
+        change = np.abs(weight - before)
+        if change.max() < SAME:
             break
-        settled, solved = _settled(system, rows, settled, weight)
+        kept = solved if change.mean() < ALIKE else None
+        settled, solved = _settled(system, rows, settled, weight, kept)
     return settled, weight, solved
 
 
@@ -83,11 +87,15 @@ def _settled(
     rows: JointRows,
     positions: NDArray[np.float64],
     weight: NDArray[np.float64],
+    found: Factor | None = None,
 ) -> tuple[NDArray[np.float64], Factor]:
-    """Return the positions of the least sum of squares, and the factor of the last matrix."""
+    """Return the positions of the least sum of squares, and the factor of the last matrix.
+
+    Begins with the factor of a matrix that is nearly the same, where there is one.
+    """
     size = np.abs(positions - positions.mean(axis=0)).max()
     rounding = len(rows.points) * (ROUNDING * size) ** 2
-    found, before, least, residual = None, np.inf, np.inf, 0.0
+    before, least, residual = np.inf, np.inf, 0.0
     best, move = positions, np.zeros_like(positions)
     for _ in range(ROUNDS):
         placed = lay_on(rows, positions, weight)
