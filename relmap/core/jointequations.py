@@ -24,8 +24,8 @@ ALL = 2**62
 """More rows than there are."""
 WEAKEST = 1e-6
 """Least hold of a landmark, in observations: none moves far that hangs by nothing."""
-FLOPS_PER_OBSERVATION = 4e4
-"""What may be spent to have one placement for each iteration: about a microsecond."""
+FLOPS_PER_OBSERVATION = 2e4
+"""What may be spent to have one placement for each iteration: half a microsecond or so."""
 
 
 class Equations(Protocol):
