@@ -40,6 +40,9 @@ def test_landmarks_seen_again_are_merged_and_none_wrongly(density: float, iterat
     assert len(true) / len(np.unique(true)) <= 1.1
     assert len(np.unique(true)) == len(world.landmark_ids)
     mapper.refine()
+    assert purity(mapper.landmarks_of(labels), world.log.ids) == 1
+    true = [stands_for[label] for label in mapper.map.landmark_ids]
+    assert len(np.unique(true)) == len(world.landmark_ids)
     refined = aligned_rmse(mapper.map.positions, world.landmarks_map[true])
     observations = Batch(world.log.points_robot, world.log.iteration, world.log.ids)
     limit = aligned_rmse(

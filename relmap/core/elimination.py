@@ -125,7 +125,7 @@ def _taken_away(
     iterations saw them.
     """
     q = roots.shape[1]
-    seen = saw[:, None, :] * np.ascontiguousarray(roots.T)
+    seen = np.multiply(saw[:, None, :], np.ascontiguousarray(roots.T))
     G = seen @ seen.transpose(0, 2, 1)
     hold = np.diagonal(G, axis1=1, axis2=2).copy()
     hold[:, : q - d] = hold[:, : q - d].max(axis=1, keepdims=True)

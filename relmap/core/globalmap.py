@@ -178,8 +178,11 @@ class GlobalMap:
         shared = self.pieces[landmarks] == other
         there = self.positions[landmarks[shared]]
         if fixes_rotation(there):
-            R, t = fit_rigid(there, positions[shared])
-            moved = self.pieces == other
-            for places in (self.positions, self._settled.values):
-                places[moved] = places[moved] @ R.T + t
-            self.pieces[moved] = piece
+            self.tie(other, piece, *fit_rigid(there, positions[shared]))
+
+    def tie(self, other: int, piece: int, R: NDArray[np.float64], t: NDArray[np.float64]) -> None:
+        """Let a piece join another, in whose frame its own lies at rotation R (d, d) and t (d,)."""
+        moved = self.pieces == other
+        for places in (self.positions, self._settled.values):
+            places[moved] = places[moved] @ R.T + t
+        self.pieces[moved] = piece

@@ -36,6 +36,7 @@ from relmap.core.registration import (
 )
 from relmap.core.scan import checked_ids, checked_points
 from relmap.core.schedule import GroupingSchedule
+from relmap.core.seenagain import SeenAgain
 from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
 
@@ -74,7 +75,9 @@ class RelativeMapper(ABC):
             self._store, self._schedule, levels, self._relative_map, self._noise_spread
         )
         self._live = LiveRefinement(self._segments, self._builder.map)
-        self._merger = Merger(self._builder.map, self._sightings, self.config.group_after)
+        merger = Merger(self._builder.map, self._sightings, self.config.group_after)
+        states = self._identity, self._sightings, self._schedule, self._builder
+        self._seen_again = SeenAgain(merger, self._store, self._builder, states)
 
     @staticmethod
     @abstractmethod
@@ -130,7 +133,7 @@ class RelativeMapper(ABC):
         A landmark lost and seen again has a label of its own until it is recognised.
         """
         labels = np.asarray(labels, dtype=np.int64)
-        if self._registration is None or isinstance(self._registration, KnownAssociation):
+        if self._has_ids:
             return labels
         return np.where(labels >= 0, self._identity.of(labels), labels)
 
@@ -149,9 +152,16 @@ class RelativeMapper(ABC):
         """Bring all landmarks to where all observations agree best, by joint least squares.
 
         The chain of groups drifts; this spreads what is left of it, after a loop was closed above
-        all, over the whole map.  From then on until the next update it is also known how sure each
-        landmark's position is.  With `keep_observations`, noise that is bounded is made use of.
+        all, over the whole map.  Without ids, landmarks that then lie where older ones do that they
+        may be are merged (see `landmarks_of`).  From then on until the next update it is also known
+        how sure each position is.  With `keep_observations`, bounded noise is made use of.
         """
+        self._refine_pieces()
+        if not self._has_ids and self._seen_again.merge_doubles():
+            self._refine_pieces()
+        self._seen_again.merger.look_again()
+
+    def _refine_pieces(self) -> None:
         positions, pieces = self._builder.map.positions, self._builder.map.pieces
         rows, of = self._rows, self._identity.of(np.arange(len(pieces)))
         moving = self._builder.dynamics.dynamic
@@ -165,7 +175,6 @@ class RelativeMapper(ABC):
             if refined is not None:
                 self._builder.map.move(refined.landmarks, refined.positions)
                 self._refined.append(refined)
-        self._merger.look_again()
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
@@ -195,8 +204,8 @@ class RelativeMapper(ABC):
     def _go_on(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
         """Group, group for the last time, condense or refine: one at a time, in turns."""
         self._schedule.note_due(seen)
-        self._merger.leave(left)
-        self._merger.go_on()
+        self._seen_again.merger.leave(left)
+        self._seen_again.merger.go_on()
         steps = (self._group_next, self._last_pass_next, self._condense_next, self._refine_next)
         turn = self._store.n_iterations
         for k in range(len(steps)):
@@ -230,14 +239,14 @@ class RelativeMapper(ABC):
         if self._store.n_iterations % SLICE_EVERY:
             return False
         if self._live.advance(self._identity.of):
-            self._merger.look_again()
+            self._seen_again.merger.look_again()
         return self._live.is_busy
 
     def _group_or_found(self, seed: int, level: int) -> None:
         fixes = self._min_shared()
         placed = self._builder.group(seed, level, fixes)
         if len(placed):
-            self._merge_seen_again(placed)
+            self._merge(placed)
         elif self._builder.map.weights[seed] == 0:
             self._builder.found_piece(seed, level, fixes)
 
@@ -245,24 +254,12 @@ class RelativeMapper(ABC):
         """Group a landmark over its whole interval, and look for a last time who it is."""
         placed = self._builder.last_pass(seed, self._min_shared())
         if len(placed):
-            self._merge_seen_again(placed)
-        self._merger.leave(np.array([seed]))
+            self._merge(placed)
+        self._seen_again.merger.leave(np.array([seed]))
 
-    def _merge_seen_again(self, placed: NDArray[np.int64]) -> None:
-        """Merge landmarks in view with those that they are, seen before and lost (section III)."""
-        if isinstance(self._registration, KnownAssociation):
-            return
-        levels, noise_m = self._builder.levels.highest[placed], self._builder.noise.sigma_m
-        for new, old in self._merger.find(placed, levels, noise_m).tolist():
-            self._store.relabel(new, old)
-            for state in (
-                self._identity,
-                self._sightings,
-                self._schedule,
-                self._builder,
-                self._merger,
-            ):
-                state.merge(new, old)
+    def _merge(self, placed: NDArray[np.int64]) -> None:
+        if not self._has_ids:
+            self._seen_again.merge(placed)
 
     @property
     def map(self) -> LandmarkMap:
@@ -312,6 +309,11 @@ class RelativeMapper(ABC):
     def noise_m(self) -> float:
         """Estimated standard deviation of an observed coordinate, metres; NaN if not known yet."""
         return float(self._builder.noise.sigma_m)
+
+    @property
+    def _has_ids(self) -> bool:
+        """Whether nothing is left to find out about who is who."""
+        return self._registration is None or isinstance(self._registration, KnownAssociation)
 
     @property
     def _rows(self) -> SegmentRows:

@@ -64,6 +64,23 @@ class Merger:
         """Enter all landmarks anew, as the map has moved; `go_on` does it little by little."""
         self._entered = 0
 
+    def doubles(self) -> NDArray[np.int64]:
+        """Return the landmarks (k,) that lie near older ones that they may be, to be asked again.
+
+        Wherever they are now, as the map has moved or a piece has joined another.
+        """
+        mapped = np.flatnonzero(self._map.weights > 0)
+        if self._index is None or not len(mapped):
+            return np.empty(0, dtype=np.int64)
+        self._enter(mapped)
+        near = cKDTree(self._map.positions[mapped]).query_pairs(
+            self._index.cell_m, output_type="ndarray"
+        )
+        pairs = mapped[np.vstack([near, near[:, ::-1]])].tolist()
+        new = np.unique([new for new, old in pairs if self._may_be(new, old)]).astype(np.int64)
+        self._asked.values[new] = 0
+        return new
+
     def go_on(self) -> None:
         """Enter some more landmarks where they are now."""
         if self._index is not None and self._entered < self._index.size:
@@ -139,8 +156,8 @@ class Merger:
 
     def _may_be(self, new: int, old: int) -> bool:
         """Tell whether a landmark may be an older one: of its piece, and never seen with it."""
-        apart = self._sightings.last[old] < self._sightings.first[new]
-        return bool(apart and self._map.pieces[old] == self._map.pieces[new] != UNMAPPED)
+        same_piece = self._map.pieces[old] == self._map.pieces[new] != UNMAPPED
+        return bool(same_piece and self._sightings.is_later(new, old))
 
     def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
         new, old = self._map.positions[pairs[:, 0]], self._map.positions[pairs[:, 1]]

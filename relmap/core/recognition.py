@@ -11,8 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.stats import binom
 
-from relmap.core.alignment import fit_rigid
+from relmap.core.alignment import fit_rigid_each
 from relmap.core.registration.base import nearest
 from relmap.core.registration.placement import Placement, trimmed_fit
 
@@ -33,6 +34,8 @@ SIGMAS = 4.0
 EXACT = 1e-3
 """The same in spacings where there is no noise at all; and in spacings at most `COARSE`."""
 COARSE = 0.2
+REACH = 3.0
+"""How far off it may be at first, in tolerances."""
 
 
 class PlaceFinder:
@@ -51,8 +54,8 @@ class PlaceFinder:
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
             self._tree = cKDTree(positions)
-            apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
-            least, most = EXACT * apart_m, COARSE * apart_m
+            self._apart_m = float(np.median(nearest(self._tree, positions, 2)[0][:, 1]))
+            least, most = EXACT * self._apart_m, COARSE * self._apart_m
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
 
     def find(self, points: NDArray[np.float64]) -> Placement | None:
@@ -67,37 +70,56 @@ class PlaceFinder:
         if self._sides is None or n < needed or self._positions.shape[1] != d:
             return None
         found: list[Placement] = []
-        for placement in self._hypotheses(points):
-            better = self._settled(points, placement)
-            if better is not None and better.n_agreeing >= needed:
-                found.append(better)
-            if better is not None and better.n_agreeing > DISTINCT * n:
-                break
+        for placement in self._hypotheses(points, needed):
+            if not any(self._is_near(points, placement, other) for other in found):
+                better = self._settled(points, placement)
+                if better is not None and better.n_agreeing >= needed:
+                    found.append(better)
         if not found:
             return None
         best = max(found, key=lambda placement: placement.n_agreeing)
         return best if self._is_clear(points, best, found) else None
 
-    def _hypotheses(self, points: NDArray[np.float64]) -> list[Placement]:
-        """Return where triangles found in the map put the scan, the likeliest first."""
+    def landmarks_at(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the rows of the map that lie at points (n, d), map frame; -1 where none does."""
+        distance, landmark = nearest(self._tree, points)
+        return np.where(distance[:, 0] <= self._tolerance_m, landmark[:, 0], -1)
+
+    def by_chance(self, n: int, n_agreeing: int) -> float:
+        """Return how likely so many of n points would be found where landmarks lie at random.
+
+        Beside the three of the triangle that was looked up.
+        """
+        # Half of the landmarks have another within `apart_m`, so many of which lie in a tolerance.
+        share = np.log(2) * (self._tolerance_m / self._apart_m) ** self._positions.shape[1]
+        return float(binom.sf(n_agreeing - 4, n - 3, share))
+
+    def _hypotheses(self, points: NDArray[np.float64], needed: float) -> list[Placement]:
+        """Return where triangles found in the map put the scan, the likeliest first.
+
+        Of these the ones that bring enough of it near mapped landmarks.
+        """
         corners, sides = _triangles(points)
         if self._sides is None or not len(sides):
             return []
         distance, hit = nearest(self._sides, sides, 4)
         row, column = np.nonzero(distance <= 2 * self._tolerance_m)
         order = np.argsort(distance[row, column], kind="stable")[:HITS]
-        placements = []
-        for triangle, other in zip(row[order], hit[row, column][order], strict=True):
-            there = self._positions[self._corners[other]]
-            R, t = fit_rigid(points[corners[triangle]], there)
-            off = points[corners[triangle]] @ R.T + t - there
-            if np.abs(off).max() <= 2 * self._tolerance_m:
-                placements.append(Placement(R, t, 3))
-        return placements
+        here = points[corners[row[order]]]
+        there = self._positions[self._corners[hit[row, column][order]]]
+        h, _, d = here.shape
+        at, ones = np.repeat(np.arange(h), 3), np.ones(3 * h)
+        R, t, fixed = fit_rigid_each(here.reshape(-1, d), there.reshape(-1, d), ones, at, h)
+        off = np.einsum("hij,hkj->hki", R, here) + t[:, None] - there
+        likely = np.flatnonzero(fixed & (np.abs(off).max(axis=(1, 2)) <= 2 * self._tolerance_m))
+        placed = np.einsum("hij,nj->hni", R[likely], points) + t[likely][:, None]
+        apart = nearest(self._tree, placed.reshape(-1, d))[0].reshape(len(likely), len(points))
+        enough = np.sum(apart <= REACH * self._tolerance_m, axis=1) >= needed
+        return [Placement(R[k], t[k], 3) for k in likely[enough]]
 
     def _settled(self, points: NDArray[np.float64], placement: Placement) -> Placement | None:
         """Fit a placement to all that it brings onto mapped landmarks."""
-        reach_m = 3 * self._tolerance_m
+        reach_m = REACH * self._tolerance_m
         for _ in range(3):
             distance, landmark = nearest(self._tree, placement.apply(points))
             near = np.flatnonzero(distance[:, 0] <= reach_m)
@@ -110,6 +132,11 @@ class PlaceFinder:
                 return None
             placement, reach_m = fitted, max(reach_m / 2, self._tolerance_m)
         return placement
+
+    def _is_near(self, points: NDArray[np.float64], one: Placement, other: Placement) -> bool:
+        """Tell whether two placements are the same but for what settling changes."""
+        off = np.abs(one.apply(points) - other.apply(points))
+        return bool(off.max() <= REACH * self._tolerance_m)
 
     def _is_clear(
         self, points: NDArray[np.float64], best: Placement, found: list[Placement]

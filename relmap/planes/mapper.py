@@ -93,7 +93,7 @@ class PlaneMapper(DurableMapper):
     ) -> None:
         super().__init__(config, journal, run)
         self._planes = PlaneRegistration(self.config.max_missed)
-        self._merger = CornerMerger(
+        self._seen_again.merger = CornerMerger(
             self._builder.map, self._sightings, self.config.group_after, self._planes
         )
         self._segmenter = segmenter

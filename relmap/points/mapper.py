@@ -83,6 +83,8 @@ class PointMapper(DurableMapper):
         """Map what is left; see `RelativeMapper.finish`."""
         self._finder = None
         super().finish()
+        if not self._has_ids:
+            self._seen_again.tie_pieces()
 
     def localise(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return where a scan was taken, found from the map alone; the mapper stays as it is.

@@ -1,0 +1,105 @@
+"""Which pieces of the map show the same place, told by how their landmarks lie.
+
+Without ids a stretch that cannot be tied to what was before begins a piece of its own.  Some of
+these come to places that others have been to.  Neighbourhoods of one piece are looked for in all
+others at once, and one that is found there for sure ties the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.recognition import ENOUGH, HITS, PlaceFinder
+from relmap.core.registration.base import nearest
+from relmap.core.registration.placement import Placement
+
+NEIGHBOURHOOD = 20
+"""Landmarks that are looked for together."""
+OVERLAP = 3
+"""One in so many of a neighbourhood is looked for with no other neighbourhood around it."""
+BY_CHANCE = 1e-3
+"""How often landmarks that lie at random may be taken for a place, over a whole map."""
+APART = 4.0
+"""How far apart pieces are laid out, in sizes of the largest."""
+
+
+def tie_pieces(global_map: GlobalMap, noise_m: float) -> Iterator[NDArray[np.int64]]:
+    """Join pieces that show the same place.
+
+    Parameters
+    ----------
+    global_map : GlobalMap
+    noise_m : float
+        Standard deviation of an observed coordinate.
+
+    Yields
+    ------
+    (k,) int64
+        The landmarks of a piece that another has just joined.  Those that are the same should be
+        merged before the next is looked for.
+    """
+    pieces, sizes = np.unique(global_map.pieces, return_counts=True)
+    known = (pieces != UNMAPPED) & (sizes >= ENOUGH)
+    for piece in pieces[known][np.argsort(sizes[known], kind="stable")].tolist():
+        found = _found_elsewhere(global_map, piece, noise_m)
+        if found is not None:
+            other, placement = found
+            global_map.tie(piece, other, placement.R, placement.t)
+            yield np.flatnonzero(global_map.pieces == other)
+
+
+def _found_elsewhere(
+    global_map: GlobalMap, piece: int, noise_m: float
+) -> tuple[int, Placement] | None:
+    """Return the piece that shows a place of this one, and where this one lies in its frame."""
+    own = np.flatnonzero(global_map.pieces == piece)
+    others = np.flatnonzero((global_map.pieces != piece) & (global_map.pieces != UNMAPPED))
+    if not len(others):
+        return None
+    positions, shifts, number = _laid_out(global_map, others)
+    finder = PlaceFinder(positions, noise_m)
+    trials = HITS * len(np.unique(global_map.pieces)) * len(global_map.pieces)
+    for around in neighbourhoods(global_map.positions[own]):
+        points = global_map.positions[own[around]]
+        placement = finder.find(points)
+        if placement is None:
+            continue
+        hit = np.unique(finder.landmarks_at(placement.apply(points)))
+        hit = hit[hit >= 0]
+        hit_pieces = np.unique(number[hit])
+        sure = trials * finder.by_chance(len(points), len(hit)) <= BY_CHANCE
+        if sure and len(hit_pieces) == 1:
+            other = int(hit_pieces[0])
+            return other, replace(placement, t=placement.t - shifts[other])
+    return None
+
+
+def _laid_out(
+    global_map: GlobalMap, landmarks: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]], NDArray[np.int64]]:
+    """Return landmarks (n, d), their pieces side by side, by what shifts, and the pieces (n,)."""
+    positions, of = global_map.positions[landmarks].copy(), global_map.pieces[landmarks]
+    size_m = float(np.max(np.abs(positions)))
+    shifts = {}
+    for k, piece in enumerate(np.unique(of).tolist()):
+        shifts[piece] = np.zeros(positions.shape[1])
+        shifts[piece][0] = APART * size_m * k
+        positions[of == piece] += shifts[piece]
+    return positions, shifts, of
+
+
+def neighbourhoods(positions: NDArray[np.float64]) -> Iterator[NDArray[np.int64]]:
+    """Yield the nearest landmarks (k,) to some of those at positions (n, d); all get a turn."""
+    tree, had = cKDTree(positions), np.zeros(len(positions), dtype=bool)
+    rank = min(NEIGHBOURHOOD, len(positions))
+    for k in range(len(positions)):
+        if not had[k]:
+            around = nearest(tree, positions[k : k + 1], rank)[1][0]
+            had[around[: max(1, rank // OVERLAP)]] = True
+            yield around
