@@ -21,8 +21,11 @@ ROUNDING = 1e-13
 """The same, as a share of the map's size, where nothing is left."""
 WORSE = 1.001
 """A step after which more than so many times the least sum of squares is left was too long."""
-SHORTER = 0.25
-"""What is tried of such a step instead."""
+DAMPED, MORE = 1e-5, 10.0
+"""What is added to the matrix's diagonal then, as a share of it, and how many times more each time
+(Levenberg, 1944; Marquardt, 1963)."""
+UNSURE = 1e-4
+"""A step has settled too that gains no more, in squared standard deviations of the whole map."""
 SLOW = 0.1
 """A step that leaves a larger share of the one before asks for a new factor."""
 HUBER = 5.0
@@ -95,35 +98,45 @@ def _settled(
     """
     size = np.abs(positions - positions.mean(axis=0)).max()
     rounding = len(rows.points) * (ROUNDING * size) ** 2
-    before, least, residual = np.inf, np.inf, 0.0
-    best, move = positions, np.zeros_like(positions)
+    before, least, damping, best, length, residual = np.inf, np.inf, 0.0, positions, np.inf, 0.0
     for _ in range(ROUNDS):
         placed = lay_on(rows, positions, weight)
         right, matrix = system.normal(positions, placed, weight, with_matrix=found is None)
         cost = system.cost.sum()
         if not cost <= WORSE * least + rounding:
-            move = SHORTER * move
-            positions, found, before = best + move, None, np.inf
+            damping = max(DAMPED, MORE * damping)
+            positions, found, before = best, None, np.inf
             continue
         best, least = positions, min(cost, least)
         if found is None:
+            system.levels.damp(matrix, damping)
             found = factor(system.levels, matrix)
-        positions = system.moved(best, placed, weight, found.solve(right))
-        move = positions - best
-        step = np.abs(move).max()
-        shrinks = step / before if np.isfinite(before) else None
+        step = found.solve(right)
+        positions = system.moved(best, placed, weight, step)
+        length = np.abs(positions - best).max()
+        shrinks = length / before if np.isfinite(before) else None
         residual = np.sqrt(np.mean((placed - best[rows.landmark]) ** 2))
-        if step * (shrinks or 1.0) <= max(SETTLED * residual, ROUNDING * size):
+        near = length * (shrinks or 1.0) <= max(SETTLED * residual, ROUNDING * size)
+        unsure = np.sum(right * step) <= UNSURE * cost / _freedoms(rows)
+        if not damping and (near or unsure):
             return positions, found
-        before = step
-        if shrinks is not None and shrinks > SLOW:
+        before = length
+        if damping or (shrinks is not None and shrinks > SLOW):
             found, before = None, np.inf
-    if before > WORTH_SAYING * residual:
+        damping = damping / MORE if damping > DAMPED else 0.0
+    if length > WORTH_SAYING * residual:
         logger.warning(
-            "refinement did not settle in %d rounds: the last step was %.3g m", ROUNDS, before
+            "refinement did not settle in %d rounds: the last step was %.3g m", ROUNDS, length
         )
     placed = lay_on(rows, best, weight)
     return best, factor(system.levels, system.normal(best, placed, weight, True)[1])
+
+
+def _freedoms(rows: JointRows) -> int:
+    """Return how many more coordinates were observed than there are unknowns; at least 1."""
+    d = rows.points.shape[1]
+    unknown = d * len(rows.landmarks) + (3 * d - 3) * (len(rows.segments) - 1)
+    return max(int(d * len(rows.points) - unknown), 1)
 
 
 def _weights(

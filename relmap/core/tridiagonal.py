@@ -109,6 +109,11 @@ class Levels:
         for diagonal in diagonals:
             diagonal += LOOSE * (np.abs(diagonal) + largest) + least
 
+    def damp(self, buffer: NDArray[np.float64], share: float) -> None:
+        """Add a share of itself to the diagonal."""
+        for diagonal, _ in self.blocks(buffer) if share else ():
+            np.einsum("ii->i", diagonal)[:] *= 1 + share
+
     def fix(self, buffer: NDArray[np.float64], node: int) -> None:
         """Let a node's unknowns stay where they are."""
         diagonal = np.einsum("ii->i", self.blocks(buffer)[self.level[node]][0])
