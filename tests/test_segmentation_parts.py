@@ -15,6 +15,7 @@ from relmap.segmentation.end_types import Limits, type_ends
 from relmap.segmentation.kernels import bell, expect, gauss_step, weighted_line
 from relmap.segmentation.moves import bend, merge, split, widest_gap
 from relmap.segmentation.noise import beam_angle, window_noise
+from relmap.segmentation.pairs import one_hides_other
 from relmap.segmentation.scanlines import hidden_ends, scan_walls
 from relmap.segmentation.shadows import part_at_shadows, shadows
 
@@ -173,6 +174,12 @@ def test_walls_meet_in_their_crossing() -> None:
     np.testing.assert_array_equal(met.joined, [[False, True], [True, False]])
     far = np.array([wall(4, -2, 4, 1.0, 0.5), wall(3.0, 2, 1, 2, 0.5)])
     assert not meet(WallMixture(far, 0.05, 0.001, 20.0), 2000).joined.any()
+
+
+def test_noise_does_not_hide_a_wall_that_is_seen_at_a_flat_angle() -> None:
+    flat, behind = np.array(wall(3.65, 2.76, 4.58, 3.82)), np.array(wall(5.12, 3.34, 4.6, 3.75))
+    assert one_hides_other(flat, behind, 0.01)
+    assert not one_hides_other(flat, behind, 0.2)
 
 
 def test_types_of_ends_in_their_order() -> None:

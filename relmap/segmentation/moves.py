@@ -101,7 +101,7 @@ def _join(
             apart += float(density[k] / total @ d**2)
         if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
             return whole
-    if flush(w, v, mixture.sigma) and (one_hides_other(w, v) or side_by_side(w, v)):
+    if flush(w, v, mixture.sigma) and (one_hides_other(w, v, mixture.sigma) or side_by_side(w, v)):
         return whole
     two, near = mixture.around([i, j], xy)
     scale = len(xy) / len(near)
@@ -156,7 +156,7 @@ def _bent(
     best, pieces = maximise(one, near, TRIAL, tolerance=ROUGH).evidence(near), None
     for trial in sorted(trials, key=lambda two: -two.likelihood(near))[:FINALISTS]:
         two = maximise(trial, near, 2 * TRIAL, tolerance=ROUGH)
-        if two.evidence(near) > best and not one_hides_other(*two.walls):
+        if two.evidence(near) > best and not one_hides_other(two.walls[0], two.walls[1], two.sigma):
             best, pieces = two.evidence(near), two.walls.copy()
     if pieces is not None:
         pieces[:, SHARE] *= len(near) / len(xy)
