@@ -14,7 +14,8 @@ from relmap.segmentation.em import WallMixture, maximise, scan_area
 from relmap.segmentation.end_types import Limits, type_ends
 from relmap.segmentation.kernels import bell, expect, gauss_step, weighted_line
 from relmap.segmentation.moves import bend, merge, split, widest_gap
-from relmap.segmentation.noise import by_beams, window_noise
+from relmap.segmentation.noise import beam_angle, window_noise
+from relmap.segmentation.pairs import one_hides_other
 from relmap.segmentation.scanlines import hidden_ends, scan_walls
 from relmap.segmentation.shadows import part_at_shadows, shadows
 
@@ -37,15 +38,15 @@ def test_tables_are_the_normal_distribution() -> None:
         assert bell(x) == pytest.approx(np.exp(-0.5 * x * x), abs=1e-6)
 
 
-@pytest.mark.parametrize("rays", [False, True])
-def test_density_of_a_wall_integrates_to_its_share(rays: bool) -> None:
+@pytest.mark.parametrize("beam", [0.0, 0.01])
+def test_density_of_a_wall_integrates_to_its_share(beam: float) -> None:
     walls = np.array([wall(2.0, -1.0, 2.5, 0.8, 0.6)])
 
     def density(y: float, x: float) -> float:
-        return float(expect(np.array([[x, y]]), walls, 0.15, np.zeros(1), rays)[1][0])
+        return float(expect(np.array([[x, y]]), walls, 0.15, np.zeros(1), beam)[1][0])
 
     total, _ = dblquad(density, 1.0, 3.5, -2.2, 2.0, epsabs=1e-4)
-    assert total == pytest.approx(0.6, rel=5e-3 if rays else 1e-3)
+    assert total == pytest.approx(0.6, rel=5e-3 if beam else 1e-3)
 
 
 def test_weighted_line_is_the_first_principal_axis() -> None:
@@ -175,6 +176,12 @@ def test_walls_meet_in_their_crossing() -> None:
     assert not meet(WallMixture(far, 0.05, 0.001, 20.0), 2000).joined.any()
 
 
+def test_noise_does_not_hide_a_wall_that_is_seen_at_a_flat_angle() -> None:
+    flat, behind = np.array(wall(3.65, 2.76, 4.58, 3.82)), np.array(wall(5.12, 3.34, 4.6, 3.75))
+    assert one_hides_other(flat, behind, 0.01)
+    assert not one_hides_other(flat, behind, 0.2)
+
+
 def test_types_of_ends_in_their_order() -> None:
     half, reach = np.deg2rad(45), 8.0
     ends = np.array(
@@ -255,5 +262,5 @@ def test_beams_are_known_by_their_even_bearings() -> None:
     bearing = np.deg2rad(np.arange(-60, 60, 0.5))
     reach = 4 / np.cos(bearing) + rng.normal(0, 0.05, len(bearing))
     beams = np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])
-    assert by_beams(rng.permutation(beams[rng.random(len(beams)) < 0.7]))
-    assert not by_beams(on_wall(rng, wall(4, -3, 4, 3), 240, 0.05))
+    assert beam_angle(rng.permutation(beams[rng.random(len(beams)) < 0.7]))
+    assert not beam_angle(on_wall(rng, wall(4, -3, 4, 3), 240, 0.05))

@@ -1,8 +1,11 @@
 """Compiled: the ends of a box that noise has blurred, by maximum likelihood.
 
-Along a wall points lie evenly (or by beams) between two ends; noise carries some of them beyond.
-The outermost points would put the ends too far out, by more the more points there are; the maximum
-of the likelihood is unbiased, and without noise it is the outermost points.
+Along a wall points lie evenly between two ends; noise carries some of them beyond. The outermost
+points would put the ends too far out, by more the more points there are; the maximum of the
+likelihood is unbiased, and without noise it is the outermost points.
+
+Of beams each stands for all bearings that are nearer to it than to its neighbours; the most likely
+end is then half way between the last beam that meets the wall and the next one.
 """
 
 from __future__ import annotations
@@ -18,17 +21,19 @@ from relmap.segmentation.kernels import (
     END,
     EXACT_M,
     PEAK,
-    PX,
-    PY,
     REACH,
-    UX,
-    UY,
     foot_and_height,
-    thickness,
+    measure,
+    place,
+    sightings,
 )
 
 INWARD = 5.0
 """An end is looked for no more than so many standard deviations inwards of where it was."""
+FEW = 4
+"""Of beams, so many at an end tell how many points lie there."""
+LEAST = 0.05
+"""Of beams, a point that is less a wall's does not draw its end."""
 _ROOT = math.sqrt(2.0)
 
 
@@ -44,24 +49,25 @@ def _end_slope(
     other: float,
     t: NDArray[np.float64],
     weight: NDArray[np.float64],
-    sigma: float,
+    blur: float,
     density: float,
-    shape: tuple[float, float, bool],
+    beams: bool,
 ) -> float:
     """Return how fast the log likelihood falls when the lower end of a box moves up."""
-    foot, height, rays = shape
     slope = 0.0
     for i in range(len(t)):
-        z = (t[i] - at) / sigma
-        if z > 5:
+        z = (t[i] - at) / blur
+        if beams:
+            slope += weight[i] / blur / max(z + 0.5, 1e-3) if z < 0.5 else 0.0
+        elif z > 5:
             continue
-        if z < -5:  # the ratio's asymptote, where the difference below underflows
-            slope += weight[i] * -z / sigma
+        elif z < -5:  # the ratio's asymptote, where the difference below underflows
+            slope += weight[i] * -z / blur
         else:
-            beyond = (t[i] - other) / sigma
+            beyond = (t[i] - other) / blur
             box = exact_step(z) - (exact_step(beyond) if beyond > -REACH else 0.0)
-            slope += weight[i] * PEAK * math.exp(-0.5 * z * z) / sigma / max(box, 1e-12)
-    return slope - density * thickness(at, foot, height, rays)
+            slope += weight[i] * PEAK * math.exp(-0.5 * z * z) / blur / max(box, 1e-12)
+    return slope - density
 
 
 @compiled
@@ -70,22 +76,22 @@ def _bracket(
     end: float,
     t: NDArray[np.float64],
     weight: NDArray[np.float64],
-    sigma: float,
+    blur: float,
     density: float,
-    shape: tuple[float, float, bool],
+    beams: bool,
 ) -> tuple[float, float]:
     """Return places about the lower end between which the likelihood is greatest."""
-    top = min(end - 0.5 * sigma, begin + INWARD * sigma)
-    low = high = min(begin, top - sigma)
-    step = 0.5 * sigma
+    top = min(end - 0.5 * blur, begin + INWARD * blur)
+    low = high = min(begin, top - blur)
+    step = 0.5 * blur
     for _ in range(60):
-        if _end_slope(low, end, t, weight, sigma, density, shape) < 0:
+        if _end_slope(low, end, t, weight, blur, density, beams) < 0:
             break
         low -= step
         step *= 2
-    step = 0.5 * sigma
+    step = 0.5 * blur
     for _ in range(60):
-        if high >= top or _end_slope(high, end, t, weight, sigma, density, shape) > 0:
+        if high >= top or _end_slope(high, end, t, weight, blur, density, beams) > 0:
             break
         high = min(high + step, top)
         step *= 2
@@ -108,29 +114,41 @@ def lower_end(
     end: float,
     t: NDArray[np.float64],
     weight: NDArray[np.float64],
-    sigma: float,
+    blur: float,
     density: float,
-    shape: tuple[float, float, bool],
+    beams: bool,
 ) -> float:
     """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
 
-    The density is in points per measure of `span`; the shape tells foot, height and whether the
-    points lie by beams.
+    Places and blur are in the `measure` of the wall, the density in points per measure. Of beams
+    the blur is their spacing.
     """
-    if sigma < EXACT_M:
+    if blur < EXACT_M:
         return _outermost(t, weight, begin)
-    near = t < begin + (INWARD + REACH) * sigma
+    near = t < begin + (INWARD + REACH) * blur
     t, weight = t[near], weight[near]
-    low, high = _bracket(begin, end, t, weight, sigma, density, shape)
+    low, high = _bracket(begin, end, t, weight, blur, density, beams)
     for _ in range(14):
         middle = 0.5 * (low + high)
-        if _end_slope(middle, end, t, weight, sigma, density, shape) < 0:
+        if _end_slope(middle, end, t, weight, blur, density, beams) < 0:
             low = middle
         else:
             high = middle
-        if high - low < 1e-3 * sigma:
+        if high - low < 1e-3 * blur:
             break
     return 0.5 * (low + high)
+
+
+@compiled
+def _density_at(
+    begin: float, end: float, t: NDArray[np.float64], weight: NDArray[np.float64], beam: float
+) -> float:
+    """Return how many points lie on a measure about the lower end: of the first few beams.
+
+    Fewer of a column of beams meet a wall that is farther off: half as many make a whole column.
+    """
+    reach = max(min(FEW * beam, end - begin), beam)
+    return float(0.5 * weight[t < begin + reach].sum() / reach)
 
 
 @compiled
@@ -140,25 +158,26 @@ def fit_ends(
     wall: NDArray[np.float64],
     sigma: float,
     density: float,
-    rays: bool,
+    beam: float,
 ) -> None:
-    """Move both ends of a wall to where its weighted points make them most likely."""
-    n, m = len(xy), 0
-    t, w = np.empty(n), np.empty(n)
-    for i in range(n):
-        if weight[i] > 1e-6:
-            t[m] = (xy[i, 0] - wall[PX]) * wall[UX] + (xy[i, 1] - wall[PY]) * wall[UY]
-            w[m] = weight[i]
-            m += 1
-    if m == 0:
+    """Move both ends of a wall to where its weighted points make them most likely.
+
+    The density is in points per `measure`; where points lie by beams, what it is at each end is
+    seen from them.
+    """
+    own = weight > (LEAST if beam > 0 else 1e-6)
+    if not own.any():
         return
-    t, w = t[:m], w[:m]
+    u, w = sightings(xy[own], wall, beam)[0], weight[own]
     foot, height = foot_and_height(wall)
-    low, high, shape = wall[BEGIN], wall[END], (foot, height, rays)
-    mirrored = (-foot, height, rays)
-    wall[BEGIN] = lower_end(low, high, t, w, sigma, density, shape)
-    high = -lower_end(-high, -wall[BEGIN], -t, w, sigma, density, mirrored)
-    wall[END] = max(high, wall[BEGIN] + EXACT_M)
+    low, high = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
+    blur = beam if beam > 0 else sigma
+    dense = _density_at(low, high, u, w, beam) if beam > 0 else density
+    low = lower_end(low, high, u, w, blur, dense, beam > 0)
+    dense = _density_at(-high, -low, -u, w, beam) if beam > 0 else density
+    high = -lower_end(-high, -low, -u, w, blur, dense, beam > 0)
+    wall[BEGIN] = place(low, foot, height, beam)
+    wall[END] = max(place(high, foot, height, beam), wall[BEGIN] + EXACT_M)
 
 
 @compiled
@@ -168,10 +187,9 @@ def box_extent(t: NDArray[np.float64], sigma: float) -> tuple[float, float]:
     low, high, weight = t.min(), t.max(), np.ones(len(t))
     if high - low <= 4 * sigma or len(t) < 8:
         return low, high
-    shape = (0.0, 1.0, False)
     first, last = low + sigma, high - sigma
     for _ in range(2):
         density = len(t) / max(last - first, sigma)
-        first = lower_end(first, last, t, weight, sigma, density, shape)
-        last = -lower_end(-last, -first, -t, weight, sigma, density, shape)
+        first = lower_end(first, last, t, weight, sigma, density, False)
+        last = -lower_end(-last, -first, -t, weight, sigma, density, False)
     return first, last

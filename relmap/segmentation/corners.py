@@ -60,15 +60,15 @@ def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
 def solve_ends(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     """Return the mixture with the ends of its walls where they are most likely."""
     from relmap.segmentation.boxes import fit_ends
-    from relmap.segmentation.kernels import SHARE, wall_span
+    from relmap.segmentation.kernels import SHARE, span
 
     density, total = mixture.density(xy)
     walls = mixture.walls.copy()
     for share, wall in zip(density / total, walls, strict=True):
         amount = wall[SHARE] * len(xy)
         for _ in range(2):
-            dense = amount / wall_span(wall, mixture.rays)
-            fit_ends(xy, share, wall, mixture.sigma, dense, mixture.rays)
+            dense = amount / span(wall, mixture.beam)
+            fit_ends(xy, share, wall, mixture.sigma, dense, mixture.beam)
     return mixture.with_walls(walls)
 
 
@@ -109,22 +109,21 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
 
 
 def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
-    """Return how accurate the ends (k, 2) of walls are, among n points, from those points alone."""
-    from relmap.segmentation.kernels import BEGIN, END, SHARE, local_density
+    """Return how accurate the ends (k, 2) of walls are, among n points, from those points alone.
 
-    if len(mixture.walls) == 0:
-        return np.zeros((0, 2))
-    beams = n / mixture.repeat
-    spacing = np.array(
-        [
-            [
-                1 / max(wall[SHARE] * beams * local_density(wall, at, mixture.rays), 1e-9)
-                for at in ends
-            ]
-            for wall, ends in zip(mixture.walls, mixture.walls[:, [BEGIN, END]], strict=True)
-        ]
-    )
-    return np.asarray(np.sqrt(mixture.sigma * spacing / INFORMATION + spacing**2))
+    By the noise, and by how far apart points are; and between two beams an end lies anywhere.
+    """
+    from relmap.segmentation.kernels import BEGIN, END, SHARE, beam_spacing, local_density
+
+    spread = np.zeros((len(mixture.walls), 2))
+    for k, wall in enumerate(mixture.walls):
+        for side, at in enumerate(wall[[BEGIN, END]]):
+            density = wall[SHARE] * n * local_density(wall, at, mixture.beam)
+            spacing = 1 / max(density, 1e-9)
+            between = beam_spacing(wall, at, mixture.beam) ** 2 / 12
+            blur = mixture.sigma * spacing / INFORMATION + spacing**2
+            spread[k, side] = np.sqrt(blur + between)
+    return spread
 
 
 def crossings(walls: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,8 +1,8 @@
 """Walls by expectation maximisation: the mixture whose component is the shape of a wall.
 
-Gaussian across the wall, along it the sensor's own density between two ends that the noise blurs,
-plus a uniform class of points of no wall.  A Gaussian mixture takes a wall apart, because a wall is
-not Gaussian along itself; this one does not.
+Gaussian in the direction of the noise, along the wall the sensor's own density between two unsharp
+ends, plus a uniform class of points of no wall.  A Gaussian mixture takes a wall apart, because a
+wall is not Gaussian along itself; this one does not.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class WallMixture:
         Share of points of no wall.
     area : float
         What they are spread over, square metres.
-    rays : bool
-        Whether points are spread evenly over the sensor's beams, or over the walls.
+    beam : float
+        Angle (radians) between the beams that points lie on; 0 where they lie evenly on the walls.
     repeat : float
         Points at one bearing, which tell of the extent of a wall only once.
     fixed_noise : bool
@@ -52,16 +52,21 @@ class WallMixture:
     sigma: float
     stray: float
     area: float
-    rays: bool = False
+    beam: float = 0.0
     repeat: float = 1.0
     fixed_noise: bool = False
     rest: NDArray[np.float64] | None = None
+
+    @property
+    def along(self) -> float:
+        """How far (metres) noise carries points along a wall: of beams none off its beam."""
+        return 0.0 if self.beam > 0 else self.sigma
 
     def density(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the density (k, n) of points (n, 2) under each wall, and of all together (n,)."""
         from relmap.segmentation.kernels import expect
 
-        return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.rays)
+        return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.beam)
 
     def beside(self, n: int) -> NDArray[np.float64]:
         """Return the density of everything but the walls at n points."""
@@ -131,13 +136,13 @@ def maximise(
 
     With `held` the ends of the walls stay.
     """
-    from relmap.segmentation.kernels import em_step
+    from relmap.segmentation.emsteps import em_step
 
     walls, sigma, stray = mixture.walls.copy(), mixture.sigma, mixture.stray
     before = -np.inf
     for _ in range(steps if len(walls) else 0):
         rest = np.full(len(xy), stray / mixture.area) if mixture.rest is None else mixture.rest
-        likelihood, spread, loose = em_step(xy, walls, sigma, rest, mixture.rays, held)
+        likelihood, spread, loose = em_step(xy, walls, sigma, rest, mixture.beam, held)
         if not mixture.fixed_noise:
             sigma = min(max(spread, FLOOR_M), 1.5 * sigma)
         stray = max(loose, STRAY_LEAST)

@@ -1,8 +1,13 @@
 """The hot loops of segmentation, compiled.
 
 A wall is a row of `WALL` numbers: a point on it and its direction (metres, robot frame), where it
-begins and ends along that direction, and its share of the scan's points.  Compiled code is cached,
-see `relmap.core.kernels`; this module is imported where it is used.
+begins and ends along that direction, and its share of the scan's points.
+
+Points lie evenly on the walls, each with noise in all directions; or on beams, evenly spaced and
+`beam` radians apart, each with noise along its beam: its bearing is exact, and tells where on the
+wall it was measured.
+
+Compiled code is cached, see `relmap.core.kernels`; this module is imported where it is used.
 """
 
 from __future__ import annotations
@@ -22,6 +27,12 @@ REACH = 6.0
 EXACT_M = 1e-7
 """Below this noise the ends are the outermost points: the blur is lost in rounding."""
 PEAK = 1.0 / math.sqrt(2.0 * math.pi)
+GRAZING = 1.56
+"""Of beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
+BLUR = 0.5
+"""Of beams, how unsharp an end is while it is looked for, in their spacing."""
+NEXT = 1.0 / BLUR
+"""So far an end reaches to the next beam, and not to those beyond."""
 
 
 _CELLS = 512
@@ -54,23 +65,6 @@ def bell(x: float) -> float:
 
 
 @compiled
-def span(begin: float, end: float, foot: float, height: float, rays: bool) -> float:
-    """Return the measure of a stretch of wall: its length, or the angle under which it is seen."""
-    measure = end - begin
-    if rays:
-        measure = math.atan((end - foot) / height) - math.atan((begin - foot) / height)
-    return max(measure, 1e-9)
-
-
-@compiled
-def thickness(t: float, foot: float, height: float, rays: bool) -> float:
-    """Return how densely points lie at t along a wall, per measure of `span`."""
-    if rays:
-        return height / (height * height + (t - foot) * (t - foot))
-    return 1.0
-
-
-@compiled
 def foot_and_height(wall: NDArray[np.float64]) -> tuple[float, float]:
     """Return where along a wall the sensor stands, and how far off its line."""
     foot = -(wall[PX] * wall[UX] + wall[PY] * wall[UY])
@@ -79,39 +73,123 @@ def foot_and_height(wall: NDArray[np.float64]) -> tuple[float, float]:
 
 
 @compiled
+def measure(t: float, foot: float, height: float, beam: float) -> float:
+    """Return a place along a wall in what points fill evenly: metres, or of beams the angle."""
+    return math.atan((t - foot) / height) if beam > 0 else t
+
+
+@compiled
+def place(u: float, foot: float, height: float, beam: float) -> float:
+    """Return the place along a wall of a `measure`."""
+    return foot + height * math.tan(min(max(u, -GRAZING), GRAZING)) if beam > 0 else u
+
+
+@compiled
+def span(wall: NDArray[np.float64], beam: float) -> float:
+    """Return how much of its `measure` a wall takes."""
+    foot, height = foot_and_height(wall)
+    begin, end = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
+    return max(end - begin, 1e-9)
+
+
+@compiled
+def beam_spacing(wall: NDArray[np.float64], at: float, beam: float) -> float:
+    """Return how far apart beams meet a wall about a place along it, metres."""
+    foot, height = foot_and_height(wall)
+    return beam * (height * height + (at - foot) * (at - foot)) / height
+
+
+@compiled
+def local_density(wall: NDArray[np.float64], at: float, beam: float) -> float:
+    """Return the share of a wall's points that lie about a place on it, per metre."""
+    spread = beam_spacing(wall, at, beam) / beam if beam > 0 else 1.0
+    return 1.0 / max(span(wall, beam) * spread, 1e-12)
+
+
+@compiled
+def end_blur(sigma: float, beam: float) -> float:
+    """Return how unsharp ends are, in the `measure` of a wall.
+
+    By the noise; but noise moves no point off its beam: there an end is as unsharp as beams are
+    apart.
+    """
+    return BLUR * beam if beam > 0 else sigma
+
+
+@compiled
+def sighted(
+    x: float, y: float, wall: NDArray[np.float64], foot: float, height: float, beam: float
+) -> tuple[float, float, float, float]:
+    """Return what a point says of a wall.
+
+    Its place along the wall, as a `measure` and in metres; its distance from the line; and how many
+    times as far off it is in the direction of its noise: across the wall, or along its beam, which
+    meets the wall at that place. Infinitely many times where the beam does not meet the wall.
+    """
+    x -= wall[PX]
+    y -= wall[PY]
+    t, d = x * wall[UX] + y * wall[UY], y * wall[UX] - x * wall[UY]
+    if beam <= 0:
+        return t, t, d, 1.0
+    ahead = wall[PY] * wall[UX] - wall[PX] * wall[UY]
+    out = ahead + d if ahead > 0 else -ahead - d
+    if out <= 0:
+        return 0.0, 0.0, d, np.inf
+    steep = math.hypot(t - foot, out) / out
+    return math.atan((t - foot) / out), foot + (t - foot) * height / out, d, steep
+
+
+@compiled
+def sightings(
+    xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return of points (n, 2) the places along a wall, as `measure` and in metres, and how far off.
+
+    See `sighted`; how far off is in the direction of the noise.
+    """
+    n = len(xy)
+    u, t, off = np.empty(n), np.empty(n), np.empty(n)
+    foot, height = foot_and_height(wall)
+    for i in range(n):
+        u[i], t[i], d, steep = sighted(xy[i, 0], xy[i, 1], wall, foot, height, beam)
+        off[i] = d * steep
+    return u, t, off
+
+
+@compiled
 def expect(
     xy: NDArray[np.float64],
     walls: NDArray[np.float64],
     sigma: float,
     rest: NDArray[np.float64],
-    rays: bool,
+    beam: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the density (k, n) of each point under each wall, and of all together (n,).
 
-    Gaussian across the wall, along it the sensor's own density between two ends that the noise
-    blurs: the convolution of a box with a Gaussian is a difference of two normal distribution
-    functions.  `rest` (n,) is the density of everything but these walls.
+    Gaussian in the direction of the noise, along the wall even between two unsharp ends: the
+    convolution of a box with a Gaussian is a difference of two normal distribution functions.
+    `beam` is the angle between beams, 0 where points lie evenly on the walls. `rest` (n,) is the
+    density of everything but these walls.
     """
     n, k = len(xy), len(walls)
     density, total = np.zeros((k, n)), rest.copy()
+    blur, reach = end_blur(sigma, beam), NEXT if beam > 0 else REACH
     for j in range(k):
         w = walls[j]
         foot, height = foot_and_height(w)
-        measure = span(w[BEGIN], w[END], foot, height, rays)
-        scale = w[SHARE] * PEAK / sigma / measure
-        low, high = w[BEGIN] - REACH * sigma, w[END] + REACH * sigma
+        low, high = measure(w[BEGIN], foot, height, beam), measure(w[END], foot, height, beam)
+        scale = w[SHARE] * PEAK / sigma / max(high - low, 1e-9)
         for i in range(n):
-            x, y = xy[i, 0] - w[PX], xy[i, 1] - w[PY]
-            z = (y * w[UX] - x * w[UY]) / sigma
-            if abs(z) > REACH:
+            d = (xy[i, 1] - w[PY]) * w[UX] - (xy[i, 0] - w[PX]) * w[UY]
+            if abs(d) > REACH * sigma:  # no noise is greater across a wall than along a beam
                 continue
-            t = x * w[UX] + y * w[UY]
-            if t < low or t > high:
+            u, _, d, steep = sighted(xy[i, 0], xy[i, 1], w, foot, height, beam)
+            z, first, last = abs(d) * steep / sigma, (u - low) / blur, (u - high) / blur
+            if z > REACH or first < -reach or last > reach:
                 continue
-            box = gauss_step((t - w[BEGIN]) / sigma) - gauss_step((t - w[END]) / sigma)
-            if rays:
-                box *= thickness(min(max(t, w[BEGIN]), w[END]), foot, height, rays)
-            density[j, i] = scale * bell(z) * box
+            density[j, i] = scale * bell(z) * (gauss_step(first) - gauss_step(last))
+            if beam > 0:
+                density[j, i] /= math.hypot(xy[i, 0], xy[i, 1])
             total[i] += density[j, i]
     return density, total
 
@@ -153,125 +231,3 @@ def weighted_line(
             d = (xy[i, 1] - py) * ux - (xy[i, 0] - px) * uy
             across += weight[i] * d * d
     return total, across
-
-
-@compiled
-def wall_span(wall: NDArray[np.float64], rays: bool) -> float:
-    """Return the measure of a wall, see `span`."""
-    foot, height = foot_and_height(wall)
-    return span(wall[BEGIN], wall[END], foot, height, rays)
-
-
-@compiled
-def local_density(wall: NDArray[np.float64], at: float, rays: bool) -> float:
-    """Return the share of a wall's points that lie about a place on it, per metre."""
-    foot, height = foot_and_height(wall)
-    measure = span(wall[BEGIN], wall[END], foot, height, rays)
-    return thickness(at, foot, height, rays) / max(measure, 1e-12)
-
-
-@compiled
-def _gather(
-    xy: NDArray[np.float64],
-    share: NDArray[np.float64],
-    total: NDArray[np.float64],
-    wall: NDArray[np.float64],
-    sigma: float,
-) -> NDArray[np.float64]:
-    """Return what a step of EM needs of a wall's points, in the wall's own frame.
-
-    Their weight, sums of t, d, tt, td and dd, the pull on both ends, and the outermost t.
-    """
-    s = np.zeros(10)
-    s[8], s[9] = np.inf, -np.inf
-    for i in range(len(xy)):
-        if share[i] <= 0:
-            continue
-        w = share[i] / total[i]
-        x, y = xy[i, 0] - wall[PX], xy[i, 1] - wall[PY]
-        t, d = x * wall[UX] + y * wall[UY], y * wall[UX] - x * wall[UY]
-        s[0] += w
-        s[1] += w * t
-        s[2] += w * d
-        s[3] += w * t * t
-        s[4] += w * t * d
-        s[5] += w * d * d
-        if w > 0.01:
-            s[8], s[9] = min(s[8], t), max(s[9], t)
-        low, high = (t - wall[BEGIN]) / sigma, (t - wall[END]) / sigma
-        if low < 5 or high > -5:
-            box = max(gauss_step(low) - gauss_step(high), 1e-7)
-            s[6] += w * bell(low) / box
-            s[7] += w * bell(high) / box
-    return s
-
-
-@compiled
-def _turn(wall: NDArray[np.float64], s: NDArray[np.float64]) -> float:
-    """Move a wall to its points' line of total least squares; return their scatter across it."""
-    t, d = s[1] / s[0], s[2] / s[0]
-    tt, td, dd = s[3] - s[0] * t * t, s[4] - s[0] * t * d, s[5] - s[0] * d * d
-    angle = 0.5 * math.atan2(2 * td, tt - dd)
-    c, q = math.cos(angle), math.sin(angle)
-    ux, uy = wall[UX], wall[UY]
-    wall[PX] += t * ux - d * uy
-    wall[PY] += t * uy + d * ux
-    wall[UX], wall[UY] = c * ux - q * uy, q * ux + c * uy
-    shift = t * c + d * q
-    wall[BEGIN] -= shift
-    wall[END] -= shift
-    return float(max(tt * q * q - 2 * td * q * c + dd * c * c, 0.0))
-
-
-@compiled
-def _score_ends(
-    wall: NDArray[np.float64], s: NDArray[np.float64], sigma: float, rays: bool
-) -> tuple[float, float]:
-    """Return how far one step of Fisher scoring moves both ends, at most the noise.
-
-    With points of density rho at an end, its information is rho / sigma times the integral of
-    phi**2 / Phi, which is 0.9032.
-    """
-    if sigma < EXACT_M:
-        return s[8] - wall[BEGIN], s[9] - wall[END]
-    foot, height = foot_and_height(wall)
-    rho = s[0] / span(wall[BEGIN], wall[END], foot, height, rays)
-    low = rho * thickness(wall[BEGIN], foot, height, rays)
-    high = rho * thickness(wall[END], foot, height, rays)
-    first = (low - PEAK * s[6] / sigma) * sigma / (0.9032 * low)
-    last = (PEAK * s[7] / sigma - high) * sigma / (0.9032 * high)
-    limit = min(sigma, 0.2 * (wall[END] - wall[BEGIN]))
-    return min(max(first, -sigma), limit), min(max(last, -limit), sigma)
-
-
-@compiled
-def em_step(
-    xy: NDArray[np.float64],
-    walls: NDArray[np.float64],
-    sigma: float,
-    rest: NDArray[np.float64],
-    rays: bool,
-    held: bool,
-) -> tuple[float, float, float]:
-    """Take one step of expectation and maximisation; walls (k, WALL) are changed in place.
-
-    `held` ends stay where they are along their walls. Returns the log likelihood before the step,
-    the noise after it, and the share of points that belong to the `rest` (n,), see `expect`.
-    """
-    density, total = expect(xy, walls, sigma, rest, rays)
-    n, likelihood, loose = len(xy), 0.0, 0.0
-    for i in range(n):
-        likelihood += math.log(total[i])
-        loose += rest[i] / total[i]
-    squares, amount = 0.0, 0.0
-    for j in range(len(walls)):
-        s = _gather(xy, density[j], total, walls[j], sigma)
-        walls[j, SHARE] = s[0] / n
-        if s[0] <= 1e-9:
-            continue
-        first, last = (0.0, 0.0) if held else _score_ends(walls[j], s, sigma, rays)
-        walls[j, BEGIN] += first
-        walls[j, END] = max(walls[j, END] + last, walls[j, BEGIN] + EXACT_M)
-        squares += _turn(walls[j], s)
-        amount += s[0]
-    return likelihood, math.sqrt(squares / max(amount - 2 * len(walls), 1.0)), loose / n

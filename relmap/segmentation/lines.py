@@ -10,17 +10,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.segmentation.noise import beam_angle, neighbour_distance, points_per_beam
+from relmap.segmentation.noise import neighbour_distance, points_per_beam
 
 TRIES = 100
-BEAMS = 2.5
-"""What is seen under a smaller angle, in columns of beams, is no wall but the noise of a column."""
+BEAMS = 0.5
+"""What is seen under a smaller angle, in beams, is no wall but the noise of one column."""
 UNCLAIMED = 0.6
 """A line keeps its claim where this share of its points is still free; else it is grown anew."""
 
 
 def find_lines(
-    xy: NDArray[np.float64], sigma: float, least: int, rng: np.random.Generator
+    xy: NDArray[np.float64], sigma: float, least: int, rng: np.random.Generator, beam: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Return lines and the line of each point.
 
@@ -32,6 +32,8 @@ def find_lines(
     least : int
         Points a line must have at least.
     rng : numpy.random.Generator
+    beam : float
+        Angle between beams, radians; 0 where there are none.
 
     Returns
     -------
@@ -47,7 +49,7 @@ def find_lines(
     if len(xy) < max(least, 3):
         return found[0], labels
     window, repeat = max(6 * sigma, 2 * neighbour_distance(xy)), points_per_beam(xy)
-    narrow, count = BEAMS * beam_angle(xy), 0
+    narrow, count = BEAMS * beam, 0
     while (labels < 0).sum() >= least:
         free = np.flatnonzero(labels < 0)
         grown = grow_lines(xy[free], rng.random((TRIES, 2)), sigma, window, repeat, narrow)

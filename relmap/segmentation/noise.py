@@ -63,21 +63,16 @@ def points_per_beam(xy: NDArray[np.float64]) -> float:
 
 
 def beam_angle(xy: NDArray[np.float64]) -> float:
-    """Return the angle (radians) between neighbouring columns of beams; 0 where there are none."""
-    step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))
-    return float(np.median(step)) if points_per_beam(xy) > 1 and len(step) else 0.0
+    """Return the angle (radians) between the beams that points (n, 2) lie on; 0 if they do not.
 
-
-def by_beams(xy: NDArray[np.float64]) -> bool:
-    """Tell whether points (n, 2) lie where evenly spaced beams met something.
-
-    Then nearly all steps from one bearing to the next are multiples of one angle.
+    They do where several lie at one bearing, or where nearly all steps from one bearing to the next
+    are multiples of one angle.
     """
-    if points_per_beam(xy) > 1:
-        return True
-    step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])))
-    multiple = step / max(float(np.median(step)), 1e-12)
-    return bool(np.mean(np.abs(multiple - np.round(multiple)) < 0.05) > EVEN)
+    step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))
+    usual = float(np.median(step)) if len(step) else 0.0
+    multiple = step / max(usual, 1e-12)
+    even = len(step) and np.mean(np.abs(multiple - np.round(multiple)) < 0.05) > EVEN
+    return usual if even or points_per_beam(xy) > 1 else 0.0
 
 
 def _column_noise(xy: NDArray[np.float64]) -> float:

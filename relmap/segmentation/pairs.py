@@ -29,19 +29,23 @@ def side_by_side(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
     return bool(min(w[5], t[1]) - max(w[4], t[0]) > HIDDEN * (t[1] - t[0]))
 
 
-def one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
-    """Tell whether two walls share most of the smaller one's view: the sensor sees only one."""
-    spans = []
+def one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+    """Tell whether two walls share most of the smaller one's view: the sensor sees only one.
+
+    By more than the noise can make them seem to.
+    """
+    spans, blur = [], 0.0
     for wall in (w, v):
         ends = corners(wall)
         middle = ends.mean(axis=0)
         turned = ends @ np.array([[middle[0], -middle[1]], [middle[1], middle[0]]])
         bearing = np.arctan2(turned[:, 1], turned[:, 0]) + np.arctan2(middle[1], middle[0])
         spans.append((bearing.min(), bearing.max()))
+        blur = max(blur, sigma / max(float(np.hypot(*middle)), 1e-9))
     (a, b), (c, d) = spans
     shift = 2 * np.pi * round(((a + b) - (c + d)) / (4 * np.pi))
     shared = min(b, d + shift) - max(a, c + shift)
-    return bool(shared > HIDDEN * min(b - a, d - c))
+    return bool(shared > HIDDEN * min(b - a, d - c) + blur)
 
 
 def within_reach(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:

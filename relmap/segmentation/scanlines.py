@@ -55,7 +55,13 @@ def scan_walls(
     labels = np.full(len(xy), -1)
     for k, (first, last) in enumerate(pieces):
         labels[first:last] = k
-    return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma), rays=True), labels
+    beam = abs(_beam_step(np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))))
+    return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma), beam=beam), labels
+
+
+def _beam_step(bearing: NDArray[np.float64]) -> float:
+    """Return the angle (radians) from one beam to the next, positive to the left."""
+    return float(np.median(np.diff(bearing))) if len(bearing) > 1 else 0.0
 
 
 def extend_to_beams(
@@ -70,7 +76,7 @@ def extend_to_beams(
     if len(mixture.walls) == 0:
         return mixture
     bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
-    step = 0.5 * float(np.median(np.diff(bearing)))
+    step = 0.5 * _beam_step(bearing)
     walls = mixture.walls.copy()
     for k, wall in enumerate(walls):
         own = np.flatnonzero(labels == k)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from relmap.segmentation.em import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.lines import find_lines
 from relmap.segmentation.moves import ROUGH, bend, merge, prune, split
-from relmap.segmentation.noise import FLOOR_M, by_beams, points_per_beam, window_noise
+from relmap.segmentation.noise import FLOOR_M, beam_angle, points_per_beam, window_noise
 from relmap.segmentation.shadows import part_at_shadows
 
 FEW = 1000
@@ -23,6 +23,8 @@ LEAST = 8
 """Points of a wall, at least."""
 SHORTEST = 1.5
 """Of a scan at least one wall is longer than so many times the noise."""
+STRAYS = 0.1
+"""Share of a wall's points that may be a neighbour's."""
 STARTS = (0.5, 0.8)
 """Lines are first looked for as if the noise were so many times what windows say: pieces of walls
 join more easily than walls taken for one part."""
@@ -70,20 +72,39 @@ def loosened(mixture: WallMixture, n: int) -> WallMixture:
 
 
 def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
-    """Return the mixture without walls that are as thick as long, or none if points have none.
+    """Return the mixture, without walls if the points have none.
 
-    A scan without walls is one that points spread evenly over its area explain as well.
+    A scan without walls is one that points spread evenly over its area explain as well, or whose
+    walls are all as thick as long.
     """
-    from relmap.segmentation.kernels import BEGIN, END
-
-    length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
-    solid = length > SHORTEST * mixture.sigma
-    if mixture.repeat > 1:  # else a single column of beams would make a wall
-        mixture = mixture.only(solid)
-    elif not solid.any():
+    if not long_enough(mixture).any():
         return mixture.only([])
     spread = -len(xy) * np.log(scan_area(xy, 0.0))
     return mixture if mixture.evidence(xy) > spread else mixture.only([])
+
+
+def long_enough(mixture: WallMixture) -> NDArray[np.bool_]:
+    """Tell which walls (k,) are longer than thick."""
+    from relmap.segmentation.kernels import BEGIN, END
+
+    length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
+    return np.asarray(length > SHORTEST * mixture.sigma)
+
+
+def seen_broad(
+    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Tell which walls (k,) have points (n, 2) on more than one beam: one tells no direction.
+
+    Some of them may be a neighbour's.
+    """
+    from relmap.segmentation.kernels import sightings
+
+    broad = np.zeros(len(mixture.walls), dtype=np.bool_)
+    for k in np.unique(labels[labels >= 0]):
+        u = sightings(xy[labels == k], mixture.walls[k], mixture.beam)[0]
+        broad[k] = np.ptp(np.quantile(u, [STRAYS, 1 - STRAYS])) > 0.5 * mixture.beam
+    return broad
 
 
 def search_walls(
@@ -98,7 +119,7 @@ def search_walls(
         sigma,
         STRAY_AT_FIRST,
         scan_area(xy, sigma),
-        rays=by_beams(xy),
+        beam=beam_angle(xy),
         repeat=points_per_beam(xy),
         fixed_noise=noise is not None,
     )
@@ -115,7 +136,7 @@ def search_from(
     nothing: WallMixture, xy: NDArray[np.float64], sigma: float, rng: np.random.Generator
 ) -> WallMixture:
     """Return the walls found from lines of some noise by EM and moves between numbers of walls."""
-    walls, _ = find_lines(xy, sigma, LEAST, rng)
+    walls, _ = find_lines(xy, sigma, LEAST, rng, nothing.beam)
     start = replace(nothing, walls=walls)
     if not nothing.fixed_noise:
         start = replace(start, sigma=sigma)
@@ -154,7 +175,8 @@ def _with_strays(
 
     _, total = mixture.density(xy)
     loose = mixture.stray / mixture.area > 0.5 * total
-    walls, _ = find_lines(np.ascontiguousarray(xy[loose]), mixture.sigma, LEAST, rng)
+    strays = np.ascontiguousarray(xy[loose])
+    walls, _ = find_lines(strays, mixture.sigma, LEAST, rng, mixture.beam)
     if len(walls) == 0:
         return mixture
     walls[:, SHARE] *= loose.mean()

@@ -129,7 +129,12 @@ class PlaneSegmenter:
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)
             sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))
-            return sharp, sharp.mixture.labels(xy)
+            labels = sharp.mixture.labels(xy)
+            if mixture.repeat > 1:  # else a single column of beams would make a wall
+                solid = search.long_enough(sharp.mixture)
+                solid &= search.seen_broad(sharp.mixture, xy, labels)
+                labels[~np.append(solid, True)[labels]] = -1
+            return sharp, labels
         labels, sigma = self._hard_labels(method, xyz, xy, rng)
         mixture = walls_of_labels(xy, labels, sigma)
         return meet(mixture, len(xy)), labels
@@ -143,7 +148,7 @@ class PlaneSegmenter:
     ) -> tuple[NDArray[np.int64], float]:
         """Return the plane of each point as found without the shape of a wall, and the noise."""
         from relmap.segmentation.lines import find_lines
-        from relmap.segmentation.noise import window_noise
+        from relmap.segmentation.noise import beam_angle, window_noise
         from relmap.segmentation.ransac3d import patch_labels, sequential_labels
 
         if method == "patches":
@@ -151,7 +156,7 @@ class PlaneSegmenter:
         sigma = window_noise(xy, rng) if self.noise is None else max(self.noise, 1e-9)
         if method == "ransac3d":
             return sequential_labels(xyz, sigma, LEAST, self.random_state), sigma
-        _, labels = find_lines(xy, sigma, LEAST, rng)
+        _, labels = find_lines(xy, sigma, LEAST, rng, beam_angle(xy))
         if method == "mixture":
             from relmap.segmentation.mixture import gaussian_labels
 

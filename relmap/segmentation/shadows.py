@@ -46,16 +46,16 @@ def shadows(walls: NDArray[np.float64], k: int, sigma: float, n: int) -> NDArray
 
 def part_at_shadows(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     """Split walls where nearer ones hide them, if no more points lie there than noise explains."""
-    from relmap.segmentation.kernels import BEGIN, END, SHARE
+    from relmap.segmentation.kernels import BEGIN, END, SHARE, sightings
 
-    labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.sigma
+    labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.along
     for k, wall in enumerate(mixture.walls):
         pieces = [wall]
-        t = np.sort((xy[labels == k] - wall[:2]) @ wall[2:4])
+        t = np.sort(sightings(xy[labels == k], wall, mixture.beam)[1])
         for low, high in shadows(mixture.walls, k, mixture.sigma, len(xy)):
             last = pieces[-1]
             inside = (low > last[BEGIN] + room) and (high < last[END] - room)
-            if not inside or not _empty(t, low, high, wall, mixture.sigma):
+            if not inside or not _empty(t, low, high, wall, mixture.along):
                 continue
             share = float(np.mean(t < 0.5 * (low + high)))
             left, right = last.copy(), last.copy()
