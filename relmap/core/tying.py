@@ -25,6 +25,8 @@ OVERLAP = 3
 """One in so many of a neighbourhood is looked for with no other neighbourhood around it."""
 BY_CHANCE = 1e-3
 """How often landmarks that lie at random may be taken for a place, over a whole map."""
+SAME = 0.1
+"""How far off, in sizes of a neighbourhood, the way there and back may lead."""
 APART = 4.0
 """How far apart pieces are laid out, in sizes of the largest."""
 
@@ -63,7 +65,7 @@ def _found_elsewhere(
     if not len(others):
         return None
     positions, shifts, number = _laid_out(global_map, others)
-    finder = PlaceFinder(positions, noise_m)
+    finder, back = (PlaceFinder(there, noise_m) for there in (positions, global_map.positions[own]))
     trials = HITS * len(np.unique(global_map.pieces)) * len(global_map.pieces)
     for around in neighbourhoods(global_map.positions[own]):
         points = global_map.positions[own[around]]
@@ -72,12 +74,25 @@ def _found_elsewhere(
             continue
         hit = np.unique(finder.landmarks_at(placement.apply(points)))
         hit = hit[hit >= 0]
-        hit_pieces = np.unique(number[hit])
+        other = np.unique(number[hit])
         sure = trials * finder.by_chance(len(points), len(hit)) <= BY_CHANCE
-        if sure and len(hit_pieces) == 1:
-            other = int(hit_pieces[0])
-            return other, replace(placement, t=placement.t - shifts[other])
+        if sure and len(other) == 1 and _leads_back(back, positions[hit], placement, points):
+            return int(other[0]), replace(placement, t=placement.t - shifts[int(other[0])])
     return None
+
+
+def _leads_back(
+    back: PlaceFinder,
+    hit: NDArray[np.float64],
+    placement: Placement,
+    points: NDArray[np.float64],
+) -> bool:
+    """Tell whether what was hit (k, d) is found where the points (n, d) are, and only there."""
+    returned = back.find(hit)
+    if returned is None:
+        return False
+    off_m = np.abs(returned.apply(placement.apply(points)) - points).max()
+    return bool(off_m <= SAME * np.ptp(points, axis=0).max())
 
 
 def _laid_out(

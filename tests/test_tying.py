@@ -1,0 +1,148 @@
+"""Pieces of the map that show the same place become one without ids, and others do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.sightings import Sightings
+from relmap.core.tying import NEIGHBOURHOOD, neighbourhoods, tie_pieces
+from tests.worlds import aligned_rmse, random_rotation, walk
+
+seeds = st.integers(0, 2**32 - 1)
+dimensions = st.sampled_from([2, 3])
+both_dimensions = pytest.mark.parametrize("d", [2, 3])
+
+Points = NDArray[np.float64]
+
+
+def in_pieces(*places: Points) -> GlobalMap:
+    """Return a map of pieces at positions (n, d), each in a frame of its own."""
+    global_map, n, d = GlobalMap(), sum(map(len, places)), places[0].shape[1]
+    global_map.resize(n, d)
+    numbers = np.split(np.arange(n), np.cumsum([len(one) for one in places])[:-1])
+    for landmarks, positions in zip(numbers, places, strict=True):
+        weights = np.full(len(landmarks), 10.0)
+        global_map.place(global_map.new_piece(), landmarks, positions, weights)
+    return global_map
+
+
+def moved(points: Points, rng: np.random.Generator, sigma: float = 0.0) -> Points:
+    d = points.shape[1]
+    noise = sigma * rng.standard_normal(points.shape)
+    return (points + noise) @ random_rotation(d, 3.0, rng).T + rng.uniform(-50, 50, d)
+
+
+@settings(max_examples=20)
+@given(seeds, dimensions, st.sampled_from([0.0, 0.02]))
+def test_what_overlaps_is_laid_on_one_another(seed: int, d: int, sigma: float) -> None:
+    rng = np.random.default_rng(seed)
+    world = rng.uniform(0, 20, (120, d))
+    # They share what lies in the middle, more than half of the smaller piece.
+    first, second = world[world[:, 0] < 15], world[world[:, 0] > 6]
+    global_map = in_pieces(moved(first, rng, sigma), moved(second, rng, sigma))
+    (tied,) = list(tie_pieces(global_map, sigma))
+    assert len(tied) == len(first) + len(second)
+    assert len(np.unique(global_map.pieces)) == 1
+    truth = np.vstack([first, second])
+    assert aligned_rmse(global_map.positions, truth) < max(1e-9, 5 * sigma)
+
+
+@settings(max_examples=10)
+@given(seeds, dimensions)
+def test_different_places_stay_apart(seed: int, d: int) -> None:
+    rng = np.random.default_rng(seed)
+    global_map = in_pieces(*(rng.uniform(0, 20, (60, d)) for _ in range(4)))
+    assert list(tie_pieces(global_map, 0.05)) == []
+    assert len(np.unique(global_map.pieces)) == 4
+
+
+@both_dimensions
+def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
+    rng = np.random.default_rng(0)
+    motif = rng.uniform(0, 8, (14, d))
+    street = np.vstack([motif + np.eye(d)[0] * 12 * k for k in range(5)])
+    global_map = in_pieces(street, moved(motif, rng))
+    assert list(tie_pieces(global_map, 0.01)) == []
+
+
+def test_landmarks_on_a_grid_tie_nothing() -> None:
+    grid = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
+    rng = np.random.default_rng(1)
+    first, second = (part + 0.01 * rng.standard_normal(part.shape) for part in (grid, grid[:60]))
+    assert list(tie_pieces(in_pieces(first, second), 0.01)) == []
+
+
+def test_nothing_mapped_and_single_pieces_tie_nothing() -> None:
+    assert list(tie_pieces(GlobalMap(), 0.01)) == []
+    alone = in_pieces(np.random.default_rng(0).uniform(0, 9, (30, 3)))
+    assert list(tie_pieces(alone, 0.01)) == []
+    alone.remove(np.arange(20))
+    assert list(tie_pieces(alone, 0.01)) == []
+    assert (alone.pieces[:20] == UNMAPPED).all()
+
+
+@given(seeds, st.integers(1, 70))
+def test_everyone_is_in_a_neighbourhood(seed: int, n: int) -> None:
+    positions = np.random.default_rng(seed).uniform(0, 9, (n, 2))
+    found = list(neighbourhoods(positions))
+    assert set(np.concatenate(found).tolist()) == set(range(n))
+    assert all(len(np.unique(one)) == min(n, NEIGHBOURHOOD) for one in found)
+
+
+@both_dimensions
+@pytest.mark.parametrize("sigma", [0.0, 0.01])
+def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> None:
+    world = walk(d, 3, sigma)
+    mapper, labels, true = PointMapper(), [], []
+    for ids, points in [*world.scans, *world.scans]:
+        labels.append(mapper.update(points))
+        true.append(ids)
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.pieces) == 1
+    found = mapper.landmarks_of(np.concatenate(labels))
+    pairs = np.unique(np.column_stack([found, np.concatenate(true)]), axis=0)
+    stands_for = dict(pairs.tolist())
+    assert len(stands_for) == len(pairs)  # nobody is two
+    mapped = [stands_for[label] for label in mapper.map.landmark_ids.tolist()]
+    assert len(set(mapped)) >= len(world.landmarks) - 2
+    assert len(mapped) <= 1.1 * len(set(mapped))
+    assert aligned_rmse(mapper.map.positions[:, :d], world.landmarks[mapped]) < max(1e-9, sigma)
+
+
+@given(seeds)
+def test_later_is_who_was_never_seen_meanwhile(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sightings, seen = Sightings(), {k: {0} for k in range(6)}
+    order = rng.permutation(6)
+    begin = np.zeros(6, dtype=np.int64)
+    sightings.resize(0, 0)
+    for iteration, k in enumerate(order.tolist()):  # six stretches, some of which overlap
+        begin[k] = 4 * iteration
+    length = rng.integers(1, 9, 6)
+    numbers = np.argsort(begin)
+    for number, k in enumerate(numbers.tolist()):
+        sightings.resize(number + 1, int(begin[k]))
+        for iteration in range(begin[k], begin[k] + length[k]):
+            sightings.see(np.array([number]), iteration)
+        seen[number] = set(range(begin[k], begin[k] + length[k]))
+    present = list(range(6))
+    while len(present) > 1:
+        new, old = rng.choice(present, 2, replace=False).tolist()
+        apart = not seen[new] & seen[old] and max(seen[old]) < max(seen[new])
+        stretches_touch = apart and not sightings.is_later(new, old)
+        if sightings.is_later(new, old):
+            assert apart
+            sightings.merge(new, old)
+            seen[old] |= seen[new]
+        elif stretches_touch:
+            raise AssertionError((seen[new], seen[old]))
+        present.remove(new)
+        if sightings.last[old] == max(seen[old]):
+            assert sightings.first[old] == min(seen[old])
