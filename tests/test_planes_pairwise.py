@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.kernels.ordering import medians
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
 from relmap.planes.pairwise import pairwise_map, relate
-from relmap.planes.refinement import medians
 from relmap.planes.stitching import stitched, without_strays
 
 FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.assembly import BLUNT, FLAT_M, Assembled
+from relmap.planes.equations import WallEquations
 from relmap.planes.history import PlaneHistory
-from relmap.planes.refinement import WallEquations, WallSystem, medians, quantiles
+from relmap.planes.refinement import WallSystem, wall_residuals
 
 EXACT_M = 1e-7
 """How sure walls can be at best where there is no noise."""
@@ -71,8 +72,10 @@ def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int
 
     Such have moved, though binning could not tell them from what stood still.
     """
+    from relmap.core.kernels.ordering import quantiles
+
     given = assembled.given
-    across, along = WallSystem(given).residuals(assembled.state)
+    across, along = wall_residuals(given, assembled.state)
     track = history.plane[assembled.rows]
     astray = [np.empty(0, dtype=np.int64)]
     for of, off in (
@@ -101,6 +104,8 @@ def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.
 
     The median tells: single sights that are quite wrong are for the refinement to leave out.
     """
+    from relmap.core.kernels.ordering import medians
+
     n = np.bincount(of)
     squares = n * (MEDIAN * medians(of, np.abs(residual))) ** 2
     return np.asarray(np.sqrt(np.maximum((KNOWN_BY + squares) / (KNOWN_BY + n), 1.0)))
