@@ -1,8 +1,9 @@
 """Closing loops where the map has drifted: two scans of one place, long apart, are matched.
 
 It is the registration of `placement` once more, between a scan and an earlier one that was made
-nearby as far as the map knows.  Single scans may deceive: only what several neighbours agree on
-counts, and only that the walls matched are the same, not the motion.
+nearby as far as the map knows.  Single scans may deceive: each scan of the later visit has one vote,
+whatever number of earlier ones it matches, and only what several vote for counts; and only that the
+walls matched are the same, not the motion.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from numpy.typing import NDArray
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import PlanarMotion, place
+from relmap.planes.placement import PlanarMotion, place, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
-STRIDE = 12
-"""One scan in so many is compared with earlier ones."""
+COMPARED = 400
+"""About so many scans, evenly spaced, are compared with earlier ones."""
 LONG_AGO = 150
 """Iterations after which a place is seen again rather than still."""
 VISIT = 50
@@ -26,45 +27,45 @@ VISITS = 4
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """How far apart two scans are at most that are compared, as far as the map knows."""
-ENOUGH = 6
+ENOUGH = 3
 """Walls that must match."""
 SHARE = 0.5
-"""Share of the walls of the poorer scan that must match."""
-AGREEING = 3
-"""Neighbouring scans that must agree on how far the map has drifted between the two visits."""
+"""Share of the walls and corners of the poorer scan that must match."""
+VOTES = 3
+"""Scans of the later visit that must agree on how far the map has drifted since the earlier one."""
+LATER, EARLIER = 72, 144
+"""Iterations that scans of one visit are apart at most, of the later and of the earlier one."""
 DRIFT_M = 0.2
 DRIFT_RAD = np.deg2rad(4.0)
 """How far they may differ and still agree."""
 
+Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
+"""A later and an earlier scan, how far the map has drifted between, and the walls that match."""
+
 
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
-    found = []
-    for i in range(0, len(assembled.iterations), STRIDE):
+    found: list[Loop] = []
+    for i in range(0, len(assembled.iterations), 1 + len(assembled.iterations) // COMPARED):
         for j in _earlier(assembled, i).tolist():
             matched = _matched(assembled, history, j, i)
             if matched is not None:
                 found.append((i, j, *matched))
-    pairs = [
-        pair
-        for k, (i, j, drift, walls) in enumerate(found)
-        if sum(_agrees(drift, i, j, other) for other in found) >= AGREEING
-        for pair in walls
-    ]
+    pairs = [pair for loop in found if _votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
 
 
-def _agrees(
-    drift: NDArray[np.float64],
-    i: int,
-    j: int,
-    other: tuple[int, int, NDArray[np.float64], NDArray[np.int64]],
-) -> bool:
-    near = abs(other[0] - i) <= 6 * STRIDE and abs(other[1] - j) <= 12 * STRIDE
-    off = drift - other[2]
-    same = np.hypot(off[1], off[2]) < DRIFT_M and abs(wrapped(off[:1])[0]) < DRIFT_RAD
-    return bool(near and same)
+def _votes(loop: Loop, found: list[Loop]) -> int:
+    """Count the scans of the later visit that agree with a loop, its own among them."""
+    i, j, drift, _ = loop
+    agreeing = set()
+    for other, earlier, its_drift, _ in found:
+        if abs(other - i) <= LATER and abs(earlier - j) <= EARLIER:
+            off = drift - its_drift
+            if np.hypot(off[1], off[2]) < DRIFT_M and abs(wrapped(off[:1])[0]) < DRIFT_RAD:
+                agreeing.add(other)
+    return len(agreeing)
 
 
 def _earlier(assembled: Assembled, i: int) -> NDArray[np.int64]:
@@ -102,7 +103,8 @@ def _matched(
     if found is None:
         return None
     motion, match = found
-    if len(match.tracks) < max(ENOUGH, SHARE * min(len(earlier), len(later))):
+    possible = min(worth(tracks, later, np.ones(len(earlier), dtype=np.bool_)))
+    if len(match.tracks) < ENOUGH or match.score < SHARE * possible:
         return None
     c, s = np.cos(assembled.state.yaw[i]), np.sin(assembled.state.yaw[i])
     x, y = motion.t - expected.t
