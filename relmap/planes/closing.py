@@ -1,8 +1,8 @@
 """Closing loops where the map has drifted: two scans of one place, long apart, are matched.
 
 It is the registration of `placement` once more, between a scan and an earlier one that was made
-nearby as far as the map knows.  Single scans may deceive: each scan of the later visit has one vote,
-whatever number of earlier ones it matches, and only what several vote for counts; and only that the
+nearby as far as the map knows.  Single scans may deceive: each scan of the later visit has one
+vote, however many earlier ones it matches, and only what several vote for counts; and only that the
 walls matched are the same, not the motion.
 """
 
@@ -46,11 +46,10 @@ Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
-    for i in range(0, len(assembled.iterations), 1 + len(assembled.iterations) // COMPARED):
-        for j in _earlier(assembled, i).tolist():
-            matched = _matched(assembled, history, j, i)
-            if matched is not None:
-                found.append((i, j, *matched))
+    for i, j in _earlier(assembled).tolist():
+        matched = _matched(assembled, history, j, i)
+        if matched is not None:
+            found.append((i, j, *matched))
     pairs = [pair for loop in found if _votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
@@ -68,17 +67,28 @@ def _votes(loop: Loop, found: list[Loop]) -> int:
     return len(agreeing)
 
 
-def _earlier(assembled: Assembled, i: int) -> NDArray[np.int64]:
-    """Return the nearest scans of visits long ago, as far as the map knows, nearest first."""
-    state = assembled.state
-    before = np.flatnonzero(assembled.iterations < assembled.iterations[i] - LONG_AGO)
-    turned = np.abs(wrapped(state.yaw[before] - state.yaw[i]))
-    apart = np.linalg.norm(state.t[before] - state.t[i], axis=1)
-    near = (turned < TURNED_RAD) & (apart < NEAR_M)
-    before, cost = before[near], (apart + turned)[near]
-    order = np.argsort(cost, kind="stable")
-    _, first = np.unique(before[order] // VISIT, return_index=True)
-    return np.asarray(before[order][np.sort(first)[:VISITS]])
+def _earlier(assembled: Assembled) -> NDArray[np.int64]:
+    """Return scans (k, 2), a later and an earlier one, that are to be compared.
+
+    Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
+    nearest visits.
+    """
+    state, n = assembled.state, len(assembled.iterations)
+    later = np.arange(0, n, 1 + n // COMPARED)
+    apart = np.hypot(*(state.t[later, None] - state.t).transpose(2, 0, 1))
+    ago = assembled.iterations[later, None] - assembled.iterations
+    k, before = np.nonzero((apart < NEAR_M) & (ago > LONG_AGO))
+    turned = np.abs(wrapped(state.yaw[before] - state.yaw[later[k]]))
+    cost = (apart[k, before] + turned)[turned < TURNED_RAD]
+    k, before = k[turned < TURNED_RAD], before[turned < TURNED_RAD]
+    order = np.lexsort((cost, before // VISIT, k))
+    k, before, cost = k[order], before[order], cost[order]
+    nearest = np.diff(k * n + before // VISIT, prepend=-1) > 0
+    k, before, cost = k[nearest], before[nearest], cost[nearest]
+    order = np.lexsort((cost, k))
+    k, before = k[order], before[order]
+    kept = np.arange(len(k)) - np.searchsorted(k, k) < VISITS
+    return np.column_stack([later[k[kept]], before[kept]])
 
 
 def _matched(

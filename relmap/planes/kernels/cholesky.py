@@ -1,6 +1,5 @@
 """Sparse Cholesky of a sum of cliques, block by block; see `relmap.planes.cholesky`.
 
-
 Blocks are small sets of unknowns that always stand together.  Unknowns are numbered in the order in
 which they are eliminated; `column_of` tells the place of each one's block in it.  The factor is
 stored in panels: of each block the columns, one after another, over the rows
