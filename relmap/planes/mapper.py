@@ -36,7 +36,7 @@ WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
 CLOSED = 3
 """How often loops are looked for, each time with less drift left."""
 ROUGHLY = ((2, 20.0), (2, 8.0), (2, 5.0))
-"""Solutions that walls are joined by; see `relmap.planes.solving.ROUNDS`."""
+"""Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
 
