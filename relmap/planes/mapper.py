@@ -31,11 +31,11 @@ from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_tabl
 if TYPE_CHECKING:
     from relmap.journal import RecordedScan
 
-WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
+WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
 CLOSED = 3
 """How often loops are looked for, each time with less drift left."""
-ROUGHLY = ((2, 20.0), (2, 8.0), (2, 5.0))
+ROUGHLY = ((1, 20.0), (1, 8.0), (2, 5.0))
 """Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
