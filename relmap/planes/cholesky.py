@@ -38,9 +38,7 @@ class CliquePattern:
         from relmap.planes.kernels.elimination import minimum_degree
 
         order, tied_begin, tied = minimum_degree(width, begin, cliques)
-        self._layout = panels(width, order, tied_begin, tied)
-        self.first = np.empty(len(width), dtype=np.int64)
-        self.first[order] = self._layout[0][:-1]
+        self.first, self._layout = panels(width, order, tied_begin, tied)
         self.size = int(self._layout[-1][-1])
         every = np.arange(self._layout[0][-1])
         self._diagonal = self.entries(np.append(every, len(every)), every)

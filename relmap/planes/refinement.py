@@ -30,6 +30,8 @@ A line fitted to points spread evenly over the wall is as sure as if it were fit
 each twice as uncertain (in variance) as the middle."""
 STRETCH = 8
 """Scans whose equations are added up before they go to the sparse matrix; most see the same."""
+MUCH = 0.25
+"""A corner seen in a smaller share of the stretches in which its wall was is a block by itself."""
 LOOSE, LEAST = 1e-12, 1e-9
 """What holds an unknown that hangs by too little, as a share of what holds it otherwise, and in
 weights of an observation."""
@@ -129,36 +131,55 @@ class WallSystem:
     def _prepare(self) -> None:
         """Find out which unknowns stand together in the equations, and where.
 
-        Those of a wall, then its corners, are a block; what was seen in a stretch is a clique.
+        Those of a wall and its corners are a block; what was seen in a stretch is a clique.
         """
         given = self._given
-        n_walls = int(given.wall.max()) + 1
-        stretch = given.iteration // STRETCH
-        wall_of = np.zeros(int(given.corner.max(initial=-1)) + 1, dtype=np.int64)
-        wall_of[given.corner] = given.wall[given.corner_row]
-        n_corners = np.bincount(wall_of, minlength=n_walls)
-        key, row = np.unique(stretch * n_walls + given.wall, return_inverse=True)
-        cliques, wall = key // n_walls, key % n_walls
-        begin = np.searchsorted(cliques, np.arange(cliques[-1] + 2))
-        self._pattern = CliquePattern(2 + n_corners, begin, wall)
-        self._line = self._pattern.first
-        order = np.argsort(wall_of, kind="stable")
-        number = np.empty_like(order)
-        number[order] = np.arange(len(order)) - (np.cumsum(n_corners) - n_corners)[wall_of[order]]
-        self._corner = self._line[wall_of] + 2 + number
+        n_walls, stretch = int(given.wall.max()) + 1, given.iteration // STRETCH
+        width, block, place = _blocks(given, stretch, n_walls)
+        seen = np.concatenate([given.wall, block[given.corner]])
+        at = np.concatenate([stretch, stretch[given.corner_row]])
+        key, row = np.unique(at * len(width) + seen, return_inverse=True)
+        clique, member = key // len(width), key % len(width)
+        begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
+        self._pattern = CliquePattern(width, begin, member)
+        first = self._pattern.first
+        self._line, self._corner = first[:n_walls], first[block] + place
         # The same within each stretch, whose unknowns are in the order of elimination too.
-        order = np.lexsort((self._line[wall], cliques))
-        width = (2 + n_corners)[wall[order]]
-        ends = np.cumsum(width)
-        unknowns = np.repeat(self._line[wall[order]] - (ends - width), width) + np.arange(ends[-1])
+        order = np.lexsort((first[member], clique))
+        size = width[member[order]]
+        ends = np.cumsum(size)
+        unknowns = np.repeat(first[member[order]] - (ends - size), size) + np.arange(ends[-1])
         begin = np.concatenate([[0], ends])[begin]
         local = np.empty_like(order)
-        local[order] = ends - width - begin[cliques[order]]
-        line = local[row]
-        corner = line[given.corner_row] + 2 + number[given.corner]
+        local[order] = ends - size - begin[clique[order]]
+        line = local[row[: len(stretch)]]
+        corner = local[row[len(stretch) :]] + place[given.corner]
         last = np.minimum(STRETCH * np.arange(len(begin)), len(self._begin) - 1)
         entry = self._pattern.entries(begin, unknowns)
         self._stretches = last, begin, unknowns, entry, line, corner
+
+
+def _blocks(
+    given: WallEquations, stretch: NDArray[np.int64], n_walls: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the size of each block, and of each corner (c,) its block and its place in that.
+
+    The first blocks are the walls', with the corners seen in much of what was seen of them; others
+    stand alone, lest they are tied to all that was ever seen with the wall.
+    """
+    n_corners = int(given.corner.max(initial=-1)) + 1
+    wall = np.zeros(n_corners, dtype=np.int64)
+    wall[given.corner] = given.wall[given.corner_row]
+    times = np.bincount(np.unique(stretch * n_walls + given.wall) % n_walls, minlength=n_walls)
+    key = stretch[given.corner_row] * n_corners + given.corner
+    corner_times = np.bincount(np.unique(key) % max(n_corners, 1), minlength=n_corners)
+    alone = corner_times < MUCH * times[wall]
+    with_wall = np.bincount(wall[~alone], minlength=n_walls)
+    block = np.where(alone, n_walls + np.cumsum(alone) - 1, wall)
+    place, rows = np.zeros(n_corners, dtype=np.int64), np.flatnonzero(~alone)
+    rows = rows[np.argsort(wall[rows], kind="stable")]
+    place[rows] = 2 + np.arange(len(rows)) - (np.cumsum(with_wall) - with_wall)[wall[rows]]
+    return np.append(2 + with_wall, np.ones(alone.sum(), dtype=np.int64)), block, place
 
 
 def wall_residuals(

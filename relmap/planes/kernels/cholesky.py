@@ -1,9 +1,9 @@
 """Sparse Cholesky of a sum of cliques, block by block; see `relmap.planes.cholesky`.
 
-Blocks are small sets of unknowns that always stand together.  Unknowns are numbered in the order in
-which they are eliminated; `column_of` tells the place of each one's block in it.  The factor is
-stored in panels: of each block the columns, one after another, over the rows
-``rows[row_begin[p]:row_begin[p + 1]]``, its own unknowns first.
+Unknowns are numbered in the order in which they are eliminated.  The factor is stored in panels: of
+some unknowns in a row, ``start[p]`` to ``start[p + 1]``, the columns, one after another, over the
+rows ``rows[row_begin[p]:row_begin[p + 1]]``, which begin with themselves.  `column_of` tells the
+panel of each unknown.
 """
 
 from __future__ import annotations
@@ -16,35 +16,61 @@ from relmap.core.kernels import compiled
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Layout = tuple[Index, Index, Index, Index, Index]
-"""start (b + 1,) of each block's unknowns, column_of (u,), row_begin (b + 1,), rows, and where each
-panel begins (b + 1,)."""
+"""start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and the offset of each panel (p + 1,)."""
 
 ROUNDING = 1e-14
 """A pivot that is a smaller share of its diagonal entry is rounding: its unknown stays."""
 
 
 @compiled
-def panels(width: Index, order: Index, begin: Index, tied: Index) -> Layout:
-    """Return how the factor is laid out; the arguments are as from `minimum_degree`."""
+def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) -> Index:
+    """Return the places of blocks that begin a panel, and their number at the end.
+
+    A block goes into the panel of the one before it where both are tied to the same others.
+    """
+    n, count = len(order), 0
+    heads, before = np.empty(n + 1, dtype=np.int64), -1
+    for p in range(n):
+        others, nearest = 0, n
+        for q in tied[begin[p] : begin[p + 1]]:
+            others += width[q]
+            nearest = min(nearest, place[q])
+        if before != width[order[p]] + others:
+            heads[count] = p
+            count += 1
+        before = others if nearest == p + 1 else -1
+    heads[count] = n
+    return heads[: count + 1]
+
+
+@compiled
+def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index, Layout]:
+    """Return the first unknown (b,) of each block, and how the factor is laid out.
+
+    The arguments are as from `relmap.planes.kernels.elimination.minimum_degree`.
+    """
     n = len(order)
-    place, start = np.empty(n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
+    place, at = np.empty(n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
     for p in range(n):
         place[order[p]] = p
-        start[p + 1] = start[p] + width[order[p]]
-    row_begin, offset = np.zeros(n + 1, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
-    for p in range(n):
+        at[p + 1] = at[p] + width[order[p]]
+    heads = _heads(width, order, begin, place, tied)
+    m, start = len(heads) - 1, at[heads]
+    row_begin, offset = np.zeros(m + 1, dtype=np.int64), np.zeros(m + 1, dtype=np.int64)
+    for g in range(m):
+        p = heads[g]
         height = width[order[p]] + width[tied[begin[p] : begin[p + 1]]].sum()
-        row_begin[p + 1] = row_begin[p] + height
-        offset[p + 1] = offset[p] + height * width[order[p]]
-    rows, column_of = np.empty(row_begin[n], dtype=np.int64), np.empty(start[n], dtype=np.int64)
-    for p in range(n):
-        column_of[start[p] : start[p + 1]] = p
-        at = row_begin[p]
+        row_begin[g + 1] = row_begin[g] + height
+        offset[g + 1] = offset[g] + height * (start[g + 1] - start[g])
+    rows, column_of = np.empty(row_begin[m], dtype=np.int64), np.empty(at[n], dtype=np.int64)
+    for g in range(m):
+        p, r = heads[g], row_begin[g]
+        column_of[start[g] : start[g + 1]] = g
         for q in np.append(p, np.sort(place[tied[begin[p] : begin[p + 1]]])):
-            for u in range(start[q], start[q + 1]):
-                rows[at] = u
-                at += 1
-    return start, column_of, row_begin, rows, offset
+            for u in range(at[q], at[q + 1]):
+                rows[r] = u
+                r += 1
+    return at[place], (start, column_of, row_begin, rows, offset)
 
 
 @compiled

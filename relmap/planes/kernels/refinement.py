@@ -4,7 +4,7 @@
 (k,): two points of each wall seen and the static corners, robot frame.  `state` are turn (i, 2),
 the cosine and sine of each yaw, t (i, 2), centre (w, 2), normal (w, 2), across (w,) and along (c,).
 Rows and corners of one iteration are those from `begins[0][i]` and `begins[1][i]` on.  The unknowns
-are numbered as they are eliminated: of each wall its angle, its distance across, and its corners.
+are numbered as they are eliminated; of each wall its angle, and then its distance across.
 
 `stretches` are scans in a row: `last` (g + 1,) where each begins, `begin` (g + 1,) and `unknowns`
 those seen in each, ascending; `entry` where the lower triangle of each is in the matrix; `line`
@@ -122,7 +122,7 @@ def _add(
     """
     own, right, coupling, pose = sums
     own[line, line] += w * by[0] * by[0]
-    own[other, line] -= w * by[0]
+    own[max(line, other), min(line, other)] -= w * by[0]
     own[other, other] += w
     right[line] -= w * by[0] * off
     right[other] += w * off
