@@ -16,7 +16,7 @@ from relmap.core.kernels import compiled
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Layout = tuple[Index, Index, Index, Index, Index]
-"""start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and the offset of each panel (p + 1,)."""
+"""start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and offset (p + 1,) of each panel."""
 
 ROUNDING = 1e-14
 """A pivot that is a smaller share of its diagonal entry is rounding: its unknown stays."""
