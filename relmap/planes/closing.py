@@ -46,8 +46,9 @@ Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
+    seen = _observation(assembled, history)
     for i, j in _earlier(assembled).tolist():
-        matched = _matched(assembled, history, j, i)
+        matched = _matched(assembled, seen, j, i)
         if matched is not None:
             found.append((i, j, *matched))
     pairs = [pair for loop in found if _votes(loop, found) >= VOTES for pair in loop[3]]
@@ -92,7 +93,7 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
 
 
 def _matched(
-    assembled: Assembled, history: PlaneHistory, j: int, i: int
+    assembled: Assembled, seen: PlaneObservation, j: int, i: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
     """Match an earlier scan to a later one.
 
@@ -102,10 +103,12 @@ def _matched(
         yaw, x, y by which the motion found differs from the map's, in the map's axes.
     walls : (k, 2) int64
     """
-    earlier, earlier_wall = _scan(assembled, history, j)
-    later, later_wall = _scan(assembled, history, i)
-    if min(len(earlier), len(later)) < ENOUGH:
+    begin, end = np.searchsorted(assembled.given.iteration, [[j, i], [j + 1, i + 1]])
+    if (end - begin).min() < ENOUGH:
         return None
+    (earlier, earlier_wall), (later, later_wall) = (
+        (seen.only(rows), assembled.given.wall[rows]) for rows in map(slice, begin, end)
+    )
     expected = _motion(assembled, j, i)
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
@@ -122,12 +125,9 @@ def _matched(
     return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
 
 
-def _scan(
-    assembled: Assembled, history: PlaneHistory, i: int
-) -> tuple[PlaneObservation, NDArray[np.int64]]:
-    """Return what was seen in an iteration, and the compact number of each wall."""
-    begin, end = np.searchsorted(assembled.given.iteration, [i, i + 1])
-    rows = assembled.rows[begin:end]
+def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
+    """Return all that was seen, scan after scan."""
+    rows = assembled.rows
     ends = history.ends[rows]
     along = ends[:, 1] - ends[:, 0]
     size = np.linalg.norm(along, axis=1)
@@ -135,8 +135,7 @@ def _scan(
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     offset = (normal * ends.mean(axis=1)).sum(axis=1)
     static, sd = history.corner[rows] >= 0, history.sd[rows]
-    seen = PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
-    return seen, assembled.given.wall[begin:end]
+    return PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:
