@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from relmap.planes.cholesky import CliquePattern
+from relmap.planes.closing import Loop, votes
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
 
@@ -159,3 +160,17 @@ def test_walls_are_refined_to_the_least_squares(room: tuple[WallEquations, Walls
         found.along,
     ]
     np.testing.assert_allclose(np.concatenate(own), best, atol=1e-5)
+
+
+def test_each_scan_of_the_later_visit_has_one_vote() -> None:
+    none = np.empty((0, 2), dtype=np.int64)
+
+    def loop(later: int, earlier: int, shift_m: float = 0.0) -> Loop:
+        return later, earlier, np.array([0.0, 2.0 + shift_m, 0.0]), none
+
+    deceptive = [loop(500, 10), loop(500, 60), loop(500, 90), loop(512, 60)]
+    assert [votes(each, deceptive) for each in deceptive] == [2, 2, 2, 2]
+    # Others do not agree on the drift, or are of another visit.
+    others = [loop(504, 60, 0.5), loop(700, 60), loop(508, 300)]
+    assert votes(deceptive[0], deceptive + others) == 2
+    assert votes(deceptive[0], [*deceptive, loop(504, 60, 0.1)]) == 3

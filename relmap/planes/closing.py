@@ -51,12 +51,12 @@ def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.
         matched = _matched(assembled, seen, j, i)
         if matched is not None:
             found.append((i, j, *matched))
-    pairs = [pair for loop in found if _votes(loop, found) >= VOTES for pair in loop[3]]
+    pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
 
 
-def _votes(loop: Loop, found: list[Loop]) -> int:
+def votes(loop: Loop, found: list[Loop]) -> int:
     """Count the scans of the later visit that agree with a loop, its own among them."""
     i, j, drift, _ = loop
     agreeing = set()

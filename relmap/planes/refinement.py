@@ -81,6 +81,8 @@ class WallSystem:
         settled : bool
             Whether it should settle, rather than come near only.
         """
+        from relmap.core.kernels.ordering import smallest
+
         enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
         for _ in range(rounds):
             poses, lines, corners = self._step(state, doubtful, by_scan)
@@ -92,8 +94,8 @@ class WallSystem:
                 state.across + lines[:, 1],
                 state.along + corners,
             )
-            step = np.concatenate([poses.ravel(), lines.ravel(), corners])
-            if np.quantile(np.abs(step), MOST) < enough:
+            step = np.abs(np.concatenate([poses.ravel(), lines.ravel(), corners]))
+            if smallest(step, int(MOST * len(step))) < enough:
                 break
         return between_neighbours(state, self._open_along)
 
