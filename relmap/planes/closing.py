@@ -27,6 +27,8 @@ VISITS = 4
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """How far apart two scans are at most that are compared, as far as the map knows."""
+AT_ONCE = 1_000_000
+"""So many pairs of scans are looked at at once, to bound memory."""
 ENOUGH = 3
 """Walls that must match."""
 SHARE = 0.5
@@ -74,8 +76,15 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
     nearest visits.
     """
-    state, n = assembled.state, len(assembled.iterations)
+    n = len(assembled.iterations)
     later = np.arange(0, n, 1 + n // COMPARED)
+    blocks = np.array_split(later, 1 + len(later) * n // AT_ONCE)
+    return np.concatenate([_earlier_than(block, assembled) for block in blocks])
+
+
+def _earlier_than(later: NDArray[np.int64], assembled: Assembled) -> NDArray[np.int64]:
+    """Return the same for some later scans (k,)."""
+    state, n = assembled.state, len(assembled.iterations)
     apart = np.hypot(*(state.t[later, None] - state.t).transpose(2, 0, 1))
     ago = assembled.iterations[later, None] - assembled.iterations
     k, before = np.nonzero((apart < NEAR_M) & (ago > LONG_AGO))
