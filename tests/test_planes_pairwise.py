@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.kernels.ordering import medians, quantiles
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
 from relmap.planes.pairwise import pairwise_map, relate
-from relmap.planes.refinement import medians
 from relmap.planes.stitching import stitched, without_strays
 
 FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])
@@ -68,6 +68,14 @@ def test_pieces_are_stitched_by_motions() -> None:
     shift[:2, 3] = 5.0, -2.0
     second[4:6] = shift @ poses[4:6]
     np.testing.assert_allclose(stitched([first, second], motions), poses, atol=1e-12)
+
+
+def test_quantiles_of_sets_are_those_of_numpy() -> None:
+    rng = np.random.default_rng(5)
+    of, values = rng.permutation(np.repeat(np.arange(6), [1, 2, 3, 5, 8, 30])), rng.normal(size=49)
+    for share in (0.0, 0.05, 0.75, 1.0):
+        expected = [np.quantile(values[of == k], share) for k in range(6)]
+        np.testing.assert_allclose(quantiles(of, values, share), expected)
 
 
 def test_medians_of_sets() -> None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.history import PlaneHistory
-from relmap.planes.refinement import WallEquations, Walls
 
 FLAT_M = 0.003
 SHARP_M = 0.01

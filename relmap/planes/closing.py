@@ -1,8 +1,9 @@
 """Closing loops where the map has drifted: two scans of one place, long apart, are matched.
 
 It is the registration of `placement` once more, between a scan and an earlier one that was made
-nearby as far as the map knows.  Single scans may deceive: only what several neighbours agree on
-counts, and only that the walls matched are the same, not the motion.
+nearby as far as the map knows.  Single scans may deceive: each scan of the later visit has one
+vote, however many earlier ones it matches, and only what several vote for counts; and only that the
+walls matched are the same, not the motion.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from numpy.typing import NDArray
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import PlanarMotion, place
+from relmap.planes.placement import PlanarMotion, place, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
-STRIDE = 12
-"""One scan in so many is compared with earlier ones."""
+COMPARED = 400
+"""About so many scans, evenly spaced, are compared with earlier ones."""
 LONG_AGO = 150
 """Iterations after which a place is seen again rather than still."""
 VISIT = 50
@@ -26,62 +27,82 @@ VISITS = 4
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """How far apart two scans are at most that are compared, as far as the map knows."""
-ENOUGH = 6
+AT_ONCE = 1_000_000
+"""So many pairs of scans are looked at at once, to bound memory."""
+ENOUGH = 3
 """Walls that must match."""
 SHARE = 0.5
-"""Share of the walls of the poorer scan that must match."""
-AGREEING = 3
-"""Neighbouring scans that must agree on how far the map has drifted between the two visits."""
+"""Share of the walls and corners of the poorer scan that must match."""
+VOTES = 3
+"""Scans of the later visit that must agree on how far the map has drifted since the earlier one."""
+LATER, EARLIER = 72, 144
+"""Iterations that scans of one visit are apart at most, of the later and of the earlier one."""
 DRIFT_M = 0.2
 DRIFT_RAD = np.deg2rad(4.0)
 """How far they may differ and still agree."""
 
+Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
+"""A later and an earlier scan, how far the map has drifted between, and the walls that match."""
+
 
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
-    found = []
-    for i in range(0, len(assembled.iterations), STRIDE):
-        for j in _earlier(assembled, i).tolist():
-            matched = _matched(assembled, history, j, i)
-            if matched is not None:
-                found.append((i, j, *matched))
-    pairs = [
-        pair
-        for k, (i, j, drift, walls) in enumerate(found)
-        if sum(_agrees(drift, i, j, other) for other in found) >= AGREEING
-        for pair in walls
-    ]
+    found: list[Loop] = []
+    seen = _observation(assembled, history)
+    for i, j in _earlier(assembled).tolist():
+        matched = _matched(assembled, seen, j, i)
+        if matched is not None:
+            found.append((i, j, *matched))
+    pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
 
 
-def _agrees(
-    drift: NDArray[np.float64],
-    i: int,
-    j: int,
-    other: tuple[int, int, NDArray[np.float64], NDArray[np.int64]],
-) -> bool:
-    near = abs(other[0] - i) <= 6 * STRIDE and abs(other[1] - j) <= 12 * STRIDE
-    off = drift - other[2]
-    same = np.hypot(off[1], off[2]) < DRIFT_M and abs(wrapped(off[:1])[0]) < DRIFT_RAD
-    return bool(near and same)
+def votes(loop: Loop, found: list[Loop]) -> int:
+    """Count the scans of the later visit that agree with a loop, its own among them."""
+    i, j, drift, _ = loop
+    agreeing = set()
+    for other, earlier, its_drift, _ in found:
+        if abs(other - i) <= LATER and abs(earlier - j) <= EARLIER:
+            off = drift - its_drift
+            if np.hypot(off[1], off[2]) < DRIFT_M and abs(wrapped(off[:1])[0]) < DRIFT_RAD:
+                agreeing.add(other)
+    return len(agreeing)
 
 
-def _earlier(assembled: Assembled, i: int) -> NDArray[np.int64]:
-    """Return the nearest scans of visits long ago, as far as the map knows, nearest first."""
-    state = assembled.state
-    before = np.flatnonzero(assembled.iterations < assembled.iterations[i] - LONG_AGO)
-    turned = np.abs(wrapped(state.yaw[before] - state.yaw[i]))
-    apart = np.linalg.norm(state.t[before] - state.t[i], axis=1)
-    near = (turned < TURNED_RAD) & (apart < NEAR_M)
-    before, cost = before[near], (apart + turned)[near]
-    order = np.argsort(cost, kind="stable")
-    _, first = np.unique(before[order] // VISIT, return_index=True)
-    return np.asarray(before[order][np.sort(first)[:VISITS]])
+def _earlier(assembled: Assembled) -> NDArray[np.int64]:
+    """Return scans (k, 2), a later and an earlier one, that are to be compared.
+
+    Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
+    nearest visits.
+    """
+    n = len(assembled.iterations)
+    later = np.arange(0, n, 1 + n // COMPARED)
+    blocks = np.array_split(later, 1 + len(later) * n // AT_ONCE)
+    return np.concatenate([_earlier_than(block, assembled) for block in blocks])
+
+
+def _earlier_than(later: NDArray[np.int64], assembled: Assembled) -> NDArray[np.int64]:
+    """Return the same for some later scans (k,)."""
+    state, n = assembled.state, len(assembled.iterations)
+    apart = np.hypot(*(state.t[later, None] - state.t).transpose(2, 0, 1))
+    ago = assembled.iterations[later, None] - assembled.iterations
+    k, before = np.nonzero((apart < NEAR_M) & (ago > LONG_AGO))
+    turned = np.abs(wrapped(state.yaw[before] - state.yaw[later[k]]))
+    cost = (apart[k, before] + turned)[turned < TURNED_RAD]
+    k, before = k[turned < TURNED_RAD], before[turned < TURNED_RAD]
+    order = np.lexsort((cost, before // VISIT, k))
+    k, before, cost = k[order], before[order], cost[order]
+    nearest = np.diff(k * n + before // VISIT, prepend=-1) > 0
+    k, before, cost = k[nearest], before[nearest], cost[nearest]
+    order = np.lexsort((cost, k))
+    k, before = k[order], before[order]
+    kept = np.arange(len(k)) - np.searchsorted(k, k) < VISITS
+    return np.column_stack([later[k[kept]], before[kept]])
 
 
 def _matched(
-    assembled: Assembled, history: PlaneHistory, j: int, i: int
+    assembled: Assembled, seen: PlaneObservation, j: int, i: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
     """Match an earlier scan to a later one.
 
@@ -91,10 +112,12 @@ def _matched(
         yaw, x, y by which the motion found differs from the map's, in the map's axes.
     walls : (k, 2) int64
     """
-    earlier, earlier_wall = _scan(assembled, history, j)
-    later, later_wall = _scan(assembled, history, i)
-    if min(len(earlier), len(later)) < ENOUGH:
+    begin, end = np.searchsorted(assembled.given.iteration, [[j, i], [j + 1, i + 1]])
+    if (end - begin).min() < ENOUGH:
         return None
+    (earlier, earlier_wall), (later, later_wall) = (
+        (seen.only(rows), assembled.given.wall[rows]) for rows in map(slice, begin, end)
+    )
     expected = _motion(assembled, j, i)
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
@@ -102,7 +125,8 @@ def _matched(
     if found is None:
         return None
     motion, match = found
-    if len(match.tracks) < max(ENOUGH, SHARE * min(len(earlier), len(later))):
+    possible = min(worth(tracks, later, np.ones(len(earlier), dtype=np.bool_)))
+    if len(match.tracks) < ENOUGH or match.score < SHARE * possible:
         return None
     c, s = np.cos(assembled.state.yaw[i]), np.sin(assembled.state.yaw[i])
     x, y = motion.t - expected.t
@@ -110,12 +134,9 @@ def _matched(
     return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
 
 
-def _scan(
-    assembled: Assembled, history: PlaneHistory, i: int
-) -> tuple[PlaneObservation, NDArray[np.int64]]:
-    """Return what was seen in an iteration, and the compact number of each wall."""
-    begin, end = np.searchsorted(assembled.given.iteration, [i, i + 1])
-    rows = assembled.rows[begin:end]
+def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
+    """Return all that was seen, scan after scan."""
+    rows = assembled.rows
     ends = history.ends[rows]
     along = ends[:, 1] - ends[:, 0]
     size = np.linalg.norm(along, axis=1)
@@ -123,8 +144,7 @@ def _scan(
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     offset = (normal * ends.mean(axis=1)).sum(axis=1)
     static, sd = history.corner[rows] >= 0, history.sd[rows]
-    seen = PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
-    return seen, assembled.given.wall[begin:end]
+    return PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:

@@ -12,7 +12,6 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from relmap.planes.assembly import Assembled, WallNumbers, directions
-from relmap.planes.refinement import quantiles
 
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
@@ -64,12 +63,11 @@ def _renamed(
 
 def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far each wall was seen along itself, from its centre: right and left; (w,)."""
+    from relmap.core.kernels.ordering import quantiles
+
     given, state = assembled.given, assembled.state
     along = directions(state.angle)[1][given.wall]
-    c, s = np.cos(state.yaw[given.iteration]), np.sin(state.yaw[given.iteration])
-    R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-    placed = np.einsum("nij,nej->nei", R, given.ends) + state.t[given.iteration][:, None]
-    reach = np.einsum("nei,ni->ne", placed - state.centre[given.wall][:, None], along)
+    reach = np.einsum("nei,ni->ne", _placed(assembled) - state.centre[given.wall][:, None], along)
     return (
         quantiles(given.wall, reach[:, 0], OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),
@@ -117,45 +115,54 @@ def _seen_together(
 
 def _joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return for every corner ever numbered which one it is; -1 where it is none."""
-    given, at = assembled.given, assembled.corner_at
-    n = int(assembled.corners.max(initial=-1)) + 1
-    result = np.arange(max(n, 1 + int(assembled.all_corners.max(initial=-1))))
-    count = np.bincount(given.corner, minlength=len(assembled.corners))
-    end = np.zeros(len(assembled.corners), dtype=np.int64)
+    given, corners = assembled.given, assembled.corners
+    every = np.arange(1 + int(max(corners.max(initial=-1), assembled.all_corners.max(initial=-1))))
+    if not len(corners):
+        return every
+    count = np.bincount(given.corner, minlength=len(corners))
+    end = np.zeros(len(corners), dtype=np.int64)
     end[given.corner] = given.corner_end
     wall = wall_of[assembled.corner_wall]
-    along = directions(assembled.state.angle)[1]
-    for key in np.unique(2 * wall + end):
-        rows = np.flatnonzero(2 * wall + end == key)
-        rows = rows[np.argsort(-count[rows], kind="stable")]
-        place = at[rows] @ along[key // 2]
+    place = (assembled.corner_at * directions(assembled.state.angle[wall])[1]).sum(axis=1)
+    order = np.lexsort((-count, 2 * wall + end))
+    same = np.arange(len(corners))
+    for rows in np.split(order, np.flatnonzero(np.diff((2 * wall + end)[order])) + 1):
         taken: list[int] = []
-        for k, row in enumerate(rows.tolist()):
-            same = [j for j in taken if abs(place[j] - place[k]) < CORNER_M]
-            if same:
-                result[assembled.corners[row]] = assembled.corners[rows[same[0]]]
+        for row in rows.tolist():
+            near = [other for other in taken if abs(place[other] - place[row]) < CORNER_M]
+            if near:
+                same[row] = near[0]
             else:
-                taken.append(k)
-        for j in taken:
-            if _seen_beyond(assembled, wall_of, int(key), at[rows[j]], int(count[rows[j]])):
-                joined = result[assembled.corners[rows]] == assembled.corners[rows[j]]
-                result[assembled.corners[rows[joined]]] = -1
-    return result
+                taken.append(row)
+    beyond = _times_seen_beyond(assembled, wall_of, wall, place)
+    every[corners] = np.where((beyond > count)[same], -1, corners[same])
+    return every
 
 
-def _seen_beyond(
-    assembled: Assembled, wall_of: NDArray[np.int64], key: int, at: NDArray[np.float64], n: int
-) -> bool:
-    """Tell whether a wall goes on beyond what was taken for a corner of its."""
+def _times_seen_beyond(
+    assembled: Assembled,
+    wall_of: NDArray[np.int64],
+    wall: NDArray[np.int64],
+    place: NDArray[np.float64],
+) -> NDArray[np.int64]:
+    """Count how often the walls (c,) of corners were seen to go on beyond their places (c,)."""
+    own = wall_of[assembled.given.wall]
+    along = directions(assembled.state.angle[own])[1]
+    reach = np.einsum("nei,ni->ne", _placed(assembled), along)
+    order = np.argsort(own, kind="stable")
+    begin, end = np.searchsorted(own[order], [wall, wall + 1])
+    corner = np.repeat(np.arange(len(wall)), end - begin)
+    first = np.cumsum(end - begin) - (end - begin)
+    row = order[np.arange(len(corner)) + (begin - first)[corner]]
+    right, left = (reach[row] - place[corner, None]).T
+    seen = (right < -BEYOND_M) & (left > BEYOND_M)
+    return np.bincount(corner[seen], minlength=len(wall))
+
+
+def _placed(assembled: Assembled) -> NDArray[np.float64]:
+    """Return the ends (n, 2, 2) of what was seen in the map's frame."""
     given, state = assembled.given, assembled.state
-    rows = np.flatnonzero(wall_of[given.wall] == key // 2)
-    along = directions(state.angle[[key // 2]])[1][0]
-    yaw, t = state.yaw[given.iteration[rows]], state.t[given.iteration[rows]]
-    ends = given.ends[rows]
-    x = np.cos(yaw)[:, None] * ends[..., 0] - np.sin(yaw)[:, None] * ends[..., 1] + t[:, :1]
-    y = np.sin(yaw)[:, None] * ends[..., 0] + np.cos(yaw)[:, None] * ends[..., 1] + t[:, 1:]
-    reach = (x - at[0]) * along[0] + (y - at[1]) * along[1]
-    if key % 2:
-        reach = -reach[:, ::-1]
-    across_it = (reach[:, 0] < -BEYOND_M) & (reach[:, 1] > BEYOND_M)
-    return bool(across_it.sum() > n)
+    c, s = np.cos(state.yaw), np.sin(state.yaw)
+    R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+    turned = np.einsum("nij,nej->nei", R[given.iteration], given.ends)
+    return np.asarray(turned + state.t[given.iteration][:, None])

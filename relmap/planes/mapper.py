@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -18,27 +17,17 @@ from relmap.core.registration import Registration
 from relmap.durable import DurableMapper
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.basis import relative_map
-from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
-from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.merging import CornerMerger
 from relmap.planes.observation import checked_planes, journaled, of_journal
+from relmap.planes.refined_map import path_of, refined_map
 from relmap.planes.registration import PlaneRegistration
-from relmap.planes.solving import refined, refined_to_the_noise, tracks_astray
-from relmap.planes.stitching import stitched, weak_links, without_strays
+from relmap.planes.solving import tracks_astray
+from relmap.planes.stitching import stitched, weak_links
 from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
     from relmap.journal import RecordedScan
-
-WIDELY = ((3, 1e4), (2, 300.0), (2, 50.0), (2, 15.0), (2, 5.0))
-"""Solutions that loops are closed by, however far the map has drifted."""
-CLOSED = 3
-"""How often loops are looked for, each time with less drift left."""
-ROUGHLY = ((2, 20.0), (2, 8.0), (2, 5.0))
-"""Solutions that walls are joined by; see `relmap.planes.solving.ROUNDS`."""
-JOINED = 4
-"""How often walls that lie on one another are joined and the map refined again."""
 
 
 class Segmenter(Protocol):
@@ -146,22 +135,10 @@ class PlaneMapper(DurableMapper):
         # Who is who is found out anew, where the walls come to lie.
         self._astray = np.empty(0, dtype=np.int64)
         numbers = WallNumbers.apart(self._planes.n_planes, len(self._planes.wall_end))
-        assembled = self._assembled(numbers)
-        if assembled is None:
+        found = refined_map(self._planes.history, numbers, self._path, self._moving)
+        if found is None:
             return
-        best = refined(assembled, WIDELY)
-        for _ in range(CLOSED):
-            pairs = walls_seen_again(best, self._planes.history)
-            best, numbers, changed = self._joined(
-                best, numbers, join_pairs(best, numbers, pairs), WIDELY
-            )
-            if not changed:
-                break
-        for _ in range(JOINED):
-            best, numbers, changed = self._joined(best, numbers, join_walls(best, numbers), ROUGHLY)
-            if not changed:
-                break
-        best = refined_to_the_noise(best)
+        best, numbers = found
         self._astray = tracks_astray(best, self._planes.history)
         track = self._planes.history.plane[best.rows]
         self._refined_walls = best.only(~np.isin(track, self._astray)), numbers
@@ -206,7 +183,7 @@ class PlaneMapper(DurableMapper):
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         if self._refined_walls is None:
             return self._path
-        return self._poses_of(self._refined_walls[0])
+        return path_of(self._refined_walls[0], self._planes.history)
 
     @property
     def weak_links(self) -> NDArray[np.int64]:
@@ -230,31 +207,6 @@ class PlaneMapper(DurableMapper):
         self._segmenter.fit(points)
         return self._segmenter.planes_
 
-    def _joined(
-        self,
-        best: Assembled,
-        numbers: WallNumbers,
-        joined: WallNumbers,
-        rounds: Sequence[tuple[int, float]],
-    ) -> tuple[Assembled, WallNumbers, bool]:
-        """Refine again with walls joined; tell whether any were."""
-        if joined.same_as(numbers):
-            return best, numbers, False
-        again = self._assembled(joined, best)
-        return (best if again is None else refined(again, rounds)), joined, True
-
-    def _assembled(self, numbers: WallNumbers, before: Assembled | None = None) -> Assembled | None:
-        """Lay everything where the map puts it, or where it was refined to before."""
-        history = self._planes.history
-        poses = self._path if before is None else self._poses_of(before)
-        return assemble(history, numbers, poses, self._moving)
-
-    def _poses_of(self, assembled: Assembled) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration by a refined map, else by the motion since."""
-        motion = self._planes.history.motion
-        poses = assembled.poses(len(motion))
-        return stitched([without_strays(poses, motion)], motion)
-
     @property
     def _path(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration by the chained map, weak links included."""
@@ -273,7 +225,7 @@ class PlaneMapper(DurableMapper):
         if self._refined_walls is not None:
             return self._refined_walls
         numbers = self._numbers
-        return self._assembled(numbers), numbers
+        return assemble(self._planes.history, numbers, self._path, self._moving), numbers
 
     @property
     def _numbers(self) -> WallNumbers:

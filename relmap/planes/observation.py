@@ -54,7 +54,7 @@ class PlaneObservation:
         """Return the number of walls."""
         return len(self.ends)
 
-    def only(self, rows: NDArray[np.bool_]) -> PlaneObservation:
+    def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
         """Return some of the walls."""
         return PlaneObservation(*(getattr(self, field.name)[rows] for field in fields(self)))
 

@@ -84,7 +84,7 @@ def place(
     if still[1].score > best[1].score + HALTED:
         best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
-    possible = min(_worth(tracks, seen, recent))
+    possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
         motions, scores = guesses(*arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
         for motion in motions[scores > best[1].score]:
@@ -103,7 +103,7 @@ def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
     return float(0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M))
 
 
-def _worth(
+def worth(
     tracks: PlaneTracks, seen: PlaneObservation, recent: NDArray[np.bool_]
 ) -> tuple[float, float]:
     """Return the score if all tracks seen last were seen again, and if all walls were known."""

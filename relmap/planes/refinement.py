@@ -10,85 +10,31 @@ nuisance, as in `relmap.core.refinement`.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import splu
+
+from relmap.planes.cholesky import CliquePattern
+from relmap.planes.equations import WallEquations, Walls, between_neighbours, open_along
 
 SETTLED = 0.01
 """Step, in typical standard deviations, of a settled solution: most unknowns do no more."""
 MOST = 0.9
 NEAR = 0.005
 """Step, metres and radians, of a solution that is good enough to go on from with other weights."""
-USUAL = 3.0
-"""No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
 SPREAD = 1 / np.sqrt(12)
 """Where the two points are that stand for a wall: so many sizes from its middle, either way.
 
 A line fitted to points spread evenly over the wall is as sure as if it were fitted to these two,
 each twice as uncertain (in variance) as the middle."""
-
-PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
-"""Walls whose directions spread by less do not tell where they were seen from, along themselves."""
+STRETCH = 8
+"""Scans whose equations are added up before they go to the sparse matrix; most see the same."""
+MUCH = 0.25
+"""A corner seen in a smaller share of the stretches in which its wall was is a block by itself."""
 LOOSE, LEAST = 1e-12, 1e-9
 """What holds an unknown that hangs by too little, as a share of what holds it otherwise, and in
 weights of an observation."""
-
-
-@dataclass(frozen=True, eq=False)
-class WallEquations:
-    """What is known of walls; n observed walls, k observed corners.
-
-    Attributes
-    ----------
-    iteration, wall : (n,) int64
-    ends : (n, 2, 2) float64, robot frame, metres
-    sd : (n,) float64, metres
-        Standard deviation of the distance to a wall at its middle.
-    corner_row : (k,) int64
-        The row of each observed corner's wall.
-    corner_end : (k,) int64
-        0 for the right end, 1 for the left one.
-    corner : (k,) int64
-    corner_sd : (k,) float64, metres
-        Standard deviation along the wall.
-    """
-
-    iteration: NDArray[np.int64]
-    wall: NDArray[np.int64]
-    ends: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    corner_row: NDArray[np.int64]
-    corner_end: NDArray[np.int64]
-    corner: NDArray[np.int64]
-    corner_sd: NDArray[np.float64]
-
-
-@dataclass(eq=False)
-class Walls:
-    """Lines, and how far along them corners are; the state that is solved for.
-
-    Attributes
-    ----------
-    yaw : (i,) float64, t : (i, 2) float64
-        Where each iteration was: ``T_map_robot``.
-    centre : (w, 2) float64
-        A fixed point near each wall.
-    angle, across : (w,) float64
-        Direction of the normal, and distance of the line from the centre.
-    along : (c,) float64
-        Place of each corner along its wall, from the centre.
-    """
-
-    yaw: NDArray[np.float64]
-    t: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    angle: NDArray[np.float64]
-    across: NDArray[np.float64]
-    along: NDArray[np.float64]
 
 
 class WallSystem:
@@ -101,21 +47,9 @@ class WallSystem:
     """
 
     def __init__(self, given: WallEquations) -> None:
-        middle = given.ends.mean(axis=1, keepdims=True)
-        points = middle + SPREAD * np.array([[-1.0], [1.0]]) * (
-            given.ends[:, 1:] - given.ends[:, :1]
-        )
-        corner_at = given.ends[given.corner_row, given.corner_end]
         self._given = given
-        self._seen = (
-            given.iteration,
-            given.wall,
-            points,
-            given.corner_row,
-            corner_at,
-            given.corner,
-            open_along(given),
-        )
+        self._seen = _seen(given)
+        self._open_along = open_along(given)
         every = np.arange(given.iteration[-1] + 2)
         self._begin = np.searchsorted(given.iteration, every)
         self._corner_begin = np.searchsorted(given.iteration[given.corner_row], every)
@@ -147,9 +81,11 @@ class WallSystem:
         settled : bool
             Whether it should settle, rather than come near only.
         """
+        from relmap.core.kernels.ordering import smallest
+
         enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
         for _ in range(rounds):
-            poses, lines, corners = self._step(state, self._weights(state, doubtful, by_scan))
+            poses, lines, corners = self._step(state, doubtful, by_scan)
             state = Walls(
                 state.yaw + poses[:, 0],
                 state.t + poses[:, 1:],
@@ -158,10 +94,10 @@ class WallSystem:
                 state.across + lines[:, 1],
                 state.along + corners,
             )
-            step = np.concatenate([poses.ravel(), lines.ravel(), corners])
-            if np.quantile(np.abs(step), MOST) < enough:
+            step = np.abs(np.concatenate([poses.ravel(), lines.ravel(), corners]))
+            if smallest(step, int(MOST * len(step))) < enough:
                 break
-        return between_neighbours(state, self._seen[-1])
+        return between_neighbours(state, self._open_along)
 
     def reweighted(self, given: WallEquations) -> WallSystem:
         """Return the system of the same observations with other standard deviations."""
@@ -175,133 +111,99 @@ class WallSystem:
 
         return residuals(self._seen, _arrays(state))
 
-    def _weights(
-        self, state: Walls, doubtful: float, by_scan: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        from relmap.planes.kernels.refinement import scan_medians
-
-        sd, corner_sd = np.sqrt(2) * self._given.sd[:, None], self._given.corner_sd
-        across, along = self.residuals(state)
-        across, along = np.abs(across) / sd, np.abs(along) / corner_sd
-        usual = np.full(len(self._begin) - 1, np.median(np.concatenate([across.ravel(), along])))
-        if by_scan:
-            of_scan = scan_medians(across, along, self._begin, self._corner_begin)
-            usual = np.maximum(usual, of_scan)
-        limit = np.maximum(doubtful, USUAL * usual)
-        at = limit[self._given.iteration]
-        return (
-            1 / (sd * (1 + (across / at[:, None]) ** 2)) ** 2,
-            1 / (corner_sd * (1 + (along / at[self._given.corner_row]) ** 2)) ** 2,
-        )
-
     def _step(
-        self, state: Walls, weights: tuple[NDArray[np.float64], NDArray[np.float64]]
+        self, state: Walls, doubtful: float, by_scan: bool
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the next step of poses (i, 3), lines (w, 2) and corners (c,)."""
-        from relmap.planes.kernels.refinement import pose_steps, wall_equations
+        from relmap.planes.kernels.refinement import observation_weights, pose_steps, wall_equations
 
-        system = self._seen, _arrays(state), weights, self._begin, self._corner_begin, self._nodes
-        matrix = self._pattern.copy()
-        matrix.data = np.zeros(len(matrix.data))
-        right, away, alone = wall_equations(*system, self._entry, matrix.data)
-        matrix.data[self._diagonal] *= 1 + LOOSE
-        matrix.data[self._diagonal] += LEAST
-        # The matrix is positive definite: pivoting would only fill it.
-        factor = splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            options={"SymmetricMode": True, "DiagPivotThresh": 0.0},
+        arrays, begins = _arrays(state), (self._begin, self._corner_begin)
+        off = self.residuals(state)
+        sd = np.sqrt(2) * self._given.sd, self._given.corner_sd
+        weights = observation_weights(off, sd, begins, doubtful, by_scan)
+        values = np.zeros(self._pattern.size)
+        right, away, alone = wall_equations(
+            self._seen, arrays, weights, begins, self._open_along, self._stretches, values
         )
-        step = factor.solve(right)
-        lines = 2 * len(state.angle)
-        poses = pose_steps(self._node_begin, self._nodes, away, alone, step)
-        return poses, step[:lines].reshape(-1, 2), step[lines:]
+        self._pattern.hold(values, LOOSE, LEAST)
+        step = self._pattern.solve(values, right)
+        poses = pose_steps(self._stretches, away, alone, step)
+        return poses, step[self._line[:, None] + [0, 1]], step[self._corner]
 
     def _prepare(self) -> None:
-        """Find out which unknowns stand together in the equations, and where."""
-        from relmap.planes.kernels.refinement import entries
+        """Find out which unknowns stand together in the equations, and where.
 
-        given, n = self._given, len(self._begin) - 1
-        lines = 2 * (int(given.wall.max()) + 1)
-        at = np.concatenate([np.repeat(given.iteration, 2), given.iteration[given.corner_row]])
-        pairs = np.column_stack([2 * given.wall, 2 * given.wall + 1]).ravel()
-        order = np.argsort(at, kind="stable")
-        self._nodes = np.concatenate([pairs, lines + given.corner])[order]
-        there = coo_array(
-            (np.ones(len(at)), (at[order], self._nodes)), shape=(n, self._nodes.max() + 1)
-        )
-        self._pattern = csc_array(there.T @ there.tocsr())
-        self._pattern.sort_indices()
-        pointer, row = self._pattern.indptr, self._pattern.indices
-        self._node_begin = 2 * self._begin + self._corner_begin
-        self._entry = entries(self._node_begin, self._nodes, pointer, row)
-        column = np.repeat(np.arange(len(pointer) - 1), np.diff(pointer))
-        self._diagonal = np.flatnonzero(row == column)
+        Those of a wall and its corners are a block; what was seen in a stretch is a clique.
+        """
+        given = self._given
+        n_walls, stretch = int(given.wall.max()) + 1, given.iteration // STRETCH
+        width, block, place = _blocks(given, stretch, n_walls)
+        seen = np.concatenate([given.wall, block[given.corner]])
+        at = np.concatenate([stretch, stretch[given.corner_row]])
+        key, row = np.unique(at * len(width) + seen, return_inverse=True)
+        clique, member = key // len(width), key % len(width)
+        begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
+        self._pattern = CliquePattern(width, begin, member)
+        first = self._pattern.first
+        self._line, self._corner = first[:n_walls], first[block] + place
+        # The same within each stretch, whose unknowns are in the order of elimination too.
+        order = np.lexsort((first[member], clique))
+        size = width[member[order]]
+        ends = np.cumsum(size)
+        unknowns = np.repeat(first[member[order]] - (ends - size), size) + np.arange(ends[-1])
+        begin = np.concatenate([[0], ends])[begin]
+        local = np.empty_like(order)
+        local[order] = ends - size - begin[clique[order]]
+        line = local[row[: len(stretch)]]
+        corner = local[row[len(stretch) :]] + place[given.corner]
+        last = np.minimum(STRETCH * np.arange(len(begin)), len(self._begin) - 1)
+        entry = self._pattern.entries(begin, unknowns)
+        self._stretches = last, begin, unknowns, entry, line, corner
 
 
-def open_along(given: WallEquations) -> NDArray[np.float64]:
-    """Return the direction (i, 2), robot frame, in which an iteration does not tell where it was.
+def _blocks(
+    given: WallEquations, stretch: NDArray[np.int64], n_walls: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the size of each block, and of each corner (c,) its block and its place in that.
 
-    That of its walls, where they are parallel and none shows a corner; 0 elsewhere.  Walls that are
-    parallel but for their noise would invent a constraint there.
+    The first blocks are the walls', with the corners seen in much of what was seen of them; others
+    stand alone, lest they are tied to all that was ever seen with the wall.
     """
-    n = int(given.iteration[-1]) + 1
-    along = given.ends[:, 1] - given.ends[:, 0]
-    x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
-    xx, xy, yy = (np.bincount(given.iteration, v, minlength=n) for v in (x * x, x * y, y * y))
-    # The axes of the sum of the directions' outer products, and the smaller eigenvalue.
-    spread = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
-    angle = np.arctan2(2 * xy, xx - yy) / 2
-    is_open = spread < PARALLEL
-    is_open[given.iteration[given.corner_row]] = False
-    return np.where(is_open[:, None], np.column_stack([np.cos(angle), np.sin(angle)]), 0.0)
+    n_corners = int(given.corner.max(initial=-1)) + 1
+    wall = np.zeros(n_corners, dtype=np.int64)
+    wall[given.corner] = given.wall[given.corner_row]
+    times = np.bincount(np.unique(stretch * n_walls + given.wall) % n_walls, minlength=n_walls)
+    key = stretch[given.corner_row] * n_corners + given.corner
+    corner_times = np.bincount(np.unique(key) % max(n_corners, 1), minlength=n_corners)
+    alone = corner_times < MUCH * times[wall]
+    with_wall = np.bincount(wall[~alone], minlength=n_walls)
+    block = np.where(alone, n_walls + np.cumsum(alone) - 1, wall)
+    place, rows = np.zeros(n_corners, dtype=np.int64), np.flatnonzero(~alone)
+    rows = rows[np.argsort(wall[rows], kind="stable")]
+    place[rows] = 2 + np.arange(len(rows)) - (np.cumsum(with_wall) - with_wall)[wall[rows]]
+    return np.append(2 + with_wall, np.ones(alone.sum(), dtype=np.int64)), block, place
 
 
-def between_neighbours(state: Walls, along: NDArray[np.float64]) -> Walls:
-    """Return the state with open iterations at even speed between others (motion model).
+def wall_residuals(
+    given: WallEquations, state: Walls
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
+    from relmap.planes.kernels.refinement import residuals
 
-    Parameters
-    ----------
-    state : Walls
-    along : (i, 2) float64
-        As from `open_along`.
-    """
-    is_open = along.any(axis=1)
-    known = np.flatnonzero(~is_open)
-    inside = np.flatnonzero(is_open)
-    if not len(known):
-        return state
-    inside = inside[(inside > known[0]) & (inside < known[-1])]
-    c, s = np.cos(state.yaw[inside]), np.sin(state.yaw[inside])
-    x, y = along[inside].T
-    u = np.column_stack([c * x - s * y, s * x + c * y])
-    even = np.column_stack([np.interp(inside, known, axis[known]) for axis in state.t.T])
-    t = state.t.copy()
-    t[inside] += ((even - t[inside]) * u).sum(axis=1)[:, None] * u
-    return replace(state, t=t)
+    return residuals(_seen(given), _arrays(state))
+
+
+def _seen(given: WallEquations) -> Any:
+    """Return what the kernels know of observations."""
+    middle = given.ends.mean(axis=1, keepdims=True)
+    reach = SPREAD * (given.ends[:, 1:] - given.ends[:, :1])
+    points = middle + np.array([[-1.0], [1.0]]) * reach
+    corner_at = given.ends[given.corner_row, given.corner_end]
+    return given.iteration, given.wall, points, given.corner_row, corner_at, given.corner
 
 
 def _arrays(state: Walls) -> Any:
     """Return what the kernels know of a state."""
-    return state.yaw, state.t, state.centre, state.angle, state.across, state.along
-
-
-def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the lower median of the values (n,) of each set 0, 1, ...; none may be empty."""
-    n = np.bincount(of)
-    first = np.cumsum(n) - n
-    return np.asarray(values[np.lexsort((values, of))][first + (n - 1) // 2])
-
-
-def quantiles(
-    of: NDArray[np.int64], values: NDArray[np.float64], share: float
-) -> NDArray[np.float64]:
-    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
-    n = np.bincount(of)
-    ordered = values[np.lexsort((values, of))]
-    first = np.cumsum(n) - n
-    place = share * (n - 1)
-    below = np.floor(place).astype(np.int64)
-    above = np.minimum(below + 1, n - 1)
-    part = place - below
-    return np.asarray((1 - part) * ordered[first + below] + part * ordered[first + above])
+    turn = np.column_stack([np.cos(state.yaw), np.sin(state.yaw)])
+    normal = np.column_stack([np.cos(state.angle), np.sin(state.angle)])
+    return turn, state.t, state.centre, normal, state.across, state.along

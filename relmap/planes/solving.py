@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.assembly import BLUNT, FLAT_M, Assembled
+from relmap.planes.equations import WallEquations
 from relmap.planes.history import PlaneHistory
-from relmap.planes.refinement import WallEquations, WallSystem, medians, quantiles
+from relmap.planes.refinement import WallSystem, wall_residuals
 
 EXACT_M = 1e-7
 """How sure walls can be at best where there is no noise."""
@@ -20,31 +21,27 @@ MEDIAN = 1.4826
 """The standard deviation of what is normal, in units of the median of its size."""
 KNOWN_BY = 4.0
 """Observations that what was assumed of a wall or corner counts for against what was seen of it."""
-ROUNDS = ((2, 20.0), (2, 8.0), (8, 4.0))
-"""Most steps of each solution, between which the noise of each wall and corner is learnt, and the
-residual from which an observation is in doubt: none is before the rest has fallen into place."""
-LAST = (6, 4.0)
+LAST = (8, 4.0)
+"""Most steps of the last solution, and the residual from which an observation is in doubt."""
+SHARPLY = (6, 4.0)
 """The same, of each solution with less noise than walls have at best."""
 ASTRAY_M, ASTRAY, MOSTLY = 0.04, 6.0, 0.75
 """A track moved that is farther from its place in the map, and by more typical residuals, in more
 than a quarter of its sights."""
 
 
-def refined(
-    assembled: Assembled, rounds: Sequence[tuple[int, float]] = ROUNDS, by_scan: bool = True
-) -> Assembled:
+def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]]) -> Assembled:
     """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is.
 
-    The arguments are those of `WallSystem.refine`.
+    Parameters
+    ----------
+    assembled : Assembled
+    rounds : sequence of (int, float)
+        Most steps of each solution, between which the noise of each wall and corner is learnt, and
+        the residual from which an observation is in doubt: none is before the rest has fallen into
+        place.
     """
-    given, state = assembled.given, assembled.state
-    system = WallSystem(given)
-    for k, (most, doubtful) in enumerate(rounds):
-        last = k == len(rounds) - 1
-        state = system.refine(state, most, doubtful, by_scan, settled=last)
-        given = _reweighted(assembled.given, *system.residuals(state))
-        system = system.reweighted(given)
-    return replace(assembled, given=given, state=state)
+    return _solved(WallSystem(assembled.given), assembled, rounds)
 
 
 def refined_to_the_noise(assembled: Assembled) -> Assembled:
@@ -54,7 +51,8 @@ def refined_to_the_noise(assembled: Assembled) -> Assembled:
     wrong so far is out before the rest decides (graduated non-convexity; Blake and Zisserman,
     1987).
     """
-    best, share = refined(assembled), 1.0
+    system, share = WallSystem(assembled.given), 1.0
+    best = _solved(system, assembled, (LAST,))
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER
         given = replace(
@@ -62,8 +60,23 @@ def refined_to_the_noise(assembled: Assembled) -> Assembled:
             sd=share * assembled.given.sd,
             corner_sd=share * assembled.given.corner_sd,
         )
-        best = refined(replace(best, given=given), (LAST,), by_scan=False)
+        best = _solved(system, replace(best, given=given), (SHARPLY,), by_scan=False)
     return best
+
+
+def _solved(
+    system: WallSystem,
+    assembled: Assembled,
+    rounds: Sequence[tuple[int, float]],
+    by_scan: bool = True,
+) -> Assembled:
+    """Solve in rounds, with a system of the same observations; see `WallSystem.refine`."""
+    given, state = assembled.given, assembled.state
+    for k, (most, doubtful) in enumerate(rounds):
+        last = k == len(rounds) - 1
+        state = system.reweighted(given).refine(state, most, doubtful, by_scan, settled=last)
+        given = _reweighted(assembled.given, *system.residuals(state))
+    return replace(assembled, given=given, state=state)
 
 
 def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
@@ -71,8 +84,10 @@ def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int
 
     Such have moved, though binning could not tell them from what stood still.
     """
+    from relmap.core.kernels.ordering import quantiles
+
     given = assembled.given
-    across, along = WallSystem(given).residuals(assembled.state)
+    across, along = wall_residuals(given, assembled.state)
     track = history.plane[assembled.rows]
     astray = [np.empty(0, dtype=np.int64)]
     for of, off in (
@@ -101,6 +116,8 @@ def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.
 
     The median tells: single sights that are quite wrong are for the refinement to leave out.
     """
+    from relmap.core.kernels.ordering import medians
+
     n = np.bincount(of)
     squares = n * (MEDIAN * medians(of, np.abs(residual))) ** 2
     return np.asarray(np.sqrt(np.maximum((KNOWN_BY + squares) / (KNOWN_BY + n), 1.0)))

@@ -52,8 +52,8 @@ def stitched(
     fixed = np.flatnonzero(piece == 0)
     if not len(fixed):
         return poses
-    placed = {0: np.eye(4)}
-    for i in range(fixed[0] + 1, n):
+    placed: dict[int, NDArray[np.float64]] = {}
+    for i in fixed[0] + np.flatnonzero(piece[fixed[0] :]):
         poses[i] = _placed(placed, piece[i], poses[i], poses[i - 1] @ steps[i])
     for i in reversed(range(fixed[0])):
         back = poses[i + 1] @ np.linalg.inv(steps[i + 1])

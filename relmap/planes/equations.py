@@ -1,0 +1,107 @@
+"""What is known of walls, what is solved for, and in which direction too little is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
+"""Walls whose directions spread by less do not tell where they were seen from, along themselves."""
+
+
+@dataclass(frozen=True, eq=False)
+class WallEquations:
+    """What is known of walls; n observed walls, k observed corners.
+
+    Attributes
+    ----------
+    iteration, wall : (n,) int64
+    ends : (n, 2, 2) float64, robot frame, metres
+    sd : (n,) float64, metres
+        Standard deviation of the distance to a wall at its middle.
+    corner_row : (k,) int64
+        The row of each observed corner's wall.
+    corner_end : (k,) int64
+        0 for the right end, 1 for the left one.
+    corner : (k,) int64
+        Each is of one wall.
+    corner_sd : (k,) float64, metres
+        Standard deviation along the wall.
+    """
+
+    iteration: NDArray[np.int64]
+    wall: NDArray[np.int64]
+    ends: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    corner_row: NDArray[np.int64]
+    corner_end: NDArray[np.int64]
+    corner: NDArray[np.int64]
+    corner_sd: NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Walls:
+    """Lines, and how far along them corners are; the state that is solved for.
+
+    Attributes
+    ----------
+    yaw : (i,) float64, t : (i, 2) float64
+        Where each iteration was: ``T_map_robot``.
+    centre : (w, 2) float64
+        A fixed point near each wall.
+    angle, across : (w,) float64
+        Direction of the normal, and distance of the line from the centre.
+    along : (c,) float64
+        Place of each corner along its wall, from the centre.
+    """
+
+    yaw: NDArray[np.float64]
+    t: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    angle: NDArray[np.float64]
+    across: NDArray[np.float64]
+    along: NDArray[np.float64]
+
+
+def open_along(given: WallEquations) -> NDArray[np.float64]:
+    """Return the direction (i, 2), robot frame, in which an iteration does not tell where it was.
+
+    That of its walls, where they are parallel and none shows a corner; 0 elsewhere.  Walls that are
+    parallel but for their noise would invent a constraint there.
+    """
+    n = int(given.iteration[-1]) + 1
+    along = given.ends[:, 1] - given.ends[:, 0]
+    x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
+    xx, xy, yy = (np.bincount(given.iteration, v, minlength=n) for v in (x * x, x * y, y * y))
+    # The axes of the sum of the directions' outer products, and the smaller eigenvalue.
+    spread = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
+    angle = np.arctan2(2 * xy, xx - yy) / 2
+    is_open = spread < PARALLEL
+    is_open[given.iteration[given.corner_row]] = False
+    return np.where(is_open[:, None], np.column_stack([np.cos(angle), np.sin(angle)]), 0.0)
+
+
+def between_neighbours(state: Walls, along: NDArray[np.float64]) -> Walls:
+    """Return the state with open iterations at even speed between others (motion model).
+
+    Parameters
+    ----------
+    state : Walls
+    along : (i, 2) float64
+        As from `open_along`.
+    """
+    is_open = along.any(axis=1)
+    known = np.flatnonzero(~is_open)
+    inside = np.flatnonzero(is_open)
+    if not len(known):
+        return state
+    inside = inside[(inside > known[0]) & (inside < known[-1])]
+    c, s = np.cos(state.yaw[inside]), np.sin(state.yaw[inside])
+    x, y = along[inside].T
+    u = np.column_stack([c * x - s * y, s * x + c * y])
+    even = np.column_stack([np.interp(inside, known, axis[known]) for axis in state.t.T])
+    t = state.t.copy()
+    t[inside] += ((even - t[inside]) * u).sum(axis=1)[:, None] * u
+    return replace(state, t=t)

@@ -1,0 +1,176 @@
+"""The joint least squares over walls, against scipy and dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from relmap.planes.cholesky import CliquePattern
+from relmap.planes.closing import Loop, votes
+from relmap.planes.equations import WallEquations, Walls
+from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
+
+Pattern = tuple[CliquePattern, list[NDArray[np.int64]], NDArray[np.int64]]
+
+
+def cliques_of(rng: np.random.Generator, blocks: int) -> Pattern:
+    """Return a pattern of random cliques, the unknowns of each, and where their entries are."""
+    width = rng.integers(1, 5, blocks)
+    cliques = [np.unique(rng.integers(0, blocks, 4)) for _ in range(blocks)]
+    cliques += [np.array([block]) for block in range(blocks)]
+    sizes = np.cumsum([0] + [len(clique) for clique in cliques])
+    pattern = CliquePattern(width, sizes, np.concatenate(cliques))
+    unknowns = [
+        np.sort(np.concatenate([pattern.first[b] + np.arange(width[b]) for b in clique]))
+        for clique in cliques
+    ]
+    begin = np.cumsum([0] + [len(part) for part in unknowns])
+    return pattern, unknowns, pattern.entries(begin, np.concatenate(unknowns))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30))
+def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int) -> None:
+    rng = np.random.default_rng(seed)
+    pattern, unknowns, entry = cliques_of(rng, blocks)
+    n = 1 + max(int(part.max()) for part in unknowns)
+    dense, values, at = np.zeros((n, n)), np.zeros(pattern.size), 0
+    for part in unknowns:
+        root = rng.normal(size=(len(part), len(part)))
+        own = root @ root.T + 0.1 * np.eye(len(part))
+        dense[np.ix_(part, part)] += own
+        lower = own[np.tril_indices(len(part))]
+        np.add.at(values, entry[at : at + len(lower)], lower)
+        at += len(lower)
+    pattern.hold(values, 0.5, 0.25)
+    dense[np.diag_indices(n)] *= 1.5
+    dense[np.diag_indices(n)] += 0.25
+    right = rng.normal(size=n)
+    np.testing.assert_allclose(
+        pattern.solve(values, right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12
+    )
+
+
+def test_a_path_is_eliminated_without_filling() -> None:
+    n = 50
+    pairs = np.column_stack([np.arange(n - 1), np.arange(1, n)])
+    pairs = np.random.default_rng(0).permutation(n)[pairs]
+    pattern = CliquePattern(np.ones(n, dtype=np.int64), 2 * np.arange(n), pairs.ravel())
+    # The last two stand in one panel, a square.
+    assert pattern.size == 2 * n
+
+
+def test_what_rounding_leaves_nothing_of_stays() -> None:
+    pattern = CliquePattern(np.array([2]), np.array([0, 1]), np.array([0]))
+    values = np.zeros(pattern.size)
+    values[pattern.entries(np.array([0, 2]), np.arange(2))] = [1.0, 1.0, 1.0]
+    np.testing.assert_allclose(pattern.solve(values, np.array([3.0, 3.0])), [3.0, 0.0], atol=1e-12)
+
+
+@pytest.fixture(name="room")
+def make_room() -> tuple[WallEquations, Walls]:
+    """Three walls and two corners seen with noise on a short way, and where all that was."""
+    rng = np.random.default_rng(3)
+    ends = np.array(
+        [[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]], [[1.0, 5.0], [2.0, 7.0]]]
+    )
+    n = 40
+    yaw, t = (
+        np.linspace(0.0, 0.6, n),
+        np.column_stack([np.linspace(0, 1, n), np.linspace(0, 0.5, n)]),
+    )
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+    seen = np.einsum("iba,iweb->iwea", R, ends[None] - t[:, None, None])
+    seen = seen.reshape(-1, 2, 2) + rng.normal(scale=0.02, size=(3 * n, 2, 2))
+    iteration, wall = np.repeat(np.arange(n), 3), np.tile(np.arange(3), n)
+    # One corner is seen for a short while only.
+    row = np.flatnonzero((wall == 0) | ((wall == 1) & (iteration < 8)))
+    equations = WallEquations(
+        iteration,
+        wall,
+        seen,
+        rng.uniform(0.01, 0.03, 3 * n),
+        row,
+        np.where(wall[row] == 0, 1, 0),
+        wall[row],
+        rng.uniform(0.02, 0.05, len(row)),
+    )
+    along = ends[:, 1] - ends[:, 0]
+    angle = np.arctan2(along[:, 0], -along[:, 1])
+    places = np.array([1.0, -1.0]) * np.linalg.norm(along[:2], axis=1) / 2
+    return equations, Walls(yaw, t, ends.mean(axis=1), angle, np.zeros(3), places)
+
+
+def test_walls_are_refined_to_the_least_squares(room: tuple[WallEquations, Walls]) -> None:
+    equations, truth = room
+    n, first = len(truth.yaw) - 1, (truth.yaw[:1], truth.t[:1])
+
+    def state_of(x: NDArray[np.float64]) -> Walls:
+        poses, rest = x[: 3 * n].reshape(n, 3), x[3 * n :]
+        return Walls(
+            np.append(first[0], poses[:, 0]),
+            np.concatenate([first[1], poses[:, 1:]]),
+            truth.centre,
+            rest[:3],
+            rest[3:6],
+            rest[6:],
+        )
+
+    def misfit(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        state = state_of(x)
+        c, s = np.cos(state.yaw)[equations.iteration], np.sin(state.yaw)[equations.iteration]
+        R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+        middle = equations.ends.mean(axis=1, keepdims=True)
+        points = middle + SPREAD * np.array([[-1.0], [1.0]]) * np.diff(equations.ends, axis=1)
+        corners = equations.ends[equations.corner_row, equations.corner_end][:, None]
+        normal = np.column_stack([np.cos(state.angle), np.sin(state.angle)])
+        along = np.column_stack([normal[:, 1], -normal[:, 0]])
+        placed = np.einsum("nab,npb->npa", R, points) + state.t[equations.iteration][:, None]
+        off = np.einsum(
+            "npa,na->np", placed - state.centre[equations.wall][:, None], normal[equations.wall]
+        )
+        row, wall = equations.corner_row, equations.wall[equations.corner_row]
+        placed = (
+            np.einsum("nab,npb->npa", R[row], corners)[:, 0] + state.t[equations.iteration[row]]
+        )
+        reach = ((placed - state.centre[wall]) * along[wall]).sum(axis=1)
+        own = wall_residuals(equations, state)
+        np.testing.assert_allclose(own[0], off - state.across[equations.wall][:, None], atol=1e-12)
+        np.testing.assert_allclose(own[1], reach - state.along[equations.corner], atol=1e-12)
+        weighted = own[0] / (np.sqrt(2) * equations.sd[:, None]), own[1] / equations.corner_sd
+        return np.concatenate([weighted[0].ravel(), weighted[1]])
+
+    start = [
+        np.column_stack([truth.yaw, truth.t])[1:].ravel(),
+        truth.angle,
+        truth.across,
+        truth.along,
+    ]
+    best = least_squares(misfit, np.concatenate(start), xtol=1e-14, ftol=1e-14, gtol=1e-14).x
+    found = WallSystem(equations).refine(truth, 20, 1e9)
+    own = [
+        np.column_stack([found.yaw, found.t])[1:].ravel(),
+        found.angle,
+        found.across,
+        found.along,
+    ]
+    np.testing.assert_allclose(np.concatenate(own), best, atol=1e-5)
+
+
+def test_each_scan_of_the_later_visit_has_one_vote() -> None:
+    none = np.empty((0, 2), dtype=np.int64)
+
+    def loop(later: int, earlier: int, shift_m: float = 0.0) -> Loop:
+        return later, earlier, np.array([0.0, 2.0 + shift_m, 0.0]), none
+
+    deceptive = [loop(500, 10), loop(500, 60), loop(500, 90), loop(512, 60)]
+    assert [votes(each, deceptive) for each in deceptive] == [2, 2, 2, 2]
+    # Others do not agree on the drift, or are of another visit.
+    others = [loop(504, 60, 0.5), loop(700, 60), loop(508, 300)]
+    assert votes(deceptive[0], deceptive + others) == 2
+    assert votes(deceptive[0], [*deceptive, loop(504, 60, 0.1)]) == 3
