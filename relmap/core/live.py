@@ -90,6 +90,7 @@ class StepUnderWay:
         end = int(np.searchsorted(segments, last, side="right"))
         landmark = of(rows.landmark[first:end])
         kept = global_map.pieces[landmark] == self.piece
+        kept &= landmark < self.step.n_landmarks  # what merged into one first seen since then waits
         landmark, segment = landmark[kept], segments[first:end][kept]
         points = rows.points[first:end][kept]
         seen = SEEN[rows.visible[first:end][kept]].astype(np.float64)

@@ -61,6 +61,11 @@ class StepInSlices:
         self.latest = np.eye(d), np.zeros(d), np.zeros(d)
 
     @property
+    def n_landmarks(self) -> int:
+        """Beyond the numbers of the landmarks that rows may be of."""
+        return len(self._number)
+
+    @property
     def members(self) -> Indices:
         """The landmarks that were added, in the order of that; (m,)."""
         return np.concatenate([np.empty(0, dtype=np.int64), *self._members])
