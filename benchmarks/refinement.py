@@ -45,6 +45,7 @@ class Measured:
     refine_s: float
     sd_s: float
     live: NDArray[np.float64]
+    live_ids: NDArray[np.int64]
 
     @property
     def share(self) -> float:
@@ -60,18 +61,27 @@ def measured(log: ObservationLog, known: bool) -> Measured:
         labels.append(mapper.update(scan.points_robot, scan.ids if known else None))
         times.append(process_time() - began)
     mapper.finish()
-    live = mapper.map.positions
+    live, live_ids = mapper.map.positions, true_ids(mapper, labels, log, known)
     began = process_time()
     mapper.refine()
     refined = process_time()
-    found = mapper.map
+    _ = mapper.map
     ended = process_time()
-    true = found.landmark_ids
-    if not known:
-        of = mapper.landmarks_of(np.concatenate(labels))
-        stands_for = dict(zip(*metrics.majority_ids(of, log.ids)[:2], strict=True))
-        true = np.array([stands_for[label] for label in found.landmark_ids.tolist()])
-    return Measured(mapper, true, np.array(times), refined - began, ended - refined, live)
+    true = true_ids(mapper, labels, log, known)
+    times_s = np.array(times), refined - began, ended - refined
+    return Measured(mapper, true, *times_s, live, live_ids)
+
+
+def true_ids(
+    mapper: PointMapper, labels: list[NDArray[np.int64]], log: ObservationLog, known: bool
+) -> NDArray[np.int64]:
+    """Return who the mapped landmarks (m,) are."""
+    found = mapper.map.landmark_ids
+    if known:
+        return found
+    of = mapper.landmarks_of(np.concatenate(labels))
+    stands_for = dict(zip(*metrics.majority_ids(of, log.ids)[:2], strict=True))
+    return np.array([stands_for[label] for label in found.tolist()])
 
 
 def rmse(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
@@ -106,7 +116,7 @@ def accuracy() -> None:
             run, best = measured(world.log, known), limit(world)
             truth = world.landmarks_map[run.true_ids]
             refined.append(rmse(run.mapper.map.positions, truth))
-            live.append(rmse(run.live, truth))
+            live.append(rmse(run.live, world.landmarks_map[run.live_ids]))
             ratios.append(refined[-1] / best)
             shares.append(run.share)
         ids = "known ids" if known else "no ids"

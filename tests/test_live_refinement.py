@@ -153,3 +153,20 @@ def test_slices_do_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> Non
     seen = np.bincount(mapper._rows.landmark).max()
     assert len(rows) > 50
     assert max(rows) <= slices.SLICE + seen
+
+
+def test_what_merges_into_one_first_seen_later_takes_no_part_in_the_step_under_way() -> None:
+    mapper = driven(simulate_figure_eight(seed=3), 300)
+    refinement = mapper._live
+    refinement._back = live.BACK + 1
+    refinement._step = step = refinement._begin(np.asarray)
+    assert step is not None
+    n = step.step.n_landmarks
+    mapper._builder.resize(n + 1)
+    newer = mapper._builder.map
+    newer.place(step.piece, np.array([n]), np.array([[1.0, 2.0, 3.0]]), np.array([10.0]))
+    merged = int(mapper._segments.rows.landmark[0])
+    while not step.go_on(mapper._segments, newer, lambda rows: np.where(rows == merged, n, rows)):
+        pass
+    assert len(step.step.members) > 50
+    assert not np.isin([merged, n], step.step.members).any()
