@@ -53,6 +53,15 @@ def test_what_overlaps_is_laid_on_one_another(seed: int, d: int, sigma: float) -
     assert aligned_rmse(global_map.positions, truth) < max(1e-9, 5 * sigma)
 
 
+@both_dimensions
+def test_many_pieces_of_one_place_become_one(d: int) -> None:
+    rng = np.random.default_rng(2)
+    world = rng.uniform(0, 20, (60, d))
+    global_map = in_pieces(*(moved(world, rng, 0.01) for _ in range(5)))
+    assert len(list(tie_pieces(global_map, 0.01))) == 4
+    assert aligned_rmse(global_map.positions, np.vstack([world] * 5)) < 0.05
+
+
 @settings(max_examples=10)
 @given(seeds, dimensions)
 def test_different_places_stay_apart(seed: int, d: int) -> None:

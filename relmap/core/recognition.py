@@ -29,6 +29,8 @@ SHARE = 0.5
 """Share of the scan that must be found."""
 DISTINCT = 0.8
 """Another place that so large a share of it is found at makes both uncertain."""
+MOST = 10
+"""Places that are told apart; nothing tells more where a scan is."""
 SIGMAS = 4.0
 """How far off a landmark may be, in standard deviations of an observation."""
 EXACT = 1e-3
@@ -65,20 +67,24 @@ class PlaceFinder:
         ----------
         points : (n, d) float64, robot frame, metres
         """
+        places = self.places(points)
+        return places[0] if places and is_clear(points, places) else None
+
+    def places(self, points: NDArray[np.float64]) -> list[Placement]:
+        """Return all placements of points (n, d) that enough of them agree with, the best first."""
         n, d = points.shape
         needed = max(ENOUGH + MORE * (d - 2), SHARE * n)
         if self._sides is None or n < needed or self._positions.shape[1] != d:
-            return None
+            return []
         found: list[Placement] = []
         for placement in self._hypotheses(points, needed):
             if not any(self._is_near(points, placement, other) for other in found):
                 better = self._settled(points, placement)
                 if better is not None and better.n_agreeing >= needed:
                     found.append(better)
-        if not found:
-            return None
-        best = max(found, key=lambda placement: placement.n_agreeing)
-        return best if self._is_clear(points, best, found) else None
+            if len(found) == MOST:
+                break
+        return sorted(found, key=lambda placement: -placement.n_agreeing)
 
     def landmarks_at(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rows of the map that lie at points (n, d), map frame; -1 where none does."""
@@ -138,17 +144,19 @@ class PlaceFinder:
         off = np.abs(one.apply(points) - other.apply(points))
         return bool(off.max() <= REACH * self._tolerance_m)
 
-    def _is_clear(
-        self, points: NDArray[np.float64], best: Placement, found: list[Placement]
-    ) -> bool:
-        """Tell whether no other place fits nearly as well."""
-        there = best.apply(points)
-        extent_m = float(np.ptp(points, axis=0).max())
-        return not any(
-            other.n_agreeing >= DISTINCT * best.n_agreeing
-            and np.abs(other.apply(points) - there).max() > 0.1 * extent_m
-            for other in found
-        )
+
+def is_clear(points: NDArray[np.float64], places: list[Placement]) -> bool:
+    """Tell whether the first of some placements of points (n, d) fits far better than others.
+
+    Than those that put them elsewhere, that is.
+    """
+    best, there = places[0], places[0].apply(points)
+    extent_m = float(np.ptp(points, axis=0).max())
+    return not any(
+        other.n_agreeing >= DISTINCT * best.n_agreeing
+        and np.abs(other.apply(points) - there).max() > 0.1 * extent_m
+        for other in places[1:]
+    )
 
 
 def _triangles(

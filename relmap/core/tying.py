@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relmap.core.globalmap import UNMAPPED, GlobalMap
-from relmap.core.recognition import ENOUGH, HITS, PlaceFinder
+from relmap.core.recognition import ENOUGH, HITS, PlaceFinder, is_clear
 from relmap.core.registration.base import nearest
 from relmap.core.registration.placement import Placement
 
@@ -69,15 +69,18 @@ def _found_elsewhere(
     trials = HITS * len(np.unique(global_map.pieces)) * len(global_map.pieces)
     for around in neighbourhoods(global_map.positions[own]):
         points = global_map.positions[own[around]]
-        placement = finder.find(points)
-        if placement is None:
+        places = finder.places(points)
+        hits = [finder.landmarks_at(place.apply(points)) for place in places]
+        hits = [np.unique(hit[hit >= 0]) for hit in hits]
+        in_pieces = [np.unique(number[hit]) for hit in hits]
+        if not places or len(in_pieces[0]) > 1:
             continue
-        hit = np.unique(finder.landmarks_at(placement.apply(points)))
-        hit = hit[hit >= 0]
-        other = np.unique(number[hit])
-        sure = trials * finder.by_chance(len(points), len(hit)) <= BY_CHANCE
-        if sure and len(other) == 1 and _leads_back(back, positions[hit], placement, points):
-            return int(other[0]), replace(placement, t=placement.t - shifts[int(other[0])])
+        other = int(in_pieces[0][0])
+        rivals = [place for place, of in zip(places, in_pieces, strict=True) if other in of]
+        sure = trials * finder.by_chance(len(points), len(hits[0])) <= BY_CHANCE
+        clear = sure and is_clear(points, rivals)
+        if clear and _leads_back(back, positions[hits[0]], places[0], points):
+            return other, replace(places[0], t=places[0].t - shifts[other])
     return None
 
 
