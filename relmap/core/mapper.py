@@ -12,22 +12,21 @@ from relmap.core.building import MapBuilder
 from relmap.core.condensing import CondensedSegments, SegmentRows
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.globalmap import UNMAPPED
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.levels import GroupLevels
 from relmap.core.live import LiveRefinement
 from relmap.core.merging import Merger
 from relmap.core.observations import KeptObservations
+from relmap.core.piecewise import refine_pieces
 from relmap.core.pose import trajectory
-from relmap.core.powers import refine_by_powers
 from relmap.core.readout import (
     landmark_map,
     landmark_table,
     map_pieces,
     positions_in_largest_piece,
 )
-from relmap.core.refinement import Refined, refine
+from relmap.core.refinement import Refined
 from relmap.core.registration import (
     Constellation,
     KnownAssociation,
@@ -162,19 +161,9 @@ class RelativeMapper(ABC):
         self._seen_again.merger.look_again()
 
     def _refine_pieces(self) -> None:
-        positions, pieces = self._builder.map.positions, self._builder.map.pieces
-        rows, of = self._rows, self._identity.of(np.arange(len(pieces)))
+        of = self._identity.of(np.arange(len(self._builder.map.pieces)))
         moving = self._builder.dynamics.dynamic
-        others = (pieces == UNMAPPED) & ~moving
-        self._refined = []
-        for piece in np.unique(pieces[pieces != UNMAPPED]):
-            refined = refine(rows, positions, pieces == piece, of, others, moving)
-            if refined is not None and self._kept is not None:
-                seen = self._kept.of_landmarks(refined.landmarks, refined.positions, of)
-                refined = refine_by_powers(refined, seen)
-            if refined is not None:
-                self._builder.map.move(refined.landmarks, refined.positions)
-                self._refined.append(refined)
+        self._refined = refine_pieces(self._builder.map, self._rows, of, moving, self._kept)
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:

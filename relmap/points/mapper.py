@@ -80,7 +80,10 @@ class PointMapper(DurableMapper):
         super().refine()
 
     def finish(self) -> None:
-        """Map what is left; see `RelativeMapper.finish`."""
+        """Map what is left, and without ids tie pieces that show the same place.
+
+        Landmarks that turn out to be the same are merged on the way: see `landmarks_of`.
+        """
         self._finder = None
         super().finish()
         if not self._has_ids:
