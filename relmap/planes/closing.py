@@ -85,11 +85,11 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
 def _earlier_than(later: NDArray[np.int64], assembled: Assembled) -> NDArray[np.int64]:
     """Return the same for some later scans (k,)."""
     state, n = assembled.state, len(assembled.iterations)
-    apart = np.hypot(*(state.t[later, None] - state.t).transpose(2, 0, 1))
+    (dx, dy) = (axis[later, None] - axis for axis in state.t.T)
     ago = assembled.iterations[later, None] - assembled.iterations
-    k, before = np.nonzero((apart < NEAR_M) & (ago > LONG_AGO))
+    k, before = np.nonzero((dx * dx + dy * dy < NEAR_M**2) & (ago > LONG_AGO))
     turned = np.abs(wrapped(state.yaw[before] - state.yaw[later[k]]))
-    cost = (apart[k, before] + turned)[turned < TURNED_RAD]
+    cost = (np.hypot(dx[k, before], dy[k, before]) + turned)[turned < TURNED_RAD]
     k, before = k[turned < TURNED_RAD], before[turned < TURNED_RAD]
     order = np.lexsort((cost, before // VISIT, k))
     k, before, cost = k[order], before[order], cost[order]
