@@ -30,8 +30,10 @@ def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
     apart = np.linalg.norm(middle[:, None] - middle, axis=2)
     first, second = np.unravel_index(np.argmax(apart), apart.shape)
     axis = block[second] - block[first]
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    relative = block - block[first]
+    length = np.linalg.norm(axis, axis=1)
+    fixed = length > 0  # two ends may fall together now and then
+    axis = axis[fixed] / length[fixed, None]
+    relative = (block - block[first])[:, fixed]
     x = (relative * axis).sum(axis=2)
     y = relative[..., 1] * axis[:, 0] - relative[..., 0] * axis[:, 1]
     return np.stack([x.mean(axis=1), y.mean(axis=1)], axis=1)

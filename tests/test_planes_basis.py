@@ -1,0 +1,36 @@
+"""The consistent basis of corners and midpoints (Figs 1, 2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.basis import relative_map
+from tests.worlds import aligned_rmse, random_rotation
+
+CORNERS = np.array([[4.0, 2.0], [4.0, 0.0], [-1.0, 2.0], [1.5, 2.0]])
+
+
+def block() -> NDArray[np.float64]:
+    """Return the corners as seen in nine iterations."""
+    rng = np.random.default_rng(0)
+    views = [CORNERS @ random_rotation(2, 3.0, rng).T + rng.uniform(-3, 3, 2) for _ in range(9)]
+    return np.swapaxes(np.array(views), 0, 1)
+
+
+def test_a_relative_map_is_exact_without_noise() -> None:
+    relative = relative_map(block())
+    assert relative is not None
+    assert aligned_rmse(relative, CORNERS) < 1e-12
+
+
+def test_an_iteration_in_which_the_basis_falls_together_does_not_count() -> None:
+    seen = block()
+    seen[:, 2] = seen[:1, 2]
+    relative = relative_map(seen)
+    assert relative is not None
+    assert aligned_rmse(relative, CORNERS) < 1e-12
+
+
+def test_one_place_fixes_no_basis() -> None:
+    assert relative_map(np.ones((3, 9, 2))) is None
