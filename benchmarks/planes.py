@@ -59,6 +59,7 @@ def main() -> None:
     parser.add_argument("--worlds", nargs="*", default=["building", "panels"])
     parser.add_argument("--sigmas", nargs="*", type=float, default=SIGMAS)
     arguments = parser.parse_args()
+    _simulated("building", 0.1, 1000)  # compiles
     _print_simulated(arguments.worlds, arguments.sigmas, arguments.seeds)
     if arguments.data is not None:
         _print_logs(arguments.data)
