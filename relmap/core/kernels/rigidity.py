@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.kernels import compiled
 from relmap.core.kernels.fitting import trimmed_fit_rows
+from relmap.core.kernels.ordering import smallest
 
 ROUNDS = 8
 
@@ -107,3 +108,27 @@ def carry(
             k += 1
         i += 1
     return all_ids[:k], all_points[:k], all_missed[:k]
+
+
+@compiled
+def steady(
+    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]],
+    scan_ids: NDArray[np.int64],
+    scan_points: NDArray[np.float64],
+    limits: tuple[float, int, int, float, float],
+    longest: int,
+) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Lay the last landmarks on a scan; where nothing is amiss, carry them along.
+
+    `last` are ids, points and scans missed as for `carry`; the limits those of `lay_on`, the
+    largest middle misfit and the largest misfit of all.  Returns the middle misfit, and what
+    `carry` does; -1 and what came in where a look is needed at what is amiss.
+    """
+    ids, points, missed = last
+    _, _, R, t, misfit = lay_on(ids, points, scan_ids, scan_points, limits[:3])
+    if len(misfit) < limits[2] or np.max(misfit) > limits[4]:
+        return -1.0, ids, points, missed
+    middle = smallest(misfit.copy(), len(misfit) // 2)
+    if middle > limits[3]:
+        return -1.0, ids, points, missed
+    return middle, *carry(ids, points, missed, scan_ids, scan_points, (R, t), longest)

@@ -67,6 +67,8 @@ class KnownAssociation:
             good = self._rigidity.believed(ids[named], points_robot[named])
         if good is None:
             self.rejected.append(self._n_scans - 1)
+        elif len(good) == len(ids) and good.all():
+            return ids
         believed = np.full(len(ids), UNIDENTIFIED)
         if good is not None:
             believed[named[good]] = ids[named[good]]
