@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,29 @@ def test_figures_against_the_truth(building: Path) -> None:
     assert figures["corner_rmse_m"] < 0.04
     assert figures["coverage"] >= 0.85
     assert figures["ate_m"] < 0.04
+
+
+def test_one_piece_with_all_the_corners_that_are_mapped(building: Path) -> None:
+    (piece,) = json.loads((building / "result" / "summary.json").read_text())["pieces"]
+    with (building / "result" / "landmarks.csv").open() as stream:
+        mapped = [row for row in csv.DictReader(stream) if row["x"]]
+    assert piece["landmarks"] == len(mapped) > 5
+
+
+def test_wrong_corners_are_told(building: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_relmap("evaluate", building / "result", "--truth", building / "world")
+    counts = json.loads((building / "result" / "evaluation.json").read_text())["counts"]
+    told = " ".join(capsys.readouterr().out.split())
+    both = counts["false_corners"] + counts["matched_corners"]
+    assert f"false corners {counts['false_corners']} of {both}" in told
+
+
+def test_a_map_of_points_takes_away_what_only_walls_have(building: Path, tmp_path: Path) -> None:
+    run_relmap("simulate", "figure-eight", "-o", tmp_path / "eight", "--iterations", 30)
+    shutil.copytree(building / "result", tmp_path / "result")
+    run_relmap("map", tmp_path / "eight" / "observations.csv", "-o", tmp_path / "result")
+    left = {path.name for path in (tmp_path / "result").iterdir()}
+    assert not left & {"planes.csv", "bench.png", "bench.gif", "evaluation.json"}
 
 
 def test_first_metres_of_freiburg_079(shared_data: Path) -> None:

@@ -14,7 +14,7 @@ from PIL import Image
 
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.evaluate import Overlay
-from relmap.plots.run import plot_run, write_map_png
+from relmap.plots.run import broken_at_gaps, plot_run, write_map_png
 from relmap.results import Result, Tracks
 
 
@@ -136,3 +136,12 @@ def test_no_state_of_pyplot_is_touched(tmp_path: Path) -> None:
     before = "matplotlib.pyplot" in sys.modules
     write_map_png(tmp_path / "a.png", make_result(3))
     assert ("matplotlib.pyplot" in sys.modules) == before
+
+
+def test_a_path_is_not_drawn_where_it_is_not_known() -> None:
+    position = np.arange(12.0).reshape(6, 2)
+    drawn = broken_at_gaps(np.array([0.0, 1.0, 2.0, 9.0, 10.0, 11.0]), position)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(drawn[:, 0])), [3])
+    np.testing.assert_array_equal(drawn[~np.isnan(drawn[:, 0])], position)
+    np.testing.assert_array_equal(broken_at_gaps(np.arange(6.0), position), position)
+    assert broken_at_gaps(np.empty(0), np.empty((0, 2))).shape == (0, 2)

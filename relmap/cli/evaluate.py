@@ -35,6 +35,7 @@ Example:
 \b
 The figures:
   corner_rmse_m       of walls: as landmark_rmse_m, of their corners
+  false corners       of walls: mapped corners that match no true one, and are not in the RMSE
   landmark_rmse_m     how far the mapped landmarks are from their true places, after the map
                       was turned and shifted to fit (root mean square, metres)
   coverage            share of the landmarks seen at least ten times that are in the map
@@ -94,6 +95,9 @@ def evaluate_command(
             evaluation = evaluate_folder(folder, truth, log)
     names = PLANE_FIGURES if walls else FIGURES
     rows = [(name, figure(getattr(evaluation, key))) for key, name in names.items()]
+    if walls:
+        false, matched = (evaluation.counts[key] for key in ("false_corners", "matched_corners"))
+        rows.insert(1, ("false corners", f"{false} of {false + matched}"))
     print_table(f"{folder} against {truth}", ("figure", "value"), rows)
     if evaluation.purity is None and not walls:
         typer.echo("no log with ids was found: give it with --log to have every figure")

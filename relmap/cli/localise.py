@@ -13,11 +13,12 @@ HELP = """Find where scans were taken, in a map that is there already and stays 
 
 INPUT is a log as for 'relmap map', RESULT a folder that it wrote.  Each scan is found by itself, so
 the robot may have been carried anywhere between two scans.  It writes DIR/trajectory.tum, the pose
-in the frame of the map of each scan that was found.
+in the frame of the map of each scan that was found: it must show at least 7 mapped landmarks (5 in
+the plane), and half of what it shows must be in the map.
 
 \b
 Example:
-  relmap localise tour2/observations.csv --map result -o where
+  relmap localise eight/observations.csv --map result -o where
 """
 
 

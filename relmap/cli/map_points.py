@@ -12,6 +12,7 @@ import typer
 
 from relmap.cli.arguments import parse_scans, read_config
 from relmap.cli.job import Association, Job, journaled_labels
+from relmap.cli.map_planes import BENCH_GIF, BENCH_PNG
 from relmap.cli.outcome import each, leave, stopped_after, untied
 from relmap.core.errors import RelmapError
 
@@ -74,7 +75,7 @@ def map_points(job: Job) -> Run:
     from relmap.files import staged_folder
     from relmap.plots.run import write_map_png
     from relmap.points.mapper import PointMapper
-    from relmap.results import EVALUATION, MAP_PNG, MAPPER, write_result
+    from relmap.results import MAP_PNG, MAPPER, write_result
 
     source = job.at(job.source)
     with busy("reading"):
@@ -82,7 +83,7 @@ def map_points(job: Job) -> Run:
     if job.interval is not None:
         log = log.between(*job.interval)
     check_association(log, job.association, source)
-    with staged_folder(job.at(job.out), stale=[EVALUATION]) as staging, ExitStack() as afterwards:
+    with staged_folder(job.at(job.out), _stale()) as staging, ExitStack() as afterwards:
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
             tied = job.onto is None or job.association == "known"
@@ -102,6 +103,14 @@ def map_points(job: Job) -> Run:
         mapper.save(staging / MAPPER)
         write_map_png(staging / MAP_PNG, run.result, run.groups)
     return run
+
+
+def _stale() -> list[str]:
+    """Return the files of an earlier result, of walls too, that this one puts out of date."""
+    from relmap.planefiles import PLANES
+    from relmap.results import EVALUATION
+
+    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF]
 
 
 def _about(job: Job, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:

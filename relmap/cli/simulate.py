@@ -17,7 +17,12 @@ Sampling = Literal["surface", "rays", "laser"]
 World = Literal["building", "panels", "long-wall"]
 
 app = typer.Typer(
-    help="Simulate a robot in a world whose truth is known.",
+    help="""Simulate a robot in a world whose truth is known.
+
+\b
+Example:
+  relmap simulate figure-eight -o eight
+""",
     rich_markup_mode=None,
 )
 

@@ -134,9 +134,12 @@ def _choose(path: Path, format: str | None, datasets: tuple[Dataset, ...], what:
 def _refuse_other(path: Path, what: str) -> None:
     """Say so where the path holds a log, but not of what is wanted."""
     others: tuple[LandmarkDataset | ScanDataset, ...] = DATASETS
-    other = LANDMARK_LOG
+    other, variant = LANDMARK_LOG, "points"
     if what == LANDMARK_LOG:
-        others, other = SCAN_DATASETS, SCAN_LOG
+        others, other, variant = SCAN_DATASETS, SCAN_LOG, "planes"
     for dataset in others:
         if dataset.recognises(path):
-            raise RelmapError(f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}")
+            raise RelmapError(
+                f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}; "
+                f"'relmap map --variant {variant}' maps such"
+            )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import UNMAPPED
-from relmap.core.landmarks import LandmarkMap, LandmarkTable
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece
 from relmap.core.pose import trajectory
 from relmap.core.registration import Registration
 from relmap.durable import DurableMapper
@@ -170,6 +170,16 @@ class PlaneMapper(DurableMapper):
         assembled, numbers = self._state
         chosen, dynamic = self._planes.chosen, self._builder.dynamics.dynamic[::2]
         return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """The mapped corners: one piece, as motions carry the map over where nothing ties it."""
+        table = self.landmarks
+        mapped = np.isfinite(table.position[:, 0])
+        if not mapped.any():
+            return []
+        first, last = table.first_iteration[mapped].min(), table.last_iteration[mapped].max()
+        return [Piece(table.landmark[mapped], table.position[mapped], int(first), int(last))]
 
     @property
     def group_walls(self) -> list[NDArray[np.int64]]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 PATH = "#1f4e9e"
 TRUTH = "#c0392b"
 GROUP = "#7f7f7f"
+GAP = 3.0
+"""Steps, in usual ones, after which the path is not drawn through."""
 WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
 """Residual, in units of what the noise explains, above which a place is ringed."""
@@ -123,8 +125,19 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
     position = result.poses[:, :3, 3][:, pair]
     if not len(position):
         return
-    axes.plot(*position.T, color=PATH, linewidth=1.4, zorder=7, label="path of the robot")
+    whole = broken_at_gaps(result.stamps_s, position)
+    axes.plot(*whole.T, color=PATH, linewidth=1.4, zorder=7, label="path of the robot")
     axes.plot(*position[0], "o", color=PATH, markersize=6, zorder=8, label="start", linestyle="")
+
+
+def broken_at_gaps(
+    stamps_s: NDArray[np.float64], position: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return positions (p + k, d) with NaN where the path is not known, so that none is drawn."""
+    step_s = np.diff(stamps_s)
+    usual_s = np.median(step_s) if len(step_s) else 0.0
+    gaps = np.flatnonzero(step_s > GAP * usual_s) + 1
+    return np.insert(position, gaps, np.nan, axis=0)
 
 
 def _draw_groups(

@@ -99,8 +99,8 @@ class PointMapper(DurableMapper):
         Returns
         -------
         (4, 4) float64
-            ``T_map_robot``; NaN where too little of the scan is in the map, or more than one place
-            looks like it.
+            ``T_map_robot``; NaN where less than half of the scan is in the map, or fewer than 7
+            landmarks (5 in the plane), or more than one place looks like it.
 
         Raises
         ------
