@@ -159,7 +159,10 @@ class _Reader:
             missing = {field.name for field in dataclasses.fields(cls)} - set(state)
             if missing:
                 raise ValueError(f"a {cls.__name__} lacks {', '.join(sorted(missing))}")
-        made.__dict__.update(state)
+        if hasattr(cls, "__setstate__"):
+            made.__setstate__(state)
+        else:
+            made.__dict__.update(state)
         return made
 
     def _array(self, node: dict[str, Any]) -> Any:

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from relmap.core.config import MapperConfig
-    from relmap.durable import DurableMapper
+    from relmap.mapper import Mapper
 
 Association = Literal["nearest", "known"]
 T = TypeVar("T")
-M = TypeVar("M", bound="DurableMapper")
+M = TypeVar("M", bound="Mapper")
 
 
 def _never() -> bool:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.chart import PointChart
 from relmap.core.completion import RelativeMap, complete
 from relmap.core.dynamics import FEWEST, Binning, Bins, DynamicStatus, n_log_n, rests
-from relmap.core.grouping import Group, grow_group
+from relmap.core.grouping import Group
 from relmap.core.noise import NoiseEstimate, guess_noise
+from relmap.core.table import LandmarkState
 
 ROUNDS = 6
 """How often a relative map is fitted to again as it comes to hold more."""
@@ -24,33 +23,28 @@ FEW = 0.2
 LONG = 20
 """Iterations that tell landmarks which move together from those that happen to."""
 
-AverageInBasis = Callable[[NDArray[np.float64]], NDArray[np.float64] | None]
-"""Averages a group's block (g, i, d) in its consistent basis to (g, d); None if it fixes none."""
-
 
 class Averaging:
-    """Averages charts, and learns from them how large the noise is and which landmarks move.
+    """Learns from charts how large the noise is and which landmarks move.
 
     Parameters
     ----------
-    average_in_basis : callable
-        The variant's relative map.
+    table : LandmarkState
     noise_spread : float
-        How many times noisier than the typical the noisiest of the variant's landmarks are.
+        How many times noisier than the typical landmark the noisiest are.
 
     Attributes
     ----------
-    dynamics : DynamicStatus
     noise : NoiseEstimate
     n_comparisons : int
         Pairs of landmarks compared in the last chart.
     """
 
-    def __init__(self, average_in_basis: AverageInBasis, noise_spread: float = 1.0) -> None:
-        self.dynamics = DynamicStatus()
+    def __init__(self, table: LandmarkState, noise_spread: float = 1.0) -> None:
         self.noise = NoiseEstimate()
         self.n_comparisons = 0
-        self._average_in_basis = average_in_basis
+        self._table = table
+        self._motion = DynamicStatus(table)
         self._noise_spread = noise_spread
 
     @property
@@ -58,43 +52,29 @@ class Averaging:
         """Standard deviation that a landmark at rest may have, metres."""
         return self._noise_spread * self.noise.sigma_m
 
-    def average(
+    def completed(
         self,
         chart: PointChart,
-        weights: NDArray[np.float64],
-        min_members: int,
-        min_shared: int,
-    ) -> tuple[RelativeMap, Group] | None:
-        """Average the static landmarks of a chart; take note of the dynamic ones.
+        group: Group,
+        core: NDArray[np.float64],
+        average: NDArray[np.float64],
+    ) -> RelativeMap:
+        """Complete a group's relative map to all that its chart saw at rest; note who moves.
 
         Parameters
         ----------
         chart : PointChart
-        weights : (n,) float64
-            How well each landmark of the chart is mapped; 0 if it is not.
-        min_members, min_shared : int
-            Smallest size of a group, and of what it shares with the map.
-
-        Returns
-        -------
-        (relative map, group) or None
-            The map holds all at rest, the group is the core that it began with; None where no
-            group can be grown, or it fixes no basis.
+        group : Group
+        core : (g, i, d) float64, robot frame, metres
+            The group's observations.
+        average : (g, d) float64, group frame, metres
+            Its relative map.
         """
-        self.n_comparisons = 0
-        static = self._static(chart, weights)
-        group = grow_group(chart, static, weights, min_members, min_shared)
-        if group is None:
-            return None
-        core = chart.points_robot[group.rows][:, group.columns]
-        average = self._average_in_basis(core)
-        if average is None:
-            return None
         self.noise.add(core)
         relative = self._completed(chart, group, average)
-        at_rest = self.dynamics.test(relative, self._tolerated_m)
+        at_rest = self._motion.test(relative, self._tolerated_m)
         self._bin_movers(chart)
-        return relative.only(at_rest), group
+        return relative.only(at_rest)
 
     def _completed(
         self, chart: PointChart, group: Group, average: NDArray[np.float64]
@@ -111,7 +91,7 @@ class Averaging:
         for _ in range(ROUNDS):
             relative = complete(landmarks, chart.iterations, block, reference)
             solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
-            solid &= ~self.dynamics.dynamic[relative.landmarks]
+            solid &= ~self._table.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used
             if solid.sum() <= AMPLE * n_members:
                 break
@@ -120,8 +100,9 @@ class Averaging:
             reference[np.isin(landmarks, relative.landmarks[solid])] = relative.positions[solid]
         return relative
 
-    def _static(self, chart: PointChart, weights: NDArray[np.float64]) -> NDArray[np.int64]:
+    def static(self, chart: PointChart, weights: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rows of the chart that keep their distances and were not seen moving."""
+        self.n_comparisons = 0
         block, noise_m = chart.points_robot, self._tolerated_m
         bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
         self.n_comparisons += bins.n_comparisons
@@ -135,7 +116,7 @@ class Averaging:
                     self.noise.restart()
                     bins = guessed
         static = bins.static
-        return static[~self.dynamics.dynamic[chart.landmarks[static]]]
+        return static[~self._table.dynamic[chart.landmarks[static]]]
 
     def _bin_movers(self, chart: PointChart) -> None:
         """Take note of which landmarks move together, as the parts of a vehicle do.
@@ -146,7 +127,7 @@ class Averaging:
             return
         often = chart.visible.sum(axis=1) >= FEWEST
         allowed = n_log_n(int(often.sum()))
-        rest = np.flatnonzero(often & self.dynamics.dynamic[chart.landmarks])
+        rest = np.flatnonzero(often & self._table.dynamic[chart.landmarks])
         together: list[NDArray[np.int64]] = []
         while len(rest) > 1 and self.n_comparisons < allowed:
             binning = Binning(chart.points_robot[rest], self._tolerated_m)
@@ -158,4 +139,4 @@ class Averaging:
             rest = np.delete(rest, np.concatenate(bins.members))
         compared = self.n_comparisons + len(rest) <= allowed  # none was left out for want of room
         alone = chart.landmarks[rest] if compared else rest[:0]
-        self.dynamics.go_together(together, alone)
+        self._motion.go_together(together, alone)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.completion import RelativeMap
-from relmap.core.growing import GrowingArray
+from relmap.core.table import NONE, LandmarkState
 
 LIMIT = 4.0
 """Variance that still counts as noise, in units of what the noise alone would give."""
@@ -26,8 +26,6 @@ STRIKES = 2
 """Groups in a row, each with observations of its own, that must see a landmark move."""
 STILL = 60
 """Iterations at rest, and in view, after which a landmark that moved is static again."""
-ALONE = -1
-"""In place of a moving bin: the landmark moves on its own, or not at all."""
 EXACT = 1e-9
 """Deviation, in units of the landmarks' distances, that is taken for rounding."""
 SAMPLE = 6
@@ -56,70 +54,33 @@ class Bins:
 
 
 class DynamicStatus:
-    """Which landmarks are known to move."""
+    """Which landmarks are known to move.
 
-    def __init__(self) -> None:
-        self._dynamic: GrowingArray[np.bool_] = GrowingArray(np.bool_)
-        self._strikes: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._restless: GrowingArray[np.bool_] = GrowingArray(np.bool_)
-        self._struck_until: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._moved_until: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._tested_until: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._moving_bin: GrowingArray[np.int64] = GrowingArray(np.int64)
+    Parameters
+    ----------
+    table : LandmarkState
+    """
+
+    def __init__(self, table: LandmarkState) -> None:
+        self._table = table
         self._n_bins = 0
-
-    @property
-    def dynamic(self) -> NDArray[np.bool_]:
-        """Whether each landmark was seen moving, and has not settled since; (n,)."""
-        return self._dynamic.values
-
-    @property
-    def moving_bin(self) -> NDArray[np.int64]:
-        """Bin of each dynamic landmark that moves together with others, or `ALONE`; (n,).
-
-        Bins are numbered in the order in which they were first told apart.
-        """
-        return self._moving_bin.values
 
     def go_together(self, bins: list[NDArray[np.int64]], alone: NDArray[np.int64]) -> None:
         """Take note of which dynamic landmarks kept their mutual distances, and which went alone.
 
         A bin keeps its number as long as some of it stay together; who is alone in view keeps it.
         """
-        compared = self.moving_bin[np.concatenate([alone, *bins])]
-        with_others = np.array([np.sum(compared == n) > 1 for n in self.moving_bin[alone]], bool)
-        self.moving_bin[alone[with_others]] = ALONE
-        taken = {ALONE}
+        table = self._table
+        compared = table.moving_bin[np.concatenate([alone, *bins])]
+        with_others = np.array([np.sum(compared == n) > 1 for n in table.moving_bin[alone]], bool)
+        table.moving_bin[alone[with_others]] = NONE
+        taken = {NONE}
         for members in bins:
-            known = set(self.moving_bin[members].tolist()) - taken
+            known = set(table.moving_bin[members].tolist()) - taken
             number = min(known, default=self._n_bins)
             self._n_bins = max(self._n_bins, number + 1)
-            self.moving_bin[members] = number
+            table.moving_bin[members] = number
             taken.add(number)
-
-    def judge_at_last(self, landmarks: NDArray[np.int64]) -> None:
-        """Call those dynamic that left the view without a place and moved when last looked at."""
-        self.dynamic[landmarks[self._restless.values[landmarks]]] = True
-
-    def resize(self, n: int) -> None:
-        """Make room for landmarks 0 to n - 1."""
-        self._dynamic.resize(n, False)
-        self._strikes.resize(n, 0)
-        self._restless.resize(n, False)
-        self._struck_until.resize(n, -1)
-        self._moved_until.resize(n, 0)
-        self._tested_until.resize(n, 0)
-        self._moving_bin.resize(n, ALONE)
-
-    def merge(self, new: int, old: int) -> None:
-        """Let an old landmark be as dynamic as the new one that turned out to be it."""
-        self.dynamic[old] = self.dynamic[new]
-        self._strikes.values[old] = self._strikes.values[new]
-        self._restless.values[old] = self._restless.values[new]
-        self._struck_until.values[old] = self._struck_until.values[new]
-        self._moved_until.values[old] = self._moved_until.values[new]
-        self._tested_until.values[old] = self._tested_until.values[new]
-        self._moving_bin.values[old] = self._moving_bin.values[new]
 
     def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
         """Take note of who moves in a relative map; return who was seen often enough, and rests.
@@ -127,29 +88,35 @@ class DynamicStatus:
         A landmark whose place deviates more than the noise explains, in group after group, is
         dynamic; one that has been at rest for long is static again.
         """
+        table = self._table
         landmarks = relative.landmarks
         still = rests(relative, noise_m)
-        self._restless.values[landmarks] = ~still & (relative.n_used >= FEWEST)
+        table.restless[landmarks] = ~still & (relative.n_used >= FEWEST)
         tested = relative.n_used >= ENOUGH
         moves = tested & ~still
         # Neither way does it count twice what was seen by the last group that saw it move.
-        later = relative.iterations > self._struck_until.values[landmarks][:, None]
+        later = relative.iterations > table.struck_until[landmarks][:, None]
         fresh = np.sum(relative.used & later, axis=1) >= FEWEST
         struck = moves & fresh
-        self._strikes.values[landmarks[tested & ~moves & fresh]] = 0
-        self._strikes.values[landmarks[struck]] += 1
-        self._struck_until.values[landmarks[struck]] = relative.iterations[-1]
-        self.dynamic[landmarks[self._strikes.values[landmarks] >= STRIKES]] = True
+        table.strikes[landmarks[tested & ~moves & fresh]] = 0
+        table.strikes[landmarks[struck]] += 1
+        table.struck_until[landmarks[struck]] = relative.iterations[-1]
+        table.dynamic[landmarks[table.strikes[landmarks] >= STRIKES]] = True
         begin = relative.iterations[np.argmax(relative.used, axis=1)]
         end = relative.iterations[-1 - np.argmax(relative.used[:, ::-1], axis=1)]
-        out_of_sight = np.maximum(begin - 1 - self._tested_until.values[landmarks], 0)
-        self._tested_until.values[landmarks] = np.maximum(self._tested_until.values[landmarks], end)
-        self._moved_until.values[landmarks] += out_of_sight
-        self._moved_until.values[landmarks[moves]] = end[moves]
-        settled = tested & ~moves & (end - self._moved_until.values[landmarks] > STILL)
-        self.dynamic[landmarks[settled]] = False
-        self.moving_bin[landmarks[settled]] = ALONE
-        return np.asarray((relative.n_used >= FEWEST) & still & ~self.dynamic[landmarks])
+        out_of_sight = np.maximum(begin - 1 - table.tested_until[landmarks], 0)
+        table.tested_until[landmarks] = np.maximum(table.tested_until[landmarks], end)
+        table.moved_until[landmarks] += out_of_sight
+        table.moved_until[landmarks[moves]] = end[moves]
+        settled = tested & ~moves & (end - table.moved_until[landmarks] > STILL)
+        table.dynamic[landmarks[settled]] = False
+        table.moving_bin[landmarks[settled]] = NONE
+        return np.asarray((relative.n_used >= FEWEST) & still & ~table.dynamic[landmarks])
+
+
+def judge_at_last(table: LandmarkState, landmarks: NDArray[np.int64]) -> None:
+    """Call those dynamic that left the view without a place and moved when last looked at."""
+    table.dynamic[landmarks[table.restless[landmarks]]] = True
 
 
 def rests(relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:

@@ -9,16 +9,16 @@ next is taken the later: when the run has become longer by a share.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import SEEN, CondensedSegments, SegmentRows
-from relmap.core.globalmap import UNMAPPED, GlobalMap
-from relmap.core.growing import GrowingArray
+from relmap.core.globalmap import GlobalMap
 from relmap.core.slices import SLICE, StepInSlices
+from relmap.core.table import NONE, LandmarkState
 
 GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
@@ -42,17 +42,17 @@ class StepUnderWay:
 
     Parameters
     ----------
-    piece : int
+    submap : int
         That is refined.
     member : int
-        A landmark of it: where that has come to another piece, the step is of no use.
+        A landmark of it: where that has come to another submap, the step is of no use.
     n_rows : int
         Rows of segments that take part.
     step : StepInSlices
     """
 
-    def __init__(self, piece: int, member: int, n_rows: int, step: StepInSlices) -> None:
-        self.piece = piece
+    def __init__(self, submap: int, member: int, n_rows: int, step: StepInSlices) -> None:
+        self.submap = submap
         self.member = member
         self.step = step
         self._n_rows = n_rows
@@ -64,15 +64,10 @@ class StepUnderWay:
         """Leave out the solution so far: a copy does its slices again."""
         return self.__dict__ | {"_solving": None}
 
-    def go_on(
-        self,
-        segments: CondensedSegments,
-        global_map: GlobalMap,
-        of: Callable[[Indices], Indices],
-    ) -> bool:
+    def go_on(self, segments: CondensedSegments, table: LandmarkState) -> bool:
         """Do a slice; tell whether it was the last."""
         if self._first < self._n_rows:
-            self._lay_on(segments.rows, global_map, of)
+            self._lay_on(segments.rows, table)
             return False
         if self._solving is None:
             self._solving = self.step.run()
@@ -81,21 +76,19 @@ class StepUnderWay:
         self._n_solved += 1
         return bool(next(self._solving, True))
 
-    def _lay_on(
-        self, rows: SegmentRows, global_map: GlobalMap, of: Callable[[Indices], Indices]
-    ) -> None:
+    def _lay_on(self, rows: SegmentRows, table: LandmarkState) -> None:
         """Lay some segments on the map."""
         first, segments = self._first, rows.segment[: self._n_rows]
         last = segments[min(first + SLICE, self._n_rows) - 1]
         end = int(np.searchsorted(segments, last, side="right"))
-        landmark = of(rows.landmark[first:end])
-        kept = global_map.pieces[landmark] == self.piece
+        landmark = table.landmark_of[rows.landmark[first:end]]
+        kept = table.submap[landmark] == self.submap
         kept &= landmark < self.step.n_landmarks  # what merged into one first seen since then waits
         landmark, segment = landmark[kept], segments[first:end][kept]
         points = rows.points[first:end][kept]
         seen = SEEN[rows.visible[first:end][kept]].astype(np.float64)
         base = segments[first]
-        there = global_map.positions[landmark]
+        there = table.position[landmark]
         R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)
         placed = np.einsum("nij,nj->ni", R[segment - base], points) + t[segment - base]
         on = fixed[segment - base]
@@ -109,38 +102,35 @@ class LiveRefinement:
     Parameters
     ----------
     segments : CondensedSegments
+    table : LandmarkState
     global_map : GlobalMap
     """
 
-    def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
+    def __init__(
+        self, segments: CondensedSegments, table: LandmarkState, global_map: GlobalMap
+    ) -> None:
         self._segments = segments
+        self._table = table
         self._map = global_map
         self._step: StepUnderWay | None = None
         self._begun = LEAST
         self._noted = 0
         self._back = 0
-        self._last: GrowingArray[np.int64] = GrowingArray(np.int64)
 
-    def advance(self, of: Callable[[Indices], Indices]) -> bool:
-        """Do a slice of work, if there is any; tell whether it has moved the map.
-
-        Parameters
-        ----------
-        of : callable
-            The landmark that each number stands for, after merging.
-        """
-        self._note(of)
+    def advance(self) -> bool:
+        """Do a slice of work, if there is any; tell whether it has moved the map."""
+        self._note()
         if self._step is None:
             n = self._segments.rows.n_segments
             if self._back <= BACK or GROWTH * self._begun >= n:
                 return False
             self._begun, self._back = n, 0
-            self._step = self._begin(of)
+            self._step = self._begin()
             if self._step is None:
                 return True
         # The slices of a short run are small.
         for _ in range(np.clip(SMALL // len(self._segments.rows.segment), 1, MOST)):
-            if self._step.go_on(self._segments, self._map, of):
+            if self._step.go_on(self._segments, self._table):
                 self._apply(self._step)
                 self._step = None
                 return True
@@ -151,33 +141,33 @@ class LiveRefinement:
         """Whether a step is under way."""
         return self._step is not None
 
-    def _note(self, of: Callable[[Indices], Indices]) -> None:
+    def _note(self) -> None:
         """Note which landmarks came back into view after a long time."""
         rows = self._segments.rows
         if rows.n_segments == self._noted:
             return
         first = int(np.searchsorted(rows.segment, self._noted))
         self._noted = rows.n_segments
-        self._last.resize(len(self._map.pieces), rows.n_segments)
-        landmark, at = of(rows.landmark[first:]), rows.segment[first:]
-        self._back += int((self._last.values[landmark] < at - LEAST).sum())
-        self._last.values[landmark] = at
+        landmark, at = self._table.landmark_of[rows.landmark[first:]], rows.segment[first:]
+        last = self._table.last_segment[landmark]
+        self._back += int(((last != NONE) & (last < at - LEAST)).sum())
+        self._table.last_segment[landmark] = at
 
-    def _begin(self, of: Callable[[Indices], Indices]) -> StepUnderWay | None:
-        """Begin a Gauss-Newton step for the piece that is in view, if there is one."""
+    def _begin(self) -> StepUnderWay | None:
+        """Begin a Gauss-Newton step for the submap that is in view, if there is one."""
         rows = self._segments.rows
-        piece = self._piece_in_view(rows, of)
-        if piece == UNMAPPED:
+        submap = self._submap_in_view(rows)
+        if submap == NONE:
             return None
         n_rows = len(rows.segment)
-        size = n_rows, len(self._map.pieces), rows.n_segments
+        size = n_rows, len(self._table), rows.n_segments
         step = StepInSlices(*size, rows.points.shape[1])
-        return StepUnderWay(piece, int(np.argmax(self._map.pieces == piece)), n_rows, step)
+        return StepUnderWay(submap, int(np.argmax(self._table.submap == submap)), n_rows, step)
 
-    def _piece_in_view(self, rows: SegmentRows, of: Callable[[Indices], Indices]) -> int:
-        pieces = self._map.pieces[of(rows.landmark[-SLICE:])]
-        mapped = pieces[pieces != UNMAPPED]
-        return int(mapped[-1]) if len(mapped) else UNMAPPED
+    def _submap_in_view(self, rows: SegmentRows) -> int:
+        submaps = self._table.submap[self._table.landmark_of[rows.landmark[-SLICE:]]]
+        mapped = submaps[submaps != NONE]
+        return int(mapped[-1]) if len(mapped) else NONE
 
     def _apply(self, done: StepUnderWay) -> None:
         """Move the landmarks, and what was mapped meanwhile along with the latest segment.
@@ -185,14 +175,14 @@ class LiveRefinement:
         A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not
         taken.
         """
-        piece, step = done.piece, done.step
-        positions, members = self._map.positions, step.members
-        if self._map.pieces[done.member] != piece or not len(members):
+        submap, step = done.submap, done.step
+        positions, members = self._table.position, step.members
+        if self._table.submap[done.member] != submap or not len(members):
             return
         extent = np.ptp(positions[members], axis=0).max()
         if not np.abs(step.moves).max() <= SOUND * extent:
             return
-        is_other = self._map.pieces == piece
+        is_other = self._table.submap == submap
         is_other[members] = False
         others = np.flatnonzero(is_other)
         turn, shift, centre = step.latest

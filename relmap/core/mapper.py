@@ -1,315 +1,235 @@
-"""The online engine: `update(scan)` runs the paper's steps in the paper's order."""
+"""The engine: `update` runs the paper's steps, in the paper's order, one scan at a time."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from relmap.core.building import MapBuilder
+from relmap.core.alignment import fit_rigid
+from relmap.core.averaging import Averaging
+from relmap.core.chart import PointChart
+from relmap.core.completion import RelativeMap
 from relmap.core.condensing import CondensedSegments, SegmentRows
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.identity import Identity
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
+from relmap.core.globalmap import GlobalMap
+from relmap.core.grouping import grow_group
 from relmap.core.levels import GroupLevels
 from relmap.core.live import LiveRefinement
-from relmap.core.merging import Merger
+from relmap.core.merging import Merger, merge_doubles
+from relmap.core.model import LandmarkModel
 from relmap.core.observations import KeptObservations
-from relmap.core.piecewise import refine_pieces
-from relmap.core.pose import trajectory
-from relmap.core.readout import (
-    landmark_map,
-    landmark_table,
-    map_pieces,
-    positions_in_largest_piece,
-)
+from relmap.core.piecewise import refine_submaps
+from relmap.core.placing import Placing
 from relmap.core.refinement import Refined
-from relmap.core.registration import (
-    Constellation,
-    KnownAssociation,
-    NearestPrevious,
-    Registration,
-)
-from relmap.core.scan import checked_ids, checked_points
+from relmap.core.registration import KnownAssociation, Registration
 from relmap.core.schedule import GroupingSchedule
-from relmap.core.seenagain import SeenAgain
-from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
+from relmap.core.table import LandmarkState
+from relmap.core.turns import take_turns
+from relmap.core.tying import tie_submaps
 
-SLICE_EVERY = 8
-"""Iterations for each slice of live refinement."""
 
-
-class RelativeMapper(ABC):
+class RelativeMapper:
     """Builds a global map out of relative maps, one scan at a time.
-
-    A variant supplies the consistent basis, and how few shared landmarks fix a group in it.
 
     Parameters
     ----------
-    config : MapperConfig, optional
+    model : LandmarkModel
+        The kind of landmark.
+    config : MapperConfig
     """
 
-    _noise_spread = 1.0
-    """How many times noisier than the typical landmark the noisiest are."""
+    def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
+        self.model = model
+        self.config = config
+        self.table = LandmarkState()
+        self.association: Registration | None = None
+        self.first_scan = 0
+        self.store = ObservationStore()
+        self.schedule = GroupingSchedule(self.table, config.group_after, config.max_missed)
+        self.averaging = Averaging(self.table, model.noise_spread)
+        self.map = GlobalMap(self.table)
+        self.levels = GroupLevels(self.table)
+        self.placing = Placing(self.table, self.store, self.schedule, self.map, self.levels)
+        self.merger = Merger(self.table, model, config.group_after)
+        self.segments = CondensedSegments()
+        self.live = LiveRefinement(self.segments, self.table, self.map)
+        self.kept = KeptObservations() if config.keep_observations else None
+        self.refined: list[Refined] = []
 
-    def __init__(self, config: MapperConfig | None = None) -> None:
-        self.config = config or MapperConfig()
-        self._registration: Registration | None = None
-        self._begun = 0
-        self._store = ObservationStore()
-        self._segments = CondensedSegments()
-        self._kept = KeptObservations() if self.config.keep_observations else None
-        self._refined: list[Refined] = []
-        self._identity = Identity()
-        self._sightings = Sightings()
-        levels = GroupLevels()
-        self._schedule = GroupingSchedule(
-            self.config.group_after, self.config.max_missed, self._sightings, levels
-        )
-        self._builder = MapBuilder(
-            self._store, self._schedule, levels, self._relative_map, self._noise_spread
-        )
-        self._live = LiveRefinement(self._segments, self._builder.map)
-        merger = Merger(self._builder.map, self._sightings, self.config.group_after)
-        states = self._identity, self._sightings, self._schedule, self._builder
-        self._seen_again = SeenAgain(merger, self._store, self._builder, states)
-
-    @staticmethod
-    @abstractmethod
-    def _relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Average a group's block (g, i, d) in its consistent basis, or None if it fixes none."""
-
-    @abstractmethod
-    def _min_shared(self) -> int:
-        """Return how few mapped landmarks fix a group."""
-
-    def update(self, points: ArrayLike, ids: ArrayLike | None = None) -> NDArray[np.int64]:
-        """Take in the observations of one iteration.
+    def update(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Take in one scan that has been checked.
 
         Parameters
         ----------
-        points : (n, 2) or (n, 3) array, robot frame, metres
-            Two columns make a planar world.
-        ids : (n,) array of int, optional
-            Known association; negative where a landmark was not identified.  They come with every
-            scan or with none.
+        points_robot : (n, d) float64, robot frame, metres
+        ids : (n,) int64, optional
+            Known association; negative where a landmark was not identified.
 
         Returns
         -------
         (n,) int64
-            Label of the landmark of each observation; -1 where it was not identified.  A landmark
-            that is recognised later changes its label: see `landmarks_of`.
+            Label of the landmark of each observation; -1 where it was not identified.
 
         Raises
         ------
         RelmapError
-            Where the scan cannot be meant; the mapper is then as it was.
+            Where ids come with some scans and not with others.
         """
-        points_robot = checked_points(points, self._store.dimension)
-        known = None if ids is None else checked_ids(ids, len(points_robot))
-        if self._registration is None and not len(points_robot):
-            self._observe(np.empty(0, dtype=np.int64), points_robot)
+        if self.association is None and not len(points_robot):
+            self._store(np.empty(0, dtype=np.int64), points_robot)
             return np.empty(0, dtype=np.int64)
-        registration = self._registration_for(known)
-        landmarks = registration.match(points_robot, known)
+        association = self._association_for(ids)
+        landmarks = association.match(points_robot, ids)  # with earlier scans, untransformed (II)
         seen = landmarks >= 0
-        self._refined = []
-        self._identity.resize(int(landmarks.max(initial=-1)) + 1)
-        present = self._identity.of(landmarks[seen])
-        left = self._observe(present, points_robot[seen])
-        self._go_on(present, left)
+        self.refined = []
+        n, dimension = int(landmarks.max(initial=-1)) + 1, points_robot.shape[1]
+        self.table.resize(n, self.store.n_iterations, dimension)
+        present = self.table.landmark_of[landmarks[seen]]
+        left = self._store(present, points_robot[seen])  # Fig. 3
+        take_turns(self, present, left)  # section III: group, average, align, merge, forget
         labels = landmarks.copy()
-        labels[seen] = registration.labels_of(self._identity.of(landmarks[seen]))
+        labels[seen] = association.labels_of(self.table.landmark_of[landmarks[seen]])
         return labels
 
-    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
-        """Return what landmarks (n,), labelled by earlier updates, are called now.
+    def _store(
+        self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Store one iteration (Fig. 3); return the landmarks that have left the view."""
+        iteration = self.store.n_iterations
+        self.store.append(landmarks, points_robot)
+        if self.kept is not None:
+            self.kept.append(iteration, landmarks, points_robot)
+        return self.schedule.see(landmarks, iteration)
 
-        A landmark lost and seen again has a label of its own until it is recognised.
+    def group(self, seed: int, level: int) -> NDArray[np.int64]:
+        """Group a landmark with what was seen together with it; return the landmarks mapped (k,).
+
+        The group comes into the map at a level, 1, 2 or 3; nothing where it cannot be aligned.
         """
-        labels = np.asarray(labels, dtype=np.int64)
-        if self._has_ids:
-            return labels
-        return np.where(labels >= 0, self._identity.of(labels), labels)
+        fixes = self.model.min_shared(self.store.dimension)
+        chart = self._chart(seed)  # Figs 9 and 10
+        for submap in self.map.submaps_of(chart.landmarks, fixes):
+            weights = self.map.weights_in(submap, chart.landmarks)
+            averaged = self._relative_map(chart, weights, fixes + 1, fixes)
+            placed = None if averaged is None else self.map.align(submap, averaged[0])
+            if averaged is not None and placed is not None:
+                return self.placing.place(submap, level, placed, *averaged)
+        return np.empty(0, dtype=np.int64)
 
-    def finish(self) -> None:
-        """Group what is still in view and not mapped yet, and what has left for the last time."""
-        for seed in self._schedule.in_view.tolist():
-            if self._builder.map.weights[seed] == 0:
-                self._group_or_found(seed, 1)
-        self._schedule.end()
-        gone = self._schedule.gone
-        for seed in gone[np.argsort(-self._schedule.counts[gone], kind="stable")].tolist():
-            if self._schedule.is_gone[seed]:
-                self._last_pass(seed)
+    def found_submap(self, seed: int, level: int) -> None:
+        """Begin the map, or a new submap where what is in view is not enough to go on.
+
+        The frame is that of the robot in the first iteration of the group.
+        """
+        fixes = self.model.min_shared(self.store.dimension)
+        mapped_in_view = np.sum(self.table.weight[self.schedule.in_view] > 0)
+        if mapped_in_view >= fixes or self.table.dynamic[seed]:
+            return
+        chart = self._chart(seed)
+        if not len(chart.iterations):
+            return
+        chart = chart.only(chart.visible[:, 0])
+        averaged = self._relative_map(chart, np.zeros(len(chart.landmarks)), fixes + 1, 0)
+        if averaged is None:
+            return
+        relative = averaged[0]
+        first = chart.points_robot[np.isin(chart.landmarks, relative.landmarks), 0]
+        if len(first) > fixes:
+            R, t = fit_rigid(relative.positions, first)
+            placed = relative.positions @ R.T + t
+            self.placing.place(self.map.new_submap(), level, placed, *averaged)
+
+    def _chart(self, seed: int) -> PointChart:
+        """Chart what was seen with a landmark in its present interval (Figs 9 and 10)."""
+        begin = max(self.table.begin[seed], self.store.first_iteration)
+        return PointChart.around(seed, self.store, begin, self.store.n_iterations)
+
+    def _relative_map(
+        self, chart: PointChart, weights: NDArray[np.float64], min_members: int, min_shared: int
+    ) -> tuple[RelativeMap, NDArray[np.int64]] | None:
+        """Average the static landmarks of a chart relative to one another.
+
+        Returns
+        -------
+        (relative map, iterations) or None
+            The map, completed to all at rest, and the common interval of the group it began with;
+            None where no group can be grown, or it fixes no basis.
+        """
+        static = self.averaging.static(chart, weights)  # Fig. 12
+        group = grow_group(chart, static, weights, min_members, min_shared)  # Fig. 11
+        core = None if group is None else chart.points_robot[group.rows][:, group.columns]
+        average = None if core is None else self.model.average_in_basis(core)  # Figs 1, 2 and 8
+        relative = None
+        if group is not None and core is not None and average is not None:
+            relative = self.averaging.completed(chart, group, core, average)
+        self._leave_out_moving(chart.landmarks)
+        if group is None or relative is None:
+            return None
+        return relative, chart.iterations[group.columns]
+
+    def _leave_out_moving(self, landmarks: NDArray[np.int64]) -> None:
+        moving = landmarks[self.table.dynamic[landmarks]]
+        if len(moving):
+            self.table.take_off_map(moving)
+            self.levels.leave(moving)
+            self.schedule.begin_anew(moving, self.store.n_iterations)
+
+    def merge(self, placed: NDArray[np.int64]) -> int:
+        """Merge those of landmarks (k,) that are older ones seen again; return how many were.
+
+        All that is stored of one goes over to the other.
+        """
+        levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
+        pairs = self.merger.find(placed, levels, noise_m).tolist()
+        for new, old in pairs:
+            self.store.relabel(new, old)
+            self.table.merge(new, old)
+            self.schedule.relabel(new, old)
+            self.merger.relabel(new, old)
+        return len(pairs)
+
+    def forget(self) -> bool:
+        """Condense observations that no group needs any more; tell whether there were any."""
+        before = self.schedule.needed_from(self.store.n_iterations)
+        condensed = self.segments.condense(self.store, before, self.table.dynamic)
+        self.store.forget(min(before, self.segments.end))
+        return condensed
+
+    def tie_submaps(self) -> None:
+        """Tie submaps that show the same place, and merge what both saw of it."""
+        for _ in tie_submaps(self.table, self.map, self.averaging.noise.sigma_m):
+            merge_doubles(self.table, self.merger, self.merge)
 
     def refine(self) -> None:
         """Bring all landmarks to where all observations agree best, by joint least squares.
 
-        The chain of groups drifts; this spreads what is left of it, after a loop was closed above
-        all, over the whole map.  Without ids, landmarks that then lie where older ones do that they
-        may be are merged (see `landmarks_of`).  From then on until the next update it is also known
-        how sure each position is.  With `keep_observations`, bounded noise is made use of.
+        Without ids, landmarks that then lie where older ones do that they may be are merged.
         """
-        self._refine_pieces()
-        if not self._has_ids and self._seen_again.merge_doubles():
-            self._refine_pieces()
-        self._seen_again.merger.look_again()
+        self.refined = refine_submaps(self.table, self.map, self.rows, self.kept)
+        if not self.has_ids and merge_doubles(self.table, self.merger, self.merge):
+            self.refined = refine_submaps(self.table, self.map, self.rows, self.kept)
+        self.merger.look_again()
 
-    def _refine_pieces(self) -> None:
-        of = self._identity.of(np.arange(len(self._builder.map.pieces)))
-        moving = self._builder.dynamics.dynamic
-        self._refined = refine_pieces(self._builder.map, self._rows, of, moving, self._kept)
-
-    def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
-        if self._registration is None:
-            self._begun = self._store.n_iterations
-            self._registration = KnownAssociation() if ids is not None else self._own_registration()
-        if isinstance(self._registration, KnownAssociation) != (ids is not None):
+    def _association_for(self, ids: NDArray[np.int64] | None) -> Registration:
+        if self.association is None:
+            self.first_scan = self.store.n_iterations
+            known = ids is not None
+            self.association = KnownAssociation() if known else self.model.association(self.config)
+        if isinstance(self.association, KnownAssociation) != (ids is not None):
             given = "came with" if ids is None else "did not come with"
             raise RelmapError(f"ids {given} the scans before; give them with every scan or none")
-        return self._registration
-
-    def _own_registration(self) -> Registration:
-        if self.config.registration == "nearest-previous":
-            return NearestPrevious(self.config.gate_m)
-        return Constellation(self.config.max_missed)
-
-    def _observe(
-        self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
-        """Store one iteration (Fig. 3); return the landmarks that have left the view."""
-        iteration = self._store.n_iterations
-        self._store.append(landmarks, points_robot)
-        if self._kept is not None:
-            self._kept.append(iteration, landmarks, points_robot)
-        self._builder.resize(int(landmarks.max(initial=-1)) + 1)
-        return self._schedule.see(landmarks, iteration)
-
-    def _go_on(self, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
-        """Group, group for the last time, condense or refine: one at a time, in turns."""
-        self._schedule.note_due(seen)
-        self._seen_again.merger.leave(left)
-        self._seen_again.merger.go_on()
-        steps = (self._group_next, self._last_pass_next, self._condense_next, self._refine_next)
-        turn = self._store.n_iterations
-        for k in range(len(steps)):
-            if steps[(turn + k) % len(steps)]():
-                break
-
-    def _group_next(self) -> bool:
-        """Group whoever was seen often enough since the last time; tell whether somebody was."""
-        due = self._schedule.next_due()
-        if due is None or self._builder.dynamics.dynamic[due[0]]:
-            return False
-        self._group_or_found(*due)
-        return True
-
-    def _last_pass_next(self) -> bool:
-        """Group whoever is seen no longer over the whole interval; tell whether somebody was."""
-        seed = self._builder.next_last_pass()
-        if seed is not None:
-            self._last_pass(seed)
-        return seed is not None
-
-    def _condense_next(self) -> bool:
-        """Condense observations that are no longer needed; tell whether there were any."""
-        return self._builder.forget(self._segments)
-
-    def _refine_next(self) -> bool:
-        """Do a slice of refining the live map; tell whether there was any to do.
-
-        Not in every iteration, so that a typical one takes as long as before.
-        """
-        if self._store.n_iterations % SLICE_EVERY:
-            return False
-        if self._live.advance(self._identity.of):
-            self._seen_again.merger.look_again()
-        return self._live.is_busy
-
-    def _group_or_found(self, seed: int, level: int) -> None:
-        fixes = self._min_shared()
-        placed = self._builder.group(seed, level, fixes)
-        if len(placed):
-            self._merge(placed)
-        elif self._builder.map.weights[seed] == 0:
-            self._builder.found_piece(seed, level, fixes)
-
-    def _last_pass(self, seed: int) -> None:
-        """Group a landmark over its whole interval, and look for a last time who it is."""
-        placed = self._builder.last_pass(seed, self._min_shared())
-        if len(placed):
-            self._merge(placed)
-        self._seen_again.merger.leave(np.array([seed]))
-
-    def _merge(self, placed: NDArray[np.int64]) -> None:
-        if not self._has_ids:
-            self._seen_again.merge(placed)
+        return self.association
 
     @property
-    def map(self) -> LandmarkMap:
-        """The mapped landmarks, in ascending order of their labels."""
-        return landmark_map(self._builder, self._refined, self._labels)
-
-    @property
-    def landmarks(self) -> LandmarkTable:
-        """Every landmark ever seen, mapped or not."""
-        labels, own = self._labels, self._identity.own
-        return landmark_table(self._sightings, self._builder, self._refined, labels, own)
-
-    @property
-    def pieces(self) -> list[Piece]:
-        """The pieces of the map, the largest first; more than one where it fell apart."""
-        return map_pieces(self._sightings, self._builder.map, self._labels)
-
-    @property
-    def groups(self) -> list[MappedGroup]:
-        """The groups behind the map, in the order in which they were placed."""
-        labels, of = self._labels, self._identity.of
-        groups = self._builder.levels.groups
-        return [replace(group, landmarks=labels[of(group.landmarks)]) for group in groups]
-
-    @property
-    def refined(self) -> list[Refined]:
-        """The pieces of the map as refined, in ascending order; none after a later update.
-
-        They tell how well each segment of the run, and each merge, fits the map.  Landmarks go by
-        their numbers there, in order of first sight.
-        """
-        return list(self._refined)
-
-    @property
-    def rejected(self) -> NDArray[np.int64]:
-        """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
-        scans = [] if self._registration is None else self._registration.rejected
-        return np.array(scans, dtype=np.int64) + self._begun
-
-    @property
-    def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
-        positions = positions_in_largest_piece(self._builder.map)
-        return trajectory(self._rows, positions, self._identity.of(np.arange(len(positions))))
-
-    @property
-    def noise_m(self) -> float:
-        """Estimated standard deviation of an observed coordinate, metres; NaN if not known yet."""
-        return float(self._builder.noise.sigma_m)
-
-    @property
-    def _has_ids(self) -> bool:
+    def has_ids(self) -> bool:
         """Whether nothing is left to find out about who is who."""
-        return self._registration is None or isinstance(self._registration, KnownAssociation)
+        return self.association is None or isinstance(self.association, KnownAssociation)
 
     @property
-    def _rows(self) -> SegmentRows:
-        return self._segments.with_rest(self._store, self._builder.dynamics.dynamic)
-
-    @property
-    def _labels(self) -> NDArray[np.int64]:
-        if self._registration is None:
-            return np.empty(0, dtype=np.int64)
-        return self._registration.labels_of(np.arange(len(self._sightings.counts)))
+    def rows(self) -> SegmentRows:
+        """What all iterations said, condensed."""
+        return self.segments.with_rest(self.store, self.table.dynamic)

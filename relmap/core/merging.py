@@ -7,16 +7,18 @@ has drifted by constellation, the relative distances among several landmarks.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.globalmap import UNMAPPED, GlobalMap
-from relmap.core.growing import GrowingArray
+from relmap.core.model import LandmarkModel
 from relmap.core.registration.base import middle, nearest
 from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
-from relmap.core.sightings import Sightings
 from relmap.core.spatialindex import SpatialIndex
+from relmap.core.table import NONE, LandmarkState
+from relmap.core.tying import neighbourhoods
 
 REACH = 0.35
 """How far the map may have drifted, in spacings of its landmarks."""
@@ -32,6 +34,8 @@ LAST = 2**62
 """Beyond all landmarks."""
 CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
+ROUNDS = 5
+"""How often doubles are looked for in a row, as each merge tells of others."""
 
 
 class Merger:
@@ -39,23 +43,23 @@ class Merger:
 
     Parameters
     ----------
-    global_map : GlobalMap
-    sightings : Sightings
+    table : LandmarkState
+    model : LandmarkModel
     mature : int
         Observations after which a landmark's position is good enough to be compared.
     """
 
-    def __init__(self, global_map: GlobalMap, sightings: Sightings, mature: int) -> None:
-        self._map = global_map
-        self._sightings = sightings
+    def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
+        self._table = table
+        self._model = model
         self._mature = mature
         self._index: SpatialIndex | None = None
-        self._asked: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._entered = LAST
         self._old_near: dict[int, list[int]] = {}
 
     def leave(self, landmarks: NDArray[np.int64]) -> None:
         """Note that landmarks have left the view: from now on they may be seen again."""
+        landmarks = landmarks[self._model.is_compared(landmarks)]
         for landmark in landmarks.tolist():
             self._old_near.pop(landmark, None)
         self._enter(landmarks)
@@ -67,32 +71,32 @@ class Merger:
     def doubles(self) -> NDArray[np.int64]:
         """Return the landmarks (k,) that lie near older ones that they may be, to be asked again.
 
-        Wherever they are now, as the map has moved or a piece has joined another.
+        Wherever they are now, as the map has moved or a submap has joined another.
         """
-        mapped = np.flatnonzero(self._map.weights > 0)
+        mapped = np.flatnonzero(self._table.weight > 0)
         if self._index is None or not len(mapped):
             return np.empty(0, dtype=np.int64)
         self._enter(mapped)
-        near = cKDTree(self._map.positions[mapped]).query_pairs(
+        near = cKDTree(self._table.position[mapped]).query_pairs(
             self._index.cell_m, output_type="ndarray"
         )
         pairs = mapped[np.vstack([near, near[:, ::-1]])].tolist()
         new = np.unique([new for new, old in pairs if self._may_be(new, old)]).astype(np.int64)
-        self._asked.values[new] = 0
+        self._table.asked_level[new] = 0
         return new
 
     def go_on(self) -> None:
         """Enter some more landmarks where they are now."""
-        if self._index is not None and self._entered < self._index.size:
-            end = min(self._entered + SLICE, self._index.size)
+        if self._index is not None and self._entered < len(self._table):
+            end = min(self._entered + SLICE, len(self._table))
             landmarks = np.arange(self._entered, end)
             self._enter(landmarks[self._index.holds(landmarks)])
             self._entered = end
 
     def _enter(self, landmarks: NDArray[np.int64]) -> None:
-        mapped = landmarks[self._map.weights[landmarks] > 0]
+        mapped = landmarks[self._table.weight[landmarks] > 0]
         if self._index is not None and len(mapped):
-            self._index.add(mapped, self._map.positions[mapped])
+            self._index.add(mapped, self._table.position[mapped])
 
     def find(
         self, landmarks: NDArray[np.int64], levels: NDArray[np.int64], noise_m: float
@@ -108,12 +112,14 @@ class Merger:
         noise_m : float
             Standard deviation of an observed coordinate.
         """
+        compared = self._model.is_compared(landmarks)
+        landmarks, levels = landmarks[compared], levels[compared]
         if self._index is None:
             self._index = self._begun(landmarks)
-        self._asked.resize(len(self._map.weights), 0)
-        mature = self._map.weights[landmarks] >= self._mature
-        ask = landmarks[mature & (levels > self._asked.values[landmarks])]
-        self._asked.values[landmarks] = np.maximum(self._asked.values[landmarks], levels * mature)
+        mature = self._table.weight[landmarks] >= self._mature
+        asked = self._table.asked_level[landmarks]
+        ask = landmarks[mature & (levels > asked)]
+        self._table.asked_level[landmarks] = np.maximum(asked, levels * mature)
         for new in ask.tolist():
             self._ask(new)
         pairs = [
@@ -124,43 +130,47 @@ class Merger:
         ]
         if not pairs or self._index is None:
             return np.empty((0, 2), dtype=np.int64)
-        tolerance_m = max(TOLERANCE * noise_m, EXACT * self._index.cell_m)
+        spread_m = self._model.position_spread * noise_m
+        tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
         return self._choose(np.array(pairs), tolerance_m)
 
-    def merge(self, new: int, old: int) -> None:
+    def relabel(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
         self._old_near.pop(new, None)
-        self._asked.values[old] = self._asked.values[new]
         for others in self._old_near.values():
             if old in others:
                 others.remove(old)
 
     def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
-        positions = self._map.positions[landmarks]
-        if len(positions) < 2:
-            return None
-        spacing = middle(nearest(cKDTree(positions), positions, 2)[0][:, 1])
-        return SpatialIndex(REACH * spacing, positions.shape[1]) if spacing > 0 else None
+        reach_m = self._model.drift_m
+        if reach_m is None:
+            positions = self._table.position[landmarks]
+            if len(positions) < 2:
+                return None
+            reach_m = REACH * middle(nearest(cKDTree(positions), positions, 2)[0][:, 1])
+        return SpatialIndex(self._table, reach_m) if reach_m > 0 else None
 
     def _ask(self, new: int) -> None:
         """Look for old landmarks near a new one."""
         if self._index is None:
             return
-        near = self._index.near(self._map.positions[new])
+        near = self._index.near(self._table.position[new])
         if len(near):
-            apart = np.linalg.norm(self._map.positions[near] - self._map.positions[new], axis=1)
+            apart = np.linalg.norm(self._table.position[near] - self._table.position[new], axis=1)
             near = near[apart <= self._index.cell_m]
             may_be = [old for old in near.tolist() if self._may_be(new, old)]
             if may_be:
                 self._old_near[new] = sorted(may_be)
 
     def _may_be(self, new: int, old: int) -> bool:
-        """Tell whether a landmark may be an older one: of its piece, and never seen with it."""
-        same_piece = self._map.pieces[old] == self._map.pieces[new] != UNMAPPED
-        return bool(same_piece and self._sightings.is_later(new, old))
+        """Tell whether a landmark may be an older one: of its submap, and never seen with it."""
+        table = self._table
+        same_submap = table.submap[old] == table.submap[new] != NONE
+        later = same_submap and table.is_later(new, old)
+        return bool(later and self._model.may_be(table, new, old))
 
     def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
-        new, old = self._map.positions[pairs[:, 0]], self._map.positions[pairs[:, 1]]
+        new, old = self._table.position[pairs[:, 0]], self._table.position[pairs[:, 1]]
         apart = np.linalg.norm(new - old, axis=1)
         if (apart <= tolerance_m).any():
             return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
@@ -190,3 +200,26 @@ def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> 
             chosen.append((new, old))
             taken.update((new, old))
     return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+
+
+def merge_doubles(
+    table: LandmarkState, merger: Merger, merge: Callable[[NDArray[np.int64]], int]
+) -> bool:
+    """Merge landmarks that are the same by where they lie now; tell whether there were any.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    merger : Merger
+    merge : callable
+        Merges landmarks (k,) with older ones, and returns how many were.
+    """
+    merged = 0
+    for _ in range(ROUNDS):
+        before, doubles = merged, merger.doubles()
+        for around in neighbourhoods(table.position[doubles]):
+            there = doubles[around]
+            merged += merge(there[table.weight[there] > 0])
+        if merged == before:
+            break
+    return merged > 0

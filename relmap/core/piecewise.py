@@ -1,41 +1,35 @@
-"""Refining the whole map: each piece by itself, by least squares or by what its noise allows."""
+"""Refining the whole map: each submap by itself, by least squares or by what its noise allows."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core.condensing import SegmentRows
-from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.globalmap import GlobalMap
 from relmap.core.observations import KeptObservations
 from relmap.core.powers import refine_by_powers
 from relmap.core.refinement import Refined, refine
+from relmap.core.table import NONE, LandmarkState
 
 
-def refine_pieces(
-    global_map: GlobalMap,
-    rows: SegmentRows,
-    of: NDArray[np.int64],
-    moving: NDArray[np.bool_],
-    kept: KeptObservations | None,
+def refine_submaps(
+    table: LandmarkState, global_map: GlobalMap, rows: SegmentRows, kept: KeptObservations | None
 ) -> list[Refined]:
-    """Move all landmarks to where the observations agree best; tell of each piece, in order.
+    """Move all landmarks to where the observations agree best; tell of each submap, in order.
 
     Parameters
     ----------
+    table : LandmarkState
     global_map : GlobalMap
     rows : SegmentRows
-    of : (m,) int64
-        The landmark that each number stands for, after merging.
-    moving : (m,) bool
     kept : KeptObservations, optional
         Every observation, where bounded noise is to be made use of.
     """
-    positions, pieces = global_map.positions, global_map.pieces
-    others = (pieces == UNMAPPED) & ~moving
+    of, submaps, moving = table.landmark_of, table.submap, table.dynamic
+    others = (submaps == NONE) & ~moving
     found = []
-    for piece in np.unique(pieces[pieces != UNMAPPED]):
-        refined = refine(rows, positions, pieces == piece, of, others, moving)
+    for submap in np.unique(submaps[submaps != NONE]):
+        refined = refine(rows, table.position, submaps == submap, of, others, moving)
         if refined is not None and kept is not None:
             seen = kept.of_landmarks(refined.landmarks, refined.positions, of)
             refined = refine_by_powers(refined, seen)

@@ -1,126 +1,131 @@
-"""From the state of a mapper to what it hands out."""
+"""From the state of the engine to what a mapper hands out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.building import MapBuilder
-from relmap.core.dynamics import ALONE
-from relmap.core.globalmap import UNMAPPED, GlobalMap
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece, in_space
-from relmap.core.refinement import Refined
-from relmap.core.sightings import Sightings
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece, in_space
+from relmap.core.mapper import RelativeMapper
+from relmap.core.pose import trajectory
+from relmap.core.table import NONE, LandmarkState
 
 
-def positions_in_largest_piece(global_map: GlobalMap) -> NDArray[np.float64]:
-    """Return the positions (n, d) of the largest piece, map frame, metres; NaN for the others."""
-    return np.where(_ranks(global_map)[:, None] == 0, global_map.positions, np.nan)
+def labels(engine: RelativeMapper) -> NDArray[np.int64]:
+    """Return what landmarks (n,) are called outside."""
+    if engine.association is None:
+        return np.empty(0, dtype=np.int64)
+    return engine.association.labels_of(np.arange(len(engine.table)))
 
 
-def covariances_in_largest_piece(
-    builder: MapBuilder, refined: Sequence[Refined]
-) -> NDArray[np.float64]:
+def positions_in_largest_submap(table: LandmarkState) -> NDArray[np.float64]:
+    """Return the positions (n, d) of the largest submap, map frame, metres; NaN for the others."""
+    return np.where(_ranks(table)[:, None] == 0, table.position, np.nan)
+
+
+def covariances_in_largest_submap(engine: RelativeMapper) -> NDArray[np.float64]:
     """Return how sure the positions are: covariances (n, d, d), square metres; NaN if not mapped.
 
     After refinement they are those of the joint least squares, in the frame of the robot in the
-    piece's first iteration.  Before, only that of the average behind a position is known, which the
-    drift of the chain comes on top of.
+    submap's first iteration.  Before, only that of the average behind a position is known, which
+    the drift of the chain comes on top of.
     """
-    mapped = _ranks(builder.map) == 0
-    d = builder.map.positions.shape[1]
-    variance = builder.noise.sigma_m**2 / np.maximum(builder.map.weights, 1)
-    covariances: NDArray[np.float64] = variance[:, None, None] * np.eye(d)
-    for piece in refined:
-        if mapped[piece.landmarks].any():
-            covariances[piece.landmarks] = piece.covariances
+    table = engine.table
+    mapped = _ranks(table) == 0
+    variance = engine.averaging.noise.sigma_m**2 / np.maximum(table.weight, 1)
+    covariances: NDArray[np.float64] = variance[:, None, None] * np.eye(table.dimension)
+    for submap in engine.refined:
+        if mapped[submap.landmarks].any():
+            covariances[submap.landmarks] = submap.covariances
     covariances[~mapped] = np.nan
     return covariances
 
 
-def landmark_map(
-    builder: MapBuilder,
-    refined: Sequence[Refined],
-    labels: NDArray[np.int64],
-) -> LandmarkMap:
-    """Return the largest piece, in ascending order of its landmarks' labels."""
-    members = np.flatnonzero(_ranks(builder.map) == 0)
-    members = members[np.argsort(labels[members])]
+def landmark_map(engine: RelativeMapper) -> LandmarkMap:
+    """Return the largest submap, in ascending order of its landmarks' labels."""
+    called, d = labels(engine), engine.table.dimension
+    members = np.flatnonzero(_ranks(engine.table) == 0)
+    members = members[np.argsort(called[members])]
     covariances = np.zeros((len(members), 3, 3))
-    d = builder.map.positions.shape[1]
-    covariances[:, :d, :d] = covariances_in_largest_piece(builder, refined)[members]
-    return LandmarkMap(labels[members], in_space(builder.map.positions[members]), covariances)
+    covariances[:, :d, :d] = covariances_in_largest_submap(engine)[members]
+    return LandmarkMap(called[members], in_space(engine.table.position[members]), covariances)
 
 
-def landmark_table(
-    sightings: Sightings,
-    builder: MapBuilder,
-    refined: Sequence[Refined],
-    labels: NDArray[np.int64],
-    own: NDArray[np.bool_],
-) -> LandmarkTable:
-    """Return the table of all landmarks, in ascending order of their labels (n,).
+def landmark_table(engine: RelativeMapper) -> LandmarkTable:
+    """Return the table of all landmarks, in ascending order of their labels.
 
-    Those not their own any longer, merged into another, are left out.
+    Those merged into another are left out.
     """
-    order = np.argsort(labels)
-    order = order[own[order]]
-    rank = _ranks(builder.map)
+    table, called = engine.table, labels(engine)
+    order = np.argsort(called)
+    order = order[table.is_own[order]]
+    rank = _ranks(table)
     mapped = rank == 0
-    status = np.where(mapped, "static", np.where(builder.dynamics.dynamic, "dynamic", "unmapped"))
-    covariances = covariances_in_largest_piece(builder, refined)
+    status = np.where(mapped, "static", np.where(table.dynamic, "dynamic", "unmapped"))
+    covariances = covariances_in_largest_submap(engine)
     variance = np.trace(covariances, axis1=1, axis2=2) / max(covariances.shape[1], 1)
     return LandmarkTable(
-        landmark=labels[order],
-        position=in_space(positions_in_largest_piece(builder.map))[order],
+        landmark=called[order],
+        position=in_space(positions_in_largest_submap(table))[order],
         sd=np.sqrt(variance)[order],
-        observations=sightings.counts[order],
-        first_iteration=sightings.first[order],
-        last_iteration=sightings.last[order],
-        level=np.where(mapped, builder.levels.highest, 0)[order],
+        observations=table.observations[order],
+        first_iteration=table.first[order],
+        last_iteration=table.last[order],
+        level=np.where(mapped, table.highest_level, 0)[order],
         status=status[order],
         piece=rank[order],
-        moving_bin=_moving_bins(builder, status, labels)[order],
+        moving_bin=_moving_bins(table, status, called)[order],
     )
+
+
+def map_pieces(engine: RelativeMapper) -> list[Piece]:
+    """Return the submaps, the largest first."""
+    table, called = engine.table, labels(engine)
+    rank = _ranks(table)
+    submaps = []
+    for submap in range(int(rank.max(initial=NONE)) + 1):
+        members = np.flatnonzero(rank == submap)
+        members = members[np.argsort(called[members])]
+        positions = in_space(table.position[members])
+        seen = int(table.first[members].min()), int(table.last[members].max())
+        submaps.append(Piece(called[members], positions, *seen))
+    return submaps
+
+
+def mapped_groups(engine: RelativeMapper) -> list[MappedGroup]:
+    """Return the groups behind the map, in the order in which they were placed."""
+    called, of = labels(engine), engine.table.landmark_of
+    return [replace(group, landmarks=called[of[group.landmarks]]) for group in engine.levels.groups]
+
+
+def path(engine: RelativeMapper) -> NDArray[np.float64]:
+    """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where it is not fixed."""
+    positions = positions_in_largest_submap(engine.table)
+    return trajectory(engine.rows, positions, engine.table.landmark_of)
 
 
 def _moving_bins(
-    builder: MapBuilder, status: NDArray[np.str_], labels: NDArray[np.int64]
+    table: LandmarkState, status: NDArray[np.str_], called: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return which dynamic landmarks go together: the label (n,) of one of them, or `ALONE`."""
-    bins = np.where(status == "dynamic", builder.dynamics.moving_bin, ALONE)
+    """Return which dynamic landmarks go together: the label (n,) of one of them, or `NONE`."""
+    bins = np.where(status == "dynamic", table.moving_bin, NONE)
     _, first, members, sizes = np.unique(
         bins, return_index=True, return_inverse=True, return_counts=True
     )
-    together = (bins != ALONE) & (sizes[members] > 1)
-    return np.where(together, labels[first[members]], ALONE)
+    together = (bins != NONE) & (sizes[members] > 1)
+    return np.where(together, called[first[members]], NONE)
 
 
-def map_pieces(
-    sightings: Sightings, global_map: GlobalMap, labels: NDArray[np.int64]
-) -> list[Piece]:
-    """Return the pieces of the map, the largest first."""
-    rank = _ranks(global_map)
-    pieces = []
-    for piece in range(int(rank.max(initial=UNMAPPED)) + 1):
-        members = np.flatnonzero(rank == piece)
-        members = members[np.argsort(labels[members])]
-        positions = in_space(global_map.positions[members])
-        seen = int(sightings.first[members].min()), int(sightings.last[members].max())
-        pieces.append(Piece(labels[members], positions, *seen))
-    return pieces
-
-
-def _ranks(global_map: GlobalMap) -> NDArray[np.int64]:
-    """Return the place of each landmark's piece in the order of their sizes, or `UNMAPPED`."""
-    mapped = global_map.pieces != UNMAPPED
-    pieces, members, counts = np.unique(
-        global_map.pieces[mapped], return_inverse=True, return_counts=True
+def _ranks(table: LandmarkState) -> NDArray[np.int64]:
+    """Return the place of each landmark's submap in the order of their sizes, or `NONE`."""
+    mapped = table.submap != NONE
+    submaps, members, counts = np.unique(
+        table.submap[mapped], return_inverse=True, return_counts=True
     )
-    rank_of = np.empty(len(pieces), dtype=np.int64)
-    rank_of[np.argsort(-counts, kind="stable")] = np.arange(len(pieces))
-    ranks = np.full(len(mapped), UNMAPPED)
+    rank_of = np.empty(len(submaps), dtype=np.int64)
+    rank_of[np.argsort(-counts, kind="stable")] = np.arange(len(submaps))
+    ranks = np.full(len(mapped), NONE)
     ranks[mapped] = rank_of[members]
     return ranks

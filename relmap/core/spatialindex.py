@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.growing import GrowingArray
+from relmap.core.table import NONE, LandmarkState
 
-NONE = -1
-"""In place of a landmark: the end of a cell's list.  In place of a cell: not in any."""
 SIDE = 2**20
 """Cells along each axis that have keys of their own; beyond, far ones share a list, no more."""
 
@@ -21,33 +19,31 @@ class SpatialIndex:
 
     Parameters
     ----------
+    table : LandmarkState
+        Its columns `cell` and `next_in_cell` are the lists.
     cell_m : float
         Side of a cell, metres: nothing farther than this is asked for.
-    dimension : int
     """
 
-    def __init__(self, cell_m: float, dimension: int) -> None:
+    def __init__(self, table: LandmarkState, cell_m: float) -> None:
+        dimension = table.dimension
         self.cell_m = cell_m
+        self._table = table
         self._first: dict[int, int] = {}
-        self._next: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._key: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._strides = SIDE ** np.arange(dimension)
         self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
 
     def add(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
         """Enter landmarks (k,) at positions (k, d), in place of where they were before."""
-        size = int(landmarks.max(initial=-1)) + 1
-        self._next.resize(size, NONE)
-        self._key.resize(size, NONE)
         keys = np.array(self._keys(self._cells(positions)), dtype=np.int64)
-        before = self._key.values[landmarks]
+        before = self._table.cell[landmarks]
         for row in np.flatnonzero(keys != before).tolist():
             landmark, key = int(landmarks[row]), int(keys[row])
             if before[row] != NONE:
                 self._remove(landmark, int(before[row]))
-            self._next.values[landmark] = self._first.get(key, NONE)
+            self._table.next_in_cell[landmark] = self._first.get(key, NONE)
             self._first[key] = landmark
-            self._key.values[landmark] = key
+            self._table.cell[landmark] = key
 
     def near(self, position: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the landmarks within a cell's side of the position (d,), and some more."""
@@ -56,29 +52,24 @@ class SpatialIndex:
             landmark = self._first.get(key, NONE)
             while landmark != NONE:
                 found.append(landmark)
-                landmark = int(self._next.values[landmark])
+                landmark = int(self._table.next_in_cell[landmark])
         return np.array(found, dtype=np.int64)
 
-    @property
-    def size(self) -> int:
-        """Landmarks from 0 to below this may have been entered."""
-        return len(self._key)
-
     def holds(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which landmarks (k,), below `size`, were entered."""
-        return np.asarray(self._key.values[landmarks] != NONE)
+        """Tell which landmarks (k,) were entered."""
+        return np.asarray(self._table.cell[landmarks] != NONE)
 
     def _remove(self, landmark: int, key: int) -> None:
-        after = int(self._next.values[landmark])
+        after = int(self._table.next_in_cell[landmark])
         other = self._first[key]
         if other == landmark and after == NONE:
             del self._first[key]
         elif other == landmark:
             self._first[key] = after
         else:
-            while self._next.values[other] != landmark:
-                other = int(self._next.values[other])
-            self._next.values[other] = after
+            while self._table.next_in_cell[other] != landmark:
+                other = int(self._table.next_in_cell[other])
+            self._table.next_in_cell[other] = after
 
     def _cells(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.floor(positions / self.cell_m).astype(np.int64)

@@ -1,7 +1,7 @@
-"""Which pieces of the map show the same place, told by how their landmarks lie.
+"""Which submaps of the map show the same place, told by how their landmarks lie.
 
-Without ids a stretch that cannot be tied to what was before begins a piece of its own.  Some of
-these come to places that others have been to.  Neighbourhoods of one piece are looked for in all
+Without ids a stretch that cannot be tied to what was before begins a submap of its own.  Some of
+these come to places that others have been to.  Neighbourhoods of one submap are looked for in all
 others at once, and one that is found there for sure ties the two.
 """
 
@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.globalmap import GlobalMap
 from relmap.core.recognition import ENOUGH, HITS, PlaceFinder, is_clear
 from relmap.core.registration.base import nearest
 from relmap.core.registration.placement import Placement
+from relmap.core.table import NONE, LandmarkState
 
 NEIGHBOURHOOD = 20
 """Landmarks that are looked for together."""
@@ -28,14 +29,17 @@ BY_CHANCE = 1e-3
 SAME = 0.1
 """How far off, in sizes of a neighbourhood, the way there and back may lead."""
 APART = 4.0
-"""How far apart pieces are laid out, in sizes of the largest."""
+"""How far apart submaps are laid out, in sizes of the largest."""
 
 
-def tie_pieces(global_map: GlobalMap, noise_m: float) -> Iterator[NDArray[np.int64]]:
-    """Join pieces that show the same place.
+def tie_submaps(
+    table: LandmarkState, global_map: GlobalMap, noise_m: float
+) -> Iterator[NDArray[np.int64]]:
+    """Join submaps that show the same place.
 
     Parameters
     ----------
+    table : LandmarkState
     global_map : GlobalMap
     noise_m : float
         Standard deviation of an observed coordinate.
@@ -43,40 +47,40 @@ def tie_pieces(global_map: GlobalMap, noise_m: float) -> Iterator[NDArray[np.int
     Yields
     ------
     (k,) int64
-        The landmarks of a piece that another has just joined.  Those that are the same should be
+        The landmarks of a submap that another has just joined.  Those that are the same should be
         merged before the next is looked for.
     """
-    pieces, sizes = np.unique(global_map.pieces, return_counts=True)
-    known = (pieces != UNMAPPED) & (sizes >= ENOUGH)
-    for piece in pieces[known][np.argsort(sizes[known], kind="stable")].tolist():
-        found = _found_elsewhere(global_map, piece, noise_m)
+    submaps, sizes = np.unique(table.submap, return_counts=True)
+    known = (submaps != NONE) & (sizes >= ENOUGH)
+    for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
+        found = _found_elsewhere(table, submap, noise_m)
         if found is not None:
             other, placement = found
-            global_map.tie(piece, other, placement.R, placement.t)
-            yield np.flatnonzero(global_map.pieces == other)
+            global_map.tie(submap, other, placement.R, placement.t)
+            yield np.flatnonzero(table.submap == other)
 
 
 def _found_elsewhere(
-    global_map: GlobalMap, piece: int, noise_m: float
+    table: LandmarkState, submap: int, noise_m: float
 ) -> tuple[int, Placement] | None:
-    """Return the piece that shows a place of this one, and where this one lies in its frame."""
-    own = np.flatnonzero(global_map.pieces == piece)
-    others = np.flatnonzero((global_map.pieces != piece) & (global_map.pieces != UNMAPPED))
+    """Return the submap that shows a place of this one, and where this one lies in its frame."""
+    own = np.flatnonzero(table.submap == submap)
+    others = np.flatnonzero((table.submap != submap) & (table.submap != NONE))
     if not len(others):
         return None
-    positions, shifts, number = _laid_out(global_map, others)
-    finder, back = (PlaceFinder(there, noise_m) for there in (positions, global_map.positions[own]))
-    trials = HITS * len(np.unique(global_map.pieces)) * len(global_map.pieces)
-    for around in neighbourhoods(global_map.positions[own]):
-        points = global_map.positions[own[around]]
+    positions, shifts, number = _laid_out(table, others)
+    finder, back = (PlaceFinder(there, noise_m) for there in (positions, table.position[own]))
+    trials = HITS * len(np.unique(table.submap)) * len(table.submap)
+    for around in neighbourhoods(table.position[own]):
+        points = table.position[own[around]]
         places = finder.places(points)
         hits = [finder.landmarks_at(place.apply(points)) for place in places]
         hits = [np.unique(hit[hit >= 0]) for hit in hits]
-        in_pieces = [np.unique(number[hit]) for hit in hits]
-        if not places or len(in_pieces[0]) > 1:
+        in_submaps = [np.unique(number[hit]) for hit in hits]
+        if not places or len(in_submaps[0]) > 1:
             continue
-        other = int(in_pieces[0][0])
-        rivals = [place for place, of in zip(places, in_pieces, strict=True) if other in of]
+        other = int(in_submaps[0][0])
+        rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
         sure = trials * finder.by_chance(len(points), len(hits[0])) <= BY_CHANCE
         clear = sure and is_clear(points, rivals)
         if clear and _leads_back(back, positions[hits[0]], places[0], points):
@@ -99,16 +103,16 @@ def _leads_back(
 
 
 def _laid_out(
-    global_map: GlobalMap, landmarks: NDArray[np.int64]
+    table: LandmarkState, landmarks: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]], NDArray[np.int64]]:
-    """Return landmarks (n, d), their pieces side by side, by what shifts, and the pieces (n,)."""
-    positions, of = global_map.positions[landmarks].copy(), global_map.pieces[landmarks]
+    """Return landmarks (n, d), their submaps side by side, by what shifts, and the submaps (n,)."""
+    positions, of = table.position[landmarks].copy(), table.submap[landmarks]
     size_m = float(np.max(np.abs(positions)))
     shifts = {}
-    for k, piece in enumerate(np.unique(of).tolist()):
-        shifts[piece] = np.zeros(positions.shape[1])
-        shifts[piece][0] = APART * size_m * k
-        positions[of == piece] += shifts[piece]
+    for k, submap in enumerate(np.unique(of).tolist()):
+        shifts[submap] = np.zeros(positions.shape[1])
+        shifts[submap][0] = APART * size_m * k
+        positions[of == submap] += shifts[submap]
     return positions, shifts, of
 
 

@@ -10,15 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.globalmap import UNMAPPED
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece
 from relmap.core.pose import trajectory
-from relmap.core.registration import Registration
-from relmap.durable import DurableMapper
+from relmap.core.table import NONE
+from relmap.mapper import Mapper
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
-from relmap.planes.basis import relative_map
 from relmap.planes.history import PlaneHistory
-from relmap.planes.merging import CornerMerger
+from relmap.planes.model import WallModel
 from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.refined_map import path_of, refined_map
 from relmap.planes.registration import PlaneRegistration
@@ -40,7 +38,7 @@ class Segmenter(Protocol):
         ...
 
 
-class PlaneMapper(DurableMapper):
+class PlaneMapper(Mapper):
     """Maps walls in 2½-D: vertical planes, and a robot that moves in the plane.
 
     Parameters
@@ -68,8 +66,6 @@ class PlaneMapper(DurableMapper):
     [[3.0, 2.0, 0.0], [3.0, 2.0, 0.0]]
     """
 
-    _relative_map = staticmethod(relative_map)
-    _noise_spread = 3.0
     _variant = "planes"
     _passing = ("_journal", "_segmenter")
 
@@ -81,10 +77,6 @@ class PlaneMapper(DurableMapper):
         run: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(config, journal, run)
-        self._planes = PlaneRegistration(self.config.max_missed)
-        self._seen_again.merger = CornerMerger(
-            self._builder.map, self._sightings, self.config.group_after, self._planes
-        )
         self._segmenter = segmenter
         self._refined_walls: tuple[Assembled, WallNumbers] | None = None
         self._astray = np.empty(0, dtype=np.int64)
@@ -120,7 +112,7 @@ class PlaneMapper(DurableMapper):
         self._refined_walls = None
         self._astray = np.empty(0, dtype=np.int64)
         self._planes.see(seen)
-        super().update(self._planes.points_robot)
+        self._engine.update(self._planes.points_robot, None)
         walls = self._planes.planes.copy()
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
@@ -168,7 +160,7 @@ class PlaneMapper(DurableMapper):
     def landmarks(self) -> LandmarkTable:
         """Every corner ever seen, mapped or not."""
         assembled, numbers = self._state
-        chosen, dynamic = self._planes.chosen, self._builder.dynamics.dynamic[::2]
+        chosen, dynamic = self._planes.chosen, self._engine.table.dynamic[::2]
         return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
 
     @property
@@ -200,14 +192,12 @@ class PlaneMapper(DurableMapper):
         """Iterations (k,) before which too little was seen to tell how far the robot went."""
         return weak_links(self._planes.history)
 
+    def _model(self) -> WallModel:
+        self._planes = PlaneRegistration(self.config.max_missed)
+        return WallModel(self._planes)
+
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         return self.update(of_journal(scan.values))
-
-    def _own_registration(self) -> Registration:
-        return self._planes
-
-    def _min_shared(self) -> int:
-        return 2  # points: one corner and its midpoint
 
     def _segmented(self, points: Any) -> Any:
         if self._segmenter is None:
@@ -220,13 +210,12 @@ class PlaneMapper(DurableMapper):
     @property
     def _path(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration by the chained map, weak links included."""
-        own, of = self._builder.map, self._identity.of(np.arange(len(self._builder.map.pieces)))
-        pieces, counts = np.unique(own.pieces[own.pieces != UNMAPPED], return_counts=True)
-        rows = self._rows
-        paths = [
-            trajectory(rows, np.where((own.pieces == piece)[:, None], own.positions, np.nan), of)
-            for piece in pieces[np.argsort(-counts, kind="stable")]
-        ]
+        table, rows = self._engine.table, self._engine.rows
+        submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
+        paths = []
+        for submap in submaps[np.argsort(-counts, kind="stable")]:
+            positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
+            paths.append(trajectory(rows, positions, table.landmark_of))
         return stitched(paths, self._planes.history.motion)
 
     @property
@@ -241,7 +230,7 @@ class PlaneMapper(DurableMapper):
     def _numbers(self) -> WallNumbers:
         chosen, wall_end = self._planes.chosen, self._planes.wall_end
         corner_of = np.arange(len(wall_end))
-        corner_of[chosen] = chosen[self._identity.of(2 * np.arange(len(chosen))) // 2]
+        corner_of[chosen] = chosen[self._engine.table.landmark_of[2 * np.arange(len(chosen))] // 2]
         return WallNumbers.of(self._planes.n_planes, wall_end, corner_of)
 
     @property
@@ -250,8 +239,8 @@ class PlaneMapper(DurableMapper):
 
         Or, once the map is refined, they are not where it has them.
         """
-        dynamic = self._builder.dynamics.dynamic[::2] | self._builder.dynamics.dynamic[1::2]
-        at_rest = (self._builder.map.weights[::2] > 0) & ~dynamic
+        dynamic = self._engine.table.dynamic[::2] | self._engine.table.dynamic[1::2]
+        at_rest = (self._engine.table.weight[::2] > 0) & ~dynamic
         n = self._planes.n_planes
         planes = self._planes.wall_end[self._planes.chosen] // 2
         moves = np.bincount(planes[dynamic], minlength=n) > 0

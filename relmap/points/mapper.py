@@ -10,12 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.readout import positions_in_largest_piece
+from relmap.core.readout import positions_in_largest_submap
 from relmap.core.recognition import PlaceFinder
 from relmap.core.registration.placement import Placement
 from relmap.core.scan import checked_ids, checked_points
-from relmap.durable import DurableMapper
-from relmap.points.basis import relative_map
+from relmap.mapper import Mapper
+from relmap.points.model import PointModel
 
 if TYPE_CHECKING:
     from relmap.journal import RecordedScan
@@ -24,7 +24,7 @@ AROUND = 1.2
 """How far from the robot landmarks are expected, in units of how far the scan reaches."""
 
 
-class PointMapper(DurableMapper):
+class PointMapper(Mapper):
     """Maps point landmarks, with six degrees of freedom in space or three in the plane.
 
     Parameters
@@ -48,7 +48,6 @@ class PointMapper(DurableMapper):
     [[2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [3.0, 3.0, 0.0]]
     """
 
-    _relative_map = staticmethod(relative_map)
     _variant = "points"
     _passing = ("_journal", "_finder")
 
@@ -62,22 +61,48 @@ class PointMapper(DurableMapper):
         self._finder: PlaceFinder | None = None
 
     def update(self, points: ArrayLike, ids: ArrayLike | None = None) -> NDArray[np.int64]:
-        """Take in the observations of one iteration; see `RelativeMapper.update`."""
+        """Take in the observations of one iteration.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) array, robot frame, metres
+            Two columns make a planar world.
+        ids : (n,) array of int, optional
+            Known association; negative where a landmark was not identified.  They come with every
+            scan or with none.
+
+        Returns
+        -------
+        (n,) int64
+            Label of the landmark of each observation; -1 where it was not identified.  A landmark
+            that is recognised later changes its label: see `landmarks_of`.
+
+        Raises
+        ------
+        RelmapError
+            Where the scan cannot be used; the mapper is then as it was.
+        """
         self._finder = None
-        if self._journal is None:
-            return super().update(points, ids)
-        self._journal.ready()
-        points_robot = checked_points(points, self._store.dimension)
+        points_robot = checked_points(points, self._engine.store.dimension)
         known = None if ids is None else checked_ids(ids, len(points_robot))
-        labels = super().update(points_robot, known)
-        self._journal.append(points_robot, known, labels)
+        if self._journal is not None:
+            self._journal.ready()
+        labels = self._engine.update(points_robot, known)
+        if self._journal is not None:
+            self._journal.append(points_robot, known, labels)
         return labels
 
     def refine(self) -> None:
-        """Bring all landmarks to where all observations agree best; see `RelativeMapper.refine`."""
+        """Bring all landmarks to where all observations agree best, by joint least squares.
+
+        The chain of groups drifts; this spreads what is left of it, after a loop was closed above
+        all, over the whole map.  Without ids, landmarks that then lie where older ones do that they
+        may be are merged (see `landmarks_of`).  From then on until the next update it is also known
+        how sure each position is.  With `keep_observations`, bounded noise is made use of.
+        """
         self._note_call("refine")
         self._finder = None
-        super().refine()
+        self._engine.refine()
 
     def finish(self) -> None:
         """Map what is left, and without ids tie pieces that show the same place.
@@ -86,8 +111,8 @@ class PointMapper(DurableMapper):
         """
         self._finder = None
         super().finish()
-        if not self._has_ids:
-            self._seen_again.tie_pieces()
+        if not self._engine.has_ids:
+            self._engine.tie_submaps()
 
     def localise(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return where a scan was taken, found from the map alone; the mapper stays as it is.
@@ -107,7 +132,7 @@ class PointMapper(DurableMapper):
         RelmapError
             Where the scan cannot be meant.
         """
-        placement = self._placed(checked_points(points, self._store.dimension))
+        placement = self._placed(checked_points(points, self._engine.store.dimension))
         T_map_robot = np.full((4, 4), np.nan)
         if placement is not None:
             d = len(placement.t)
@@ -137,26 +162,26 @@ class PointMapper(DurableMapper):
         """
         if self._journal is not None:
             raise RelmapError("a run that keeps a journal begins with an empty map")
-        seen = checked_points(points, self._store.dimension)
+        seen = checked_points(points, self._engine.store.dimension)
         placement = self._placed(seen)
-        if placement is None or self._registration is None:
+        if placement is None or self._engine.association is None:
             return False
-        positions = positions_in_largest_piece(self._builder.map)
+        positions = positions_in_largest_submap(self._engine.table)
         landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
         around = (positions[landmarks] - placement.t) @ placement.R
         near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
-        self._registration.expect(landmarks[near], around[near])
+        self._engine.association.expect(landmarks[near], around[near])
         return True
 
     def _placed(self, points_robot: NDArray[np.float64]) -> Placement | None:
         if self._finder is None:
-            positions = positions_in_largest_piece(self._builder.map)
+            positions = positions_in_largest_submap(self._engine.table)
             mapped = positions[np.isfinite(positions).all(axis=1)]
             self._finder = PlaceFinder(mapped, np.nan_to_num(self.noise_m))
         return self._finder.find(points_robot)
 
+    def _model(self) -> PointModel:
+        return PointModel()
+
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         return self.update(scan.values, scan.ids)
-
-    def _min_shared(self) -> int:
-        return self._store.dimension

@@ -1,26 +1,31 @@
-"""What makes a mapper last beyond its process: a journal of its scans, and a file of its state."""
+"""The public face of all variants: what a mapper hands out, and what makes it last."""
 
 from __future__ import annotations
 
 import platform
+from abc import ABC, abstractmethod
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from relmap.core import readout, turns
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.mapper import RelativeMapper
+from relmap.core.model import LandmarkModel
+from relmap.core.refinement import Refined
 
 if TYPE_CHECKING:
     from relmap.journal import Journal, JournalReader, RecordedScan
 
 
-class DurableMapper(RelativeMapper):
-    """A mapper that can keep a journal.
+class Mapper(ABC):
+    """An engine with a journal, a saved state, and tables of what it has found.
 
     Parameters
     ----------
@@ -47,7 +52,8 @@ class DurableMapper(RelativeMapper):
         journal: PathLike[str] | str | None = None,
         run: dict[str, Any] | None = None,
     ) -> None:
-        super().__init__(config)
+        self.config = config or MapperConfig()
+        self._engine = RelativeMapper(self._model(), self.config)
         self._journal: Journal | None = None
         if journal is not None:
             from relmap.journal import Journal
@@ -60,6 +66,72 @@ class DurableMapper(RelativeMapper):
                 "run": run,
             }
             self._journal = Journal.create(Path(journal), LAYOUTS[self._variant], meta)
+
+    def finish(self) -> None:
+        """Group what is still in view and not mapped yet, and what has left for the last time."""
+        self._note_call("finish")
+        turns.finish(self._engine)
+
+    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
+        """Return what landmarks (n,), labelled by earlier updates, are called now.
+
+        A landmark lost and seen again has a label of its own until it is recognised.
+        """
+        labels = np.asarray(labels, dtype=np.int64)
+        if self._engine.has_ids:
+            return labels
+        return np.where(labels >= 0, self._engine.table.landmark_of[labels], labels)
+
+    @property
+    def n_iterations(self) -> int:
+        """How many scans were taken in, empty ones included."""
+        return self._engine.store.n_iterations
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The mapped landmarks, in ascending order of their labels."""
+        return readout.landmark_map(self._engine)
+
+    @property
+    def landmarks(self) -> LandmarkTable:
+        """Every landmark ever seen, mapped or not."""
+        return readout.landmark_table(self._engine)
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """The pieces of the map, the largest first; more than one where it fell apart."""
+        return readout.map_pieces(self._engine)
+
+    @property
+    def groups(self) -> list[MappedGroup]:
+        """The groups behind the map, in the order in which they were placed."""
+        return readout.mapped_groups(self._engine)
+
+    @property
+    def refined(self) -> list[Refined]:
+        """The pieces of the map as refined, in ascending order; none after a later update.
+
+        They tell how well each segment of the run, and each merge, fits the map.  Landmarks go by
+        their numbers there, in order of first sight.
+        """
+        return list(self._engine.refined)
+
+    @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
+        association = self._engine.association
+        scans = [] if association is None else association.rejected
+        return np.array(scans, dtype=np.int64) + self._engine.first_scan
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
+        return readout.path(self._engine)
+
+    @property
+    def noise_m(self) -> float:
+        """Estimated standard deviation of an observed coordinate, metres; NaN if not known yet."""
+        return float(self._engine.averaging.noise.sigma_m)
 
     @classmethod
     def resume(cls, journal: PathLike[str] | str) -> Self:
@@ -133,11 +205,6 @@ class DurableMapper(RelativeMapper):
         mapper: Self = load_state(Path(path), cls)
         return mapper
 
-    @property
-    def n_iterations(self) -> int:
-        """How many scans were taken in, empty ones included."""
-        return self._store.n_iterations
-
     def flush(self) -> None:
         """Make sure that the journal holds every scan; where none is kept, do nothing.
 
@@ -161,11 +228,6 @@ class DurableMapper(RelativeMapper):
             self._journal.close()
             self._journal = None
 
-    def finish(self) -> None:
-        """Group what is still in view and not mapped yet, and what has left for the last time."""
-        self._note_call("finish")
-        super().finish()
-
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the journal: a copy keeps none."""
         return self.__dict__ | {"_journal": None}
@@ -185,9 +247,13 @@ class DurableMapper(RelativeMapper):
                     f"and this is {_told(_versions())}"
                 )
 
+    @abstractmethod
+    def _model(self) -> LandmarkModel:
+        """Return the kind of landmark that is mapped."""
+
+    @abstractmethod
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         """Take in a scan of the journal."""
-        raise NotImplementedError
 
 
 def _versions() -> dict[str, str]:

@@ -1,0 +1,65 @@
+"""What a kind of landmark supplies to the engine; `points` and `planes` each have a model."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.config import MapperConfig
+from relmap.core.registration.base import Registration
+from relmap.core.table import LandmarkState
+
+
+class LandmarkModel(Protocol):
+    """A kind of landmark, as far as the engine has to know it.
+
+    The engine maps points at rest.  A model says which points stand for its landmarks, how those of
+    one iteration find those of the iterations before, and what basis is consistent.
+    """
+
+    @property
+    def noise_spread(self) -> float:
+        """How many times noisier than the typical point the noisiest are."""
+        ...
+
+    @property
+    def position_spread(self) -> float:
+        """The same of the positions by which points seen again are compared with older ones."""
+        ...
+
+    @property
+    def drift_m(self) -> float | None:
+        """How far the map may have drifted by then, metres; None goes by the points' spacing."""
+        ...
+
+    def association(self, config: MapperConfig) -> Registration:
+        """Return what finds out who is who in scans without ids."""
+        ...
+
+    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Average a group's locations in its consistent basis (Figs 1, 2 and 8).
+
+        Parameters
+        ----------
+        block : (g, i, d) float64, robot frame, metres
+            Every member seen in every iteration.
+
+        Returns
+        -------
+        (g, d) float64, group frame, metres, or None where the group fixes no basis
+        """
+        ...
+
+    def min_shared(self, dimension: int) -> int:
+        """Return how few mapped points fix a group."""
+        ...
+
+    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which points (n,) are compared with older ones when they are seen again; (n,)."""
+        ...
+
+    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
+        """Tell whether nothing but the position speaks against a point being an older one."""
+        ...

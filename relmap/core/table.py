@@ -1,0 +1,307 @@
+"""The landmark table: everything known of each landmark, one row a landmark.
+
+Every column is declared here, with what a new row holds and what becomes of it when a landmark
+turns out to be an older one seen again.  The parts of the engine are functions of, or thin views
+on, these columns; none keeps an array over the landmarks of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+NEVER = -(2**62)
+"""Iteration in which a landmark not seen yet was last seen."""
+NONE = -1
+"""In place of a group, a submap, a moving bin or a cell: the landmark is in none."""
+ROWS = 2**11
+"""Rows that the columns begin with, about."""
+
+Merge = Literal["old", "new", "least", "most", "sum"]
+
+
+class Column(NamedTuple):
+    """What a column holds.
+
+    Attributes
+    ----------
+    dtype : numpy dtype
+    fill : scalar
+        Value of a new row.
+    merged : str
+        What the old landmark has after a merge: its own value, the new one's, or the least, the
+        most or the sum of both.
+    vector : bool
+        Whether a row has one value for each coordinate.
+    """
+
+    dtype: DTypeLike
+    fill: Any
+    merged: Merge = "new"
+    vector: bool = False
+
+
+COLUMNS = {
+    # who it is: a new row is a landmark of its own
+    "landmark_of": Column(np.int64, NONE, "old"),
+    # sightings; `first` and `since` of a new row are the present iteration
+    "first": Column(np.int64, 0, "least"),
+    "last": Column(np.int64, NEVER, "new"),
+    "since": Column(np.int64, 0, "new"),
+    "observations": Column(np.int64, 0, "sum"),
+    # the present interval, in which the landmark is in view
+    "begin": Column(np.int64, 0, "new"),
+    "in_interval": Column(np.int64, 0, "new"),
+    "is_gone": Column(np.bool_, False, "new"),
+    # the group that its position comes from
+    "level": Column(np.int64, 0, "new"),
+    "highest_level": Column(np.int64, 0, "most"),
+    "averaged": Column(np.int64, 0, "new"),
+    "group": Column(np.int64, NONE, "new"),
+    # motion
+    "dynamic": Column(np.bool_, False, "new"),
+    "restless": Column(np.bool_, False, "new"),
+    "strikes": Column(np.int64, 0, "new"),
+    "struck_until": Column(np.int64, -1, "new"),
+    "moved_until": Column(np.int64, 0, "new"),
+    "tested_until": Column(np.int64, 0, "new"),
+    "moving_bin": Column(np.int64, NONE, "new"),
+    # the map; `merge` averages the positions
+    "position": Column(np.float64, np.nan, "old", vector=True),
+    "weight": Column(np.float64, 0.0, "old"),
+    "settled_position": Column(np.float64, 0.0, "old", vector=True),
+    "settled_weight": Column(np.float64, 0.0, "old"),
+    "submap": Column(np.int64, NONE, "old"),
+    # looking for it among older ones, and where it is found
+    "asked_level": Column(np.int64, 0, "new"),
+    "cell": Column(np.int64, NONE, "old"),
+    "next_in_cell": Column(np.int64, NONE, "old"),
+    # the condensed segment in which it was seen last
+    "last_segment": Column(np.int64, NONE, "old"),
+}
+
+_MERGED: dict[str, Callable[[Any, Any], Any]] = {
+    "new": lambda new, old: new,
+    "least": lambda new, old: min(new, old),
+    "most": lambda new, old: max(new, old),
+    "sum": lambda new, old: new + old,
+}
+
+
+class LandmarkState:
+    """One row for each landmark, in the order of first sight.
+
+    Row `k` keeps the number `k` for good.  A landmark that turns out to be an older one goes on in
+    that one's row; `landmark_of` tells.
+
+    Attributes
+    ----------
+    landmark_of : (n,) int64
+        The landmark that each row stands for: itself, unless it was merged into an older one.
+    first, last : (n,) int64
+        Iterations in which a landmark was seen first, and last; `NEVER`.
+    since : (n,) int64
+        First iteration of the latest stretch without a merge.
+    observations : (n,) int64
+        Number of observations.
+    begin, in_interval : (n,) int64
+        Iteration in which the present interval began, and number of observations in it.
+    is_gone : (n,) bool
+        Whether it has left the view and waits for its last group.
+    level, highest_level : (n,) int64
+        Grouping level, 0 to 3, reached in the present interval, and in any.
+    averaged : (n,) int64
+        Observations of the present interval behind the position.
+    group : (n,) int64
+        Group that the position comes from in the present interval, or `NONE`.
+    dynamic : (n,) bool
+        Whether it was seen moving, and has not settled since.
+    restless : (n,) bool
+        Whether it moved when last looked at.
+    strikes, struck_until, moved_until, tested_until : (n,) int64
+        How many groups in a row saw it move; and the last iterations of these groups, in which it
+        moved at all, and in which it was tested.
+    moving_bin : (n,) int64
+        Bin of a dynamic landmark that moves together with others, or `NONE`.
+    position : (n, d) float64, frame of the submap, metres
+        NaN where it is not mapped.
+    weight : (n,) float64
+        Iterations averaged into the position; 0 where it is not mapped.
+    settled_position, settled_weight : (n, d) and (n,) float64
+        The same of intervals that are over.
+    submap : (n,) int64
+        The submap it is in, or `NONE`.
+    asked_level : (n,) int64
+        Level at which it was last looked for among older ones.
+    cell, next_in_cell : (n,) int64
+        Place in the spatial index.
+    last_segment : (n,) int64
+        Condensed segment in which it was seen last, or `NONE`.
+    """
+
+    landmark_of: NDArray[np.int64]
+    first: NDArray[np.int64]
+    last: NDArray[np.int64]
+    since: NDArray[np.int64]
+    observations: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    in_interval: NDArray[np.int64]
+    is_gone: NDArray[np.bool_]
+    level: NDArray[np.int64]
+    highest_level: NDArray[np.int64]
+    averaged: NDArray[np.int64]
+    group: NDArray[np.int64]
+    dynamic: NDArray[np.bool_]
+    restless: NDArray[np.bool_]
+    strikes: NDArray[np.int64]
+    struck_until: NDArray[np.int64]
+    moved_until: NDArray[np.int64]
+    tested_until: NDArray[np.int64]
+    moving_bin: NDArray[np.int64]
+    position: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    settled_position: NDArray[np.float64]
+    settled_weight: NDArray[np.float64]
+    submap: NDArray[np.int64]
+    asked_level: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    next_in_cell: NDArray[np.int64]
+    last_segment: NDArray[np.int64]
+
+    def __init__(self) -> None:
+        self._rooms: dict[str, NDArray[Any]] = {}
+        self._merged_into: dict[int, list[int]] = {}
+        self._earlier: dict[int, list[list[int]]] = {}
+        self._begin(0)
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.landmark_of)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copy the rows there are, not the room for more."""
+        rooms = {name: getattr(self, name).copy() for name in COLUMNS}
+        merges = {"_merged_into": self._merged_into, "_earlier": self._earlier}
+        return {"_rooms": rooms, **merges}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take up the rows of another table."""
+        self.__dict__.update(state)
+        self._show(len(self._rooms["landmark_of"]))
+
+    @property
+    def dimension(self) -> int:
+        """Number of coordinates of a position; 0 before anything was seen."""
+        return int(self.position.shape[1])
+
+    @property
+    def is_own(self) -> NDArray[np.bool_]:
+        """Whether each row is a landmark still, not merged into another; (n,)."""
+        return np.asarray(self.landmark_of == np.arange(len(self)))
+
+    def resize(self, n: int, iteration: int, dimension: int) -> None:
+        """Add rows up to `n` for landmarks that are first seen in this iteration.
+
+        Parameters
+        ----------
+        n : int
+        iteration : int
+        dimension : int
+            Number of coordinates of a position.
+        """
+        before = len(self)
+        if n <= before:
+            return
+        if before == 0:
+            self._begin(dimension)
+        for name, column in COLUMNS.items():
+            if n > len(self._rooms[name]):
+                self._grow(name, n)
+            self._rooms[name][before:n] = column.fill
+        self._show(n)
+        self.landmark_of[before:] = np.arange(before, n)
+        self.first[before:] = self.since[before:] = iteration
+
+    def see(self, landmarks: NDArray[np.int64], iteration: int) -> None:
+        """Note which landmarks (k,) are seen."""
+        self.last[landmarks] = iteration
+        self.observations[landmarks] += 1
+        self.in_interval[landmarks] += 1
+
+    def settle(self, landmarks: NDArray[np.int64]) -> None:
+        """Keep the positions of landmarks (k,): what is placed later is averaged with them."""
+        mapped = landmarks[self.weight[landmarks] > 0]
+        self.settled_position[mapped] = self.position[mapped]
+        self.settled_weight[mapped] = self.weight[mapped]
+
+    def take_off_map(self, landmarks: NDArray[np.int64]) -> None:
+        """Take landmarks (k,) off the map."""
+        self.position[landmarks] = np.nan
+        self.weight[landmarks] = self.settled_weight[landmarks] = 0.0
+        self.submap[landmarks] = NONE
+
+    def merge(self, new: int, old: int) -> None:
+        """Let an old landmark go on in place of a new one, which turned out to be it.
+
+        The position is the average of both; what the new one has in its present interval goes on
+        to be replaced by better groups.
+        """
+        rows = [new, *self._merged_into.pop(new, [])]
+        self.landmark_of[rows] = old
+        self._merged_into.setdefault(old, []).extend(rows)
+        self._earlier[old] = self._stretches(old) + self._earlier.pop(new, [])
+        self.settle(np.array([old]))
+        _average(self.position, self.weight, new, old)
+        if self.settled_weight[new] > 0:
+            _average(self.settled_position, self.settled_weight, new, old)
+        self.take_off_map(np.array([new]))
+        for name, column in COLUMNS.items():
+            if column.merged != "old":
+                values = getattr(self, name)
+                values[old] = _MERGED[column.merged](values[new], values[old])
+        self.is_gone[new] = False
+
+    def is_later(self, new: int, old: int) -> bool:
+        """Tell whether one landmark was seen after another was last, and never while it was."""
+        if self.last[old] < self.first[new]:
+            return True
+        if self.last[old] >= self.last[new] or not (new in self._earlier or old in self._earlier):
+            return False
+        return not any(
+            begin <= other_end and other_begin <= end
+            for begin, end in self._stretches(new)
+            for other_begin, other_end in self._stretches(old)
+        )
+
+    def _stretches(self, landmark: int) -> list[list[int]]:
+        """Return the first and last iteration of each stretch in which a landmark was seen."""
+        present = [int(self.since[landmark]), int(self.last[landmark])]
+        return [*self._earlier.get(landmark, []), present]
+
+    def _begin(self, dimension: int) -> None:
+        # Of different sizes, so that no two columns are full in the same iteration.
+        for k, (name, column) in enumerate(COLUMNS.items()):
+            shape = (ROWS + k * ROWS // len(COLUMNS), *([dimension] if column.vector else []))
+            self._rooms[name] = np.empty(shape, column.dtype)
+        self._show(0)
+
+    def _grow(self, name: str, n: int) -> None:
+        before = self._rooms[name]
+        self._rooms[name] = np.empty((max(n, 2 * len(before)), *before.shape[1:]), before.dtype)
+        self._rooms[name][: len(self)] = before[: len(self)]
+
+    def _show(self, n: int) -> None:
+        for name, room in self._rooms.items():
+            setattr(self, name, room[:n])
+
+
+def _average(
+    positions: NDArray[np.float64], weights: NDArray[np.float64], new: int, old: int
+) -> None:
+    """Average the position of one landmark into another's, in place."""
+    both = weights[[new, old]]
+    positions[old] = both @ positions[[new, old]] / both.sum()
+    weights[old] = both.sum()

@@ -1,0 +1,62 @@
+"""Walls as landmarks: a corner and the midpoint estimated from it are two points at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.config import MapperConfig
+from relmap.core.table import LandmarkState
+from relmap.planes.basis import relative_map
+from relmap.planes.registration import PlaneRegistration
+
+TURN = np.cos(np.deg2rad(20.0))
+"""How far, at most, a wall may have turned where it is seen again (cosine)."""
+
+
+class WallModel:
+    """What the engine has to know of walls; see `relmap.core.model.LandmarkModel`.
+
+    Corner `k` is landmark `2 k`, its midpoint `2 k + 1`.
+
+    Parameters
+    ----------
+    walls : PlaneRegistration
+        Knows which end of a wall each corner is.
+    """
+
+    noise_spread = 3.0
+    position_spread = 2.0
+    drift_m = 1.5
+
+    def __init__(self, walls: PlaneRegistration) -> None:
+        self._walls = walls
+
+    def association(self, config: MapperConfig) -> PlaneRegistration:
+        """Return what finds out who is who."""
+        return self._walls
+
+    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Average a group's locations (g, i, 2) with one line at 0 degrees (Figs 1 and 2)."""
+        return relative_map(block)
+
+    def min_shared(self, dimension: int) -> int:
+        """Return how few mapped points fix a group: one corner and its midpoint."""
+        return 2
+
+    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which points (n,) are compared with older ones: corners.
+
+        The midpoints stay apart: each is at a distance of its own from the corner.
+        """
+        return np.asarray(landmarks % 2 == 0)
+
+    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
+        """Tell whether a corner may be an older one: the same end of a wall with its direction."""
+        ends = self._walls.wall_end[self._walls.chosen]
+        if ends[new // 2] % 2 != ends[old // 2] % 2:
+            return False
+        positions = table.position
+        a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
+        # A midpoint that is not mapped tells nothing.
+        return not a @ b < TURN * np.sqrt((a @ a) * (b @ b))

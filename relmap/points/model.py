@@ -1,0 +1,41 @@
+"""Points as landmarks: three of them are a consistent basis, two in the plane (section III)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.config import MapperConfig
+from relmap.core.registration import Constellation, NearestPrevious, Registration
+from relmap.core.table import LandmarkState
+from relmap.points.basis import relative_map
+
+
+class PointModel:
+    """What the engine has to know of points; see `relmap.core.model.LandmarkModel`."""
+
+    noise_spread = 1.0
+    position_spread = 1.0
+    drift_m = None
+
+    def association(self, config: MapperConfig) -> Registration:
+        """Return what finds out who is who in scans without ids."""
+        if config.registration == "nearest-previous":
+            return NearestPrevious(config.gate_m)
+        return Constellation(config.max_missed)
+
+    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Average a group's locations (g, i, d) in the basis of three of its points (Fig. 8)."""
+        return relative_map(block)
+
+    def min_shared(self, dimension: int) -> int:
+        """Return how few mapped points fix a group."""
+        return dimension
+
+    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which points (n,) are compared with older ones: all of them."""
+        return np.ones(len(landmarks), dtype=bool)
+
+    def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
+        """Tell whether a point may be an older one: nothing speaks against it."""
+        return True
