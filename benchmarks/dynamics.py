@@ -46,16 +46,16 @@ class CountingMapper(PointMapper):
     def __init__(self) -> None:
         super().__init__()
         self.charts: Groups = []
-        averaging = self._builder._averaging
-        average = averaging.average
+        engine = self._engine
+        relative_map = engine._relative_map
 
         def counted(chart, *settings):
-            averaged = average(chart, *settings)
+            averaged = relative_map(chart, *settings)
             n = int(np.sum(chart.visible.sum(axis=1) >= FEWEST))
-            self.charts.append((n, averaging.n_comparisons))
+            self.charts.append((n, engine.averaging.n_comparisons))
             return averaged
 
-        averaging.average = counted
+        engine._relative_map = counted
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,7 @@
 
 The file is an ``.npz`` of numpy, not compressed: one flat array for each type of number, and
 ``graph``, a text in JSON (as bytes) that tells which objects there are and how they hang together.
-An object is told by its class, one of relmap's own, and its attributes; a function by its name.
-What is shared stays shared.
+An object is told by its class, one of relmap's own, and its attributes.  What is shared stays shared.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import re
 import zipfile
 from importlib import import_module
 from pathlib import Path
-from types import FunctionType
 from typing import Any, Literal
 
 import numpy as np
@@ -27,8 +25,6 @@ FORMAT = 1
 """Version of the file."""
 PACKAGES = ("relmap.core.", "relmap.points.", "relmap.planes.")
 """Where the classes of a mapper's parts are."""
-FUNCTIONS = ("relmap.points.basis:relative_map", "relmap.planes.basis:relative_map")
-"""Functions that a part may hold."""
 KINDS = ("float64", "int64", "int32", "uint8", "bool", "float32", "uint64", "int8", "uint32")
 """Types of numbers that a part may hold."""
 _GRAPH = "graph"
@@ -79,8 +75,6 @@ class _Writer:
         for kind in (list, tuple):
             if type(value) is kind:
                 return {kind.__name__: [self.value(item) for item in value]}
-        if isinstance(value, FunctionType):
-            return {"function": f"{value.__module__}:{value.__qualname__}"}
         state = value.__getstate__() or {}
         own = {
             name: None if name in self._left_out else self.value(part)
@@ -142,11 +136,6 @@ class _Reader:
             return dict(zip(keys, values, strict=True))
         if "dict" in node:
             return {self.value(key): self.value(item) for key, item in node["dict"]}
-        if "function" in node:
-            if node["function"] not in FUNCTIONS:
-                raise ValueError(f"function {node['function']!r} is none that a part may hold")
-            module, _, name = node["function"].partition(":")
-            return getattr(import_module(module), name)
         ((kind, items),) = node.items()
         return {"list": list, "tuple": tuple}[kind](map(self.value, items))
 
@@ -287,5 +276,4 @@ def _check_attributes(loaded: Any, fresh: Any, versions: Any) -> None:
         )
     if type(loaded) is type(fresh):
         for name, part in needs.items():
-            if not isinstance(part, FunctionType):
-                _check_attributes(has[name], part, versions)
+            _check_attributes(has[name], part, versions)

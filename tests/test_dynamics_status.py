@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.completion import RelativeMap, complete
 from relmap.core.dynamics import FEWEST, LIMIT, STILL, DynamicStatus, rests
+from relmap.core.table import LandmarkState
 
 SIGMA = 0.05
 
@@ -32,9 +33,9 @@ def relative_map(
 
 
 def status(n: int) -> DynamicStatus:
-    remembered = DynamicStatus()
-    remembered.resize(n)
-    return remembered
+    table = LandmarkState()
+    table.resize(n, 0, 2)
+    return DynamicStatus(table)
 
 
 STEADY, MOVED = 0.99 * LIMIT * SIGMA**2, 1.01 * LIMIT * SIGMA**2
@@ -45,7 +46,7 @@ def caught(remembered: DynamicStatus, end: int) -> None:
     for before in (20, 10, 0):
         moving = relative_map([0], [MOVED], end - before)
         assert remembered.test(moving, SIGMA).tolist() == [False]
-    assert remembered.dynamic[0]
+    assert remembered.table.dynamic[0]
 
 
 def test_the_limit_is_on_the_variance_in_units_of_the_noise() -> None:
@@ -55,7 +56,7 @@ def test_the_limit_is_on_the_variance_in_units_of_the_noise() -> None:
     remembered = status(3)
     assert remembered.test(relative, SIGMA).tolist() == [True, False, True]
     caught(remembered, end=50)
-    assert remembered.dynamic.tolist() == [True, False, False]
+    assert remembered.table.dynamic.tolist() == [True, False, False]
 
 
 def test_nothing_is_said_of_what_was_hardly_seen() -> None:
@@ -63,7 +64,7 @@ def test_nothing_is_said_of_what_was_hardly_seen() -> None:
     for end in (20, 30, 40):
         hardly = relative_map([0], [MOVED], end, FEWEST - 1)
         assert remembered.test(hardly, SIGMA).tolist() == [False]
-    assert not remembered.dynamic[0]
+    assert not remembered.table.dynamic[0]
     caught(remembered, end=70)
 
 
@@ -72,12 +73,12 @@ def test_a_landmark_that_moved_is_static_again_when_it_stood_still_for_long() ->
     caught(remembered, end=30)
     for end in range(40, 30 + STILL + 1, 10):
         assert remembered.test(relative_map([0], [STEADY], end), SIGMA).tolist() == [False]
-        assert remembered.dynamic[0]
+        assert remembered.table.dynamic[0]
     assert remembered.test(relative_map([0], [STEADY], 31 + STILL), SIGMA).tolist() == [True]
-    assert not remembered.dynamic[0]
+    assert not remembered.table.dynamic[0]
     caught(remembered, end=130)
     remembered.test(relative_map([0], [STEADY], 130 + STILL), SIGMA)
-    assert remembered.dynamic[0]
+    assert remembered.table.dynamic[0]
 
 
 def test_a_landmark_out_of_sight_does_not_stand_still() -> None:
@@ -85,4 +86,4 @@ def test_a_landmark_out_of_sight_does_not_stand_still() -> None:
     caught(remembered, end=30)
     back = relative_map([0], [STEADY], end=30 + 3 * STILL)  # ten iterations at rest
     remembered.test(back, SIGMA)
-    assert remembered.dynamic[0]
+    assert remembered.table.dynamic[0]

@@ -9,7 +9,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
-from relmap.core.globalmap import UNMAPPED, GlobalMap
+from relmap.core.globalmap import GlobalMap
+from relmap.core.table import NONE, LandmarkState
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)
@@ -19,9 +20,9 @@ Points = NDArray[np.float64]
 
 
 def empty_map(n: int, d: int) -> GlobalMap:
-    global_map = GlobalMap()
-    global_map.resize(n, d)
-    return global_map
+    table = LandmarkState()
+    table.resize(n, 0, d)
+    return GlobalMap(table)
 
 
 def average_in(
@@ -33,7 +34,7 @@ def average_in(
 ) -> None:
     """Average positions into a piece, as a new interval of the landmarks does."""
     global_map.join(piece, landmarks, positions)
-    global_map.settle(landmarks)
+    global_map.table.settle(landmarks)
     global_map.place(piece, landmarks, positions, weights)
 
 
@@ -52,7 +53,7 @@ def distances(points: Points) -> Points:
 def test_positions_are_the_weighted_means_of_what_was_averaged_in(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     global_map = empty_map(8, d)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     given_positions: list[list[Points]] = [[] for _ in range(8)]
     given_weights: list[list[float]] = [[] for _ in range(8)]
     for _ in range(6):
@@ -65,92 +66,97 @@ def test_positions_are_the_weighted_means_of_what_was_averaged_in(seed: int, d: 
             given_weights[landmark].append(weight)
     for landmark in range(8):
         if not given_weights[landmark]:
-            assert global_map.pieces[landmark] == UNMAPPED
-            assert np.isnan(global_map.positions[landmark]).all()
-            assert global_map.weights[landmark] == 0
+            assert global_map.table.submap[landmark] == NONE
+            assert np.isnan(global_map.table.position[landmark]).all()
+            assert global_map.table.weight[landmark] == 0
             continue
         mean = np.average(given_positions[landmark], axis=0, weights=given_weights[landmark])
-        np.testing.assert_allclose(global_map.positions[landmark], mean, atol=1e-12)
-        assert global_map.weights[landmark] == sum(given_weights[landmark])
-        assert global_map.pieces[landmark] == piece
+        np.testing.assert_allclose(global_map.table.position[landmark], mean, atol=1e-12)
+        assert global_map.table.weight[landmark] == sum(given_weights[landmark])
+        assert global_map.table.submap[landmark] == piece
 
 
 def test_a_better_group_takes_the_place_of_what_is_not_settled() -> None:
     global_map = empty_map(2, 2)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     both = np.arange(2)
     global_map.place(piece, both, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([5.0, 5.0]))
     global_map.place(piece, both, np.array([[2.0, 2.0], [5.0, 4.0]]), np.array([8.0, 8.0]))
-    np.testing.assert_allclose(global_map.positions, [[2.0, 2.0], [5.0, 4.0]])
-    np.testing.assert_array_equal(global_map.weights, [8.0, 8.0])
-    global_map.settle(both[:1])
+    np.testing.assert_allclose(global_map.table.position, [[2.0, 2.0], [5.0, 4.0]])
+    np.testing.assert_array_equal(global_map.table.weight, [8.0, 8.0])
+    global_map.table.settle(both[:1])
     global_map.place(piece, both, np.array([[6.0, 2.0], [6.0, 4.0]]), np.array([8.0, 8.0]))
-    np.testing.assert_allclose(global_map.positions, [[4.0, 2.0], [6.0, 4.0]])
-    np.testing.assert_array_equal(global_map.weights, [16.0, 8.0])
+    np.testing.assert_allclose(global_map.table.position, [[4.0, 2.0], [6.0, 4.0]])
+    np.testing.assert_array_equal(global_map.table.weight, [16.0, 8.0])
 
 
 def test_what_is_settled_moves_with_the_landmark() -> None:
     global_map = empty_map(1, 2)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     only = np.arange(1)
     average_in(global_map, piece, only, np.array([[1.0, 1.0]]), np.array([5.0]))
-    global_map.settle(only)
+    global_map.table.settle(only)
     global_map.move(only, np.array([[3.0, 1.0]]))
     global_map.place(piece, only, np.array([[5.0, 1.0]]), np.array([5.0]))
-    np.testing.assert_allclose(global_map.positions, [[4.0, 1.0]])
+    np.testing.assert_allclose(global_map.table.position, [[4.0, 1.0]])
 
 
 def test_one_that_turns_out_to_be_another_keeps_what_is_settled_of_both() -> None:
     global_map = empty_map(2, 2)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     for landmark, x, weight in ((0, 1.0, 6.0), (1, 4.0, 2.0)):
         only = np.array([landmark])
         average_in(global_map, piece, only, np.array([[x, 0.0]]), np.array([weight]))
-        global_map.settle(only)
+        global_map.table.settle(only)
     global_map.place(piece, np.array([1]), np.array([[8.0, 0.0]]), np.array([2.0]))
-    global_map.merge(1, 0)
-    assert global_map.pieces.tolist() == [piece, UNMAPPED]
-    np.testing.assert_allclose(global_map.positions[0], [(6 * 1 + 2 * 4 + 2 * 8) / 10, 0.0])
+    global_map.table.merge(1, 0)
+    assert global_map.table.submap.tolist() == [piece, NONE]
+    np.testing.assert_allclose(global_map.table.position[0], [(6 * 1 + 2 * 4 + 2 * 8) / 10, 0.0])
     global_map.place(piece, np.array([0]), np.array([[3.0, 0.0]]), np.array([8.0]))
-    np.testing.assert_allclose(global_map.positions[0], [(6 * 1 + 2 * 4 + 8 * 3) / 16, 0.0])
+    np.testing.assert_allclose(global_map.table.position[0], [(6 * 1 + 2 * 4 + 8 * 3) / 16, 0.0])
 
 
 def test_what_is_removed_begins_again() -> None:
     global_map = empty_map(3, 2)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     everything = np.arange(3)
     average_in(global_map, piece, everything, np.eye(3, 2), np.full(3, 4.0))
-    global_map.remove(np.array([1]))
-    assert global_map.pieces.tolist() == [piece, UNMAPPED, piece]
-    assert global_map.weights.tolist() == [4.0, 0.0, 4.0]
-    assert np.isnan(global_map.positions[1]).all()
+    global_map.table.take_off_map(np.array([1]))
+    assert global_map.table.submap.tolist() == [piece, NONE, piece]
+    assert global_map.table.weight.tolist() == [4.0, 0.0, 4.0]
+    assert np.isnan(global_map.table.position[1]).all()
     assert global_map.weights_in(piece, everything).tolist() == [4.0, 0.0, 4.0]
     average_in(global_map, piece, np.array([1]), np.array([[7.0, 7.0]]), np.array([2.0]))
-    np.testing.assert_array_equal(global_map.positions[1], [7.0, 7.0])
-    assert global_map.weights[1] == 2.0
+    np.testing.assert_array_equal(global_map.table.position[1], [7.0, 7.0])
+    assert global_map.table.weight[1] == 2.0
 
 
 def test_room_for_more_keeps_what_is_there() -> None:
     global_map = empty_map(2, 3)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     average_in(global_map, piece, np.arange(2), np.ones((2, 3)), np.ones(2))
-    global_map.resize(100, 3)
-    assert len(global_map.positions) == len(global_map.weights) == len(global_map.pieces) == 100
-    np.testing.assert_array_equal(global_map.positions[:2], np.ones((2, 3)))
-    assert np.isnan(global_map.positions[2:]).all()
-    assert set(global_map.pieces[2:].tolist()) == {UNMAPPED}
+    global_map.table.resize(100, 0, 3)
+    assert (
+        len(global_map.table.position)
+        == len(global_map.table.weight)
+        == len(global_map.table.submap)
+        == 100
+    )
+    np.testing.assert_array_equal(global_map.table.position[:2], np.ones((2, 3)))
+    assert np.isnan(global_map.table.position[2:]).all()
+    assert set(global_map.table.submap[2:].tolist()) == {NONE}
 
 
 def test_pieces_come_with_the_oldest_first() -> None:
     global_map = empty_map(9, 2)
-    first, second = global_map.new_piece(), global_map.new_piece()
+    first, second = global_map.new_submap(), global_map.new_submap()
     assert first != second
     average_in(global_map, second, np.arange(3, 8), np.eye(5, 2), np.ones(5))
     average_in(global_map, first, np.arange(3), np.eye(3, 2), np.ones(3))
-    assert global_map.pieces_of(np.arange(9)).tolist() == [first, second]
-    assert global_map.pieces_of(np.arange(9), 4).tolist() == [second]
-    assert global_map.pieces_of(np.array([3, 8])).tolist() == [second]
-    assert global_map.pieces_of(np.array([8])).tolist() == []
+    assert global_map.submaps_of(np.arange(9)).tolist() == [first, second]
+    assert global_map.submaps_of(np.arange(9), 4).tolist() == [second]
+    assert global_map.submaps_of(np.array([3, 8])).tolist() == [second]
+    assert global_map.submaps_of(np.array([8])).tolist() == []
     assert global_map.weights_in(first, np.array([2, 3, 8])).tolist() == [1.0, 0.0, 0.0]
 
 
@@ -161,7 +167,7 @@ def test_align_is_the_weighted_least_squares_fit(seed: int, d: int) -> None:
     places = rng.uniform(-5, 5, (7, d))
     in_map, n_iterations = rng.uniform(1, 20, 5), rng.integers(1, 20, 7)
     global_map = empty_map(7, d)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     there = places[:5] + 0.1 * rng.standard_normal((5, d))
     average_in(global_map, piece, np.arange(5), there, in_map)
     relative = elsewhere(places, rng) + 0.1 * rng.standard_normal((7, d))
@@ -186,7 +192,7 @@ def test_align_is_the_weighted_least_squares_fit(seed: int, d: int) -> None:
 
 def test_align_needs_members_that_fix_a_rotation() -> None:
     global_map = empty_map(6, 3)
-    piece = global_map.new_piece()
+    piece = global_map.new_submap()
     line = np.outer(np.arange(5.0), [1.0, 2.0, 2.0])
     average_in(global_map, piece, np.arange(5), line, np.ones(5))
     ones = np.ones(6, dtype=np.int64)
@@ -201,7 +207,7 @@ def test_pieces_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     world = rng.uniform(-20, 20, (20, d))
     global_map = empty_map(20, d)
-    first, second = global_map.new_piece(), global_map.new_piece()
+    first, second = global_map.new_submap(), global_map.new_submap()
     here, there = elsewhere(world, rng), elsewhere(world, rng)
     average_in(global_map, first, np.arange(10), here[:10], np.full(10, 3.0))
     average_in(global_map, second, np.arange(10, 19), there[10:19], np.full(9, 7.0))
@@ -209,11 +215,11 @@ def test_pieces_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
     placed = global_map.align(first, tie, elsewhere(world[tie], rng), np.ones(8, dtype=np.int64))
     assert placed is not None
     average_in(global_map, first, tie, placed, np.full(8, 2.0))
-    assert len(set(global_map.pieces.tolist())) == 1
-    np.testing.assert_allclose(distances(global_map.positions), distances(world), atol=1e-9)
+    assert len(set(global_map.table.submap.tolist())) == 1
+    np.testing.assert_allclose(distances(global_map.table.position), distances(world), atol=1e-9)
     expected = np.repeat([3.0, 7.0, 0.0], [10, 9, 1])
     expected[tie] += 2.0
-    np.testing.assert_array_equal(global_map.weights, expected)
+    np.testing.assert_array_equal(global_map.table.weight, expected)
 
 
 @both_dimensions
@@ -221,16 +227,16 @@ def test_members_of_a_piece_that_they_do_not_fix_change_over_alone(d: int) -> No
     rng = np.random.default_rng(d)
     world = rng.uniform(-20, 20, (10, d))
     global_map = empty_map(10, d)
-    first, second = global_map.new_piece(), global_map.new_piece()
+    first, second = global_map.new_submap(), global_map.new_submap()
     there = elsewhere(world, rng)
     average_in(global_map, first, np.arange(5), world[:5], np.full(5, 3.0))
     average_in(global_map, second, np.arange(5, 10), there[5:], np.full(5, 7.0))
     tie = np.array([0, 1, 2, 3, 9])
     average_in(global_map, first, tie, world[tie], np.full(5, 2.0))
-    assert global_map.pieces.tolist() == [first] * 5 + [second] * 4 + [first]
-    np.testing.assert_allclose(global_map.positions[9], world[9], atol=1e-12)
-    np.testing.assert_array_equal(global_map.positions[5:9], there[5:9])
-    assert global_map.weights[9] == 2.0
+    assert global_map.table.submap.tolist() == [first] * 5 + [second] * 4 + [first]
+    np.testing.assert_allclose(global_map.table.position[9], world[9], atol=1e-12)
+    np.testing.assert_array_equal(global_map.table.position[5:9], there[5:9])
+    assert global_map.table.weight[9] == 2.0
 
 
 def driven(d: int) -> tuple[PointMapper, Points, int]:

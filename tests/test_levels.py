@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from relmap import PointMapper
 from relmap.core.landmarks import MappedGroup
 from relmap.core.levels import GroupLevels
+from relmap.core.table import LandmarkState
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import walk
 
@@ -31,6 +32,12 @@ def empty_group(number: int) -> MappedGroup:
     return MappedGroup(none, nothing, none, np.array([number]))
 
 
+def begun(n: int) -> tuple[LandmarkState, GroupLevels]:
+    table = LandmarkState()
+    table.resize(n, 0, 2)
+    return table, GroupLevels(table)
+
+
 def numbers(levels: GroupLevels) -> list[int]:
     return [int(group.iterations[0]) for group in levels.groups]
 
@@ -38,7 +45,7 @@ def numbers(levels: GroupLevels) -> list[int]:
 def offered(
     levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]
 ) -> NDArray[np.bool_]:
-    """Let a group offer positions, as the builder does; tell which were taken."""
+    """Let a group offer positions, as the engine does; tell which were taken."""
     landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T
     best = levels.better(landmarks, reached, n_averaged)
     levels.take(empty_group(number), landmarks[best], reached[best], n_averaged[best])
@@ -50,8 +57,7 @@ def offered(
 def test_the_highest_level_wins_and_of_equal_ones_the_one_with_more(
     steps: list[tuple[str, list[tuple[int, int, int]]]],
 ) -> None:
-    levels = GroupLevels()
-    levels.resize(N)
+    table, levels = begun(N)
     present = dict.fromkeys(range(N), (0, 0))
     group_of: dict[int, int] = {}
     settled: set[int] = set()
@@ -74,14 +80,13 @@ def test_the_highest_level_wins_and_of_equal_ones_the_one_with_more(
                 if what == "leave":
                     highest[landmark] = 0
                 present[landmark] = (0, 0)
-        assert levels.present.tolist() == [present[k][0] for k in range(N)]
-        assert levels.highest.tolist() == highest
+        assert table.level.tolist() == [present[k][0] for k in range(N)]
+        assert table.highest_level.tolist() == highest
         assert numbers(levels) == sorted(settled | set(group_of.values()))
 
 
 def test_a_lower_group_goes_when_the_last_of_its_members_is_in_a_higher_one() -> None:
-    levels = GroupLevels()
-    levels.resize(3)
+    _, levels = begun(3)
     offered(levels, 0, [(0, 1, 4), (1, 1, 4), (2, 1, 4)])
     offered(levels, 1, [(0, 2, 9), (1, 2, 9)])
     assert numbers(levels) == [0, 1]
@@ -90,13 +95,12 @@ def test_a_lower_group_goes_when_the_last_of_its_members_is_in_a_higher_one() ->
 
 
 def test_one_merged_into_another_goes_on_with_its_group() -> None:
-    levels = GroupLevels()
-    levels.resize(2)
+    table, levels = begun(2)
     offered(levels, 0, [(0, 3, 30)])
     levels.close(np.array([0]))
     offered(levels, 1, [(1, 1, 10)])
-    levels.merge(1, 0)
-    assert (levels.present[0], levels.highest[0]) == (1, 3)
+    table.merge(1, 0)
+    assert (table.level[0], table.highest_level[0]) == (1, 3)
     assert not offered(levels, 2, [(0, 1, 9)])[0]
     assert offered(levels, 3, [(0, 2, 20)])[0]
     assert numbers(levels) == [0, 3]
@@ -104,29 +108,30 @@ def test_one_merged_into_another_goes_on_with_its_group() -> None:
 
 def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_interval() -> None:
     mapper, world = PointMapper(), walk(3, 7, sigma=0.05, iterations=300)
-    group, found = mapper._builder.group, mapper._builder.found_piece
+    engine = mapper._engine
+    group, found = engine.group, engine.found_submap
     passes: dict[int, list[int]] = {}
 
-    def noted(seed: int, level: int, fixes: int) -> None:
+    def noted(seed: int, level: int) -> None:
         # Iterations that were condensed already are needed by no group to come.
-        first = int(mapper._sightings.first[seed])
-        if mapper._schedule.begin[seed] == first:
+        first = int(engine.table.first[seed])
+        if engine.table.begin[seed] == first:
             passes.setdefault(seed, []).append(level)
-            assert mapper._builder._chart(seed).iterations[0] == first
+            assert engine._chart(seed).iterations[0] == first
 
-    def grouped(seed: int, level: int, fixes: int) -> NDArray[np.int64]:
-        noted(seed, level, fixes)
-        return group(seed, level, fixes)
+    def grouped(seed: int, level: int) -> NDArray[np.int64]:
+        noted(seed, level)
+        return group(seed, level)
 
-    def founded(seed: int, level: int, fixes: int) -> None:
-        noted(seed, level, fixes)
-        found(seed, level, fixes)
+    def founded(seed: int, level: int) -> None:
+        noted(seed, level)
+        found(seed, level)
 
-    mapper._builder.group, mapper._builder.found_piece = grouped, founded  # type: ignore[method-assign]
+    engine.group, engine.found_submap = grouped, founded  # type: ignore[method-assign]
     level_was = np.zeros(0, dtype=np.int64)
     for ids, points in world.scans:
         mapper.update(points, ids)
-        level = mapper._builder.levels.highest
+        level = engine.table.highest_level
         assert (level[: len(level_was)] >= level_was).all()
         level_was = level.copy()
     mapper.finish()
@@ -142,8 +147,8 @@ def test_there_are_no_more_groups_than_landmarks() -> None:
     made = 0
     for scan in world.log.scans():
         mapper.update(scan.points_robot, scan.ids)
-        assert len(mapper._builder.levels.groups) <= max(len(mapper._sightings.counts), 1)
-        made = mapper._builder.levels._n_groups
+        assert len(mapper._engine.levels.groups) <= max(len(mapper._engine.table), 1)
+        made = mapper._engine.levels._n_groups
     mapper.finish()
     assert len(mapper.groups) <= 0.7 * made
     used = {label for group in mapper.groups for label in group.landmarks.tolist()}

@@ -77,9 +77,9 @@ def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
     mapper = PointMapper()
     for scan in world.log.scans():
         mapper.update(scan.points_robot, scan.ids)
-        if mapper._live._step is not None:
+        if mapper._engine.live._step is not None:
             break
-    assert mapper._live._step is not None
+    assert mapper._engine.live._step is not None
     again: PointMapper = pickle.loads(pickle.dumps(mapper))
     np.testing.assert_array_equal(again.map.positions, mapper.map.positions)
     mapper.refine()
@@ -150,23 +150,24 @@ def test_slices_do_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(joint, "placement_equations", noted)
     world = simulate_figure_eight(density=100, iterations=2500, seed=3)
     mapper = driven(world, 2500)
-    seen = np.bincount(mapper._rows.landmark).max()
+    seen = np.bincount(mapper._engine.rows.landmark).max()
     assert len(rows) > 50
     assert max(rows) <= slices.SLICE + seen
 
 
 def test_what_merges_into_one_first_seen_later_takes_no_part_in_the_step_under_way() -> None:
     mapper = driven(simulate_figure_eight(seed=3), 300)
-    refinement = mapper._live
+    engine = mapper._engine
+    refinement, table = engine.live, engine.table
     refinement._back = live.BACK + 1
-    refinement._step = step = refinement._begin(np.asarray)
+    refinement._step = step = refinement._begin()
     assert step is not None
     n = step.step.n_landmarks
-    mapper._builder.resize(n + 1)
-    newer = mapper._builder.map
-    newer.place(step.piece, np.array([n]), np.array([[1.0, 2.0, 3.0]]), np.array([10.0]))
-    merged = int(mapper._segments.rows.landmark[0])
-    while not step.go_on(mapper._segments, newer, lambda rows: np.where(rows == merged, n, rows)):
+    table.resize(n + 1, engine.store.n_iterations, 3)
+    engine.map.place(step.submap, np.array([n]), np.array([[1.0, 2.0, 3.0]]), np.array([10.0]))
+    merged = int(engine.segments.rows.landmark[0])
+    table.landmark_of[merged] = n
+    while not step.go_on(engine.segments, table):
         pass
     assert len(step.step.members) > 50
     assert not np.isin([merged, n], step.step.members).any()

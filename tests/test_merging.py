@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.core.globalmap import GlobalMap
-from relmap.core.identity import Identity
 from relmap.core.merging import Merger
-from relmap.core.sightings import Sightings
 from relmap.core.spatialindex import SpatialIndex
+from relmap.core.table import LandmarkState
 from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.evaluation.metrics import majority_ids, purity
+from relmap.points.model import PointModel
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, walk
 
@@ -71,20 +71,24 @@ def test_known_landmarks_are_never_merged() -> None:
 
 
 def test_identity_follows_chains_of_merges() -> None:
-    identity = Identity()
-    identity.resize(6)
-    identity.merge(4, 2)
-    identity.merge(5, 2)
-    identity.merge(2, 0)
-    assert identity.of(np.arange(6)).tolist() == [0, 1, 0, 3, 0, 0]
-    assert identity.own.tolist() == [True, True, False, True, False, False]
+    table = LandmarkState()
+    table.resize(6, 0, 2)
+    global_map = GlobalMap(table)
+    global_map.place(global_map.new_submap(), np.arange(6), np.zeros((6, 2)), np.ones(6))
+    table.merge(4, 2)
+    table.merge(5, 2)
+    table.merge(2, 0)
+    assert table.landmark_of.tolist() == [0, 1, 0, 3, 0, 0]
+    assert table.is_own.tolist() == [True, True, False, True, False, False]
 
 
 @given(seeds, dimensions)
 def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     positions = rng.normal(0, 5, (60, d))
-    index = SpatialIndex(2.0, d)
+    table = LandmarkState()
+    table.resize(60, 0, d)
+    index = SpatialIndex(table, 2.0)
     index.add(np.arange(60), positions)
     for position in rng.normal(0, 5, (10, d)):
         near = np.flatnonzero(np.linalg.norm(positions - position, axis=1) <= 2.0)
@@ -96,10 +100,11 @@ def test_who_is_merged_away_takes_in_nobody() -> None:
     first, others = np.array([0.0, 0.0]), np.array([[3.0, 1.0], [-2.0, 4.0], [1.0, -5.0]])
     # 1 lies where 0 has drifted to, and 2 where 1 has: a chain; the rest are plain pairs.
     places = np.vstack([first, first + shift, first + 2 * shift, others, others + shift])
-    global_map, n = GlobalMap(), len(places)
-    global_map.resize(n, 2)
-    global_map.place(global_map.new_piece(), np.arange(n), places, np.full(n, 10.0))
+    table, n = LandmarkState(), len(places)
+    table.resize(n, 0, 2)
+    global_map = GlobalMap(table)
+    global_map.place(global_map.new_submap(), np.arange(n), places, np.full(n, 10.0))
     pairs = np.array([[1, 0], [2, 1], [6, 3], [7, 4], [8, 5]])
-    chosen = Merger(global_map, Sightings(), 10)._choose(pairs, 0.05)
+    chosen = Merger(table, PointModel(), 10)._choose(pairs, 0.05)
     assert len(chosen) >= 4
     assert not np.isin(chosen[:, 1], chosen[:, 0]).any()

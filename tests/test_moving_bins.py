@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.dynamics import ALONE, DynamicStatus
+from relmap.core.dynamics import DynamicStatus
 from relmap.core.landmarks import LandmarkTable
+from relmap.core.table import NONE, LandmarkState
 from tests.worlds import random_rotation
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
@@ -43,19 +44,19 @@ def test_vehicles_are_bins_and_soloists_are_in_none(d: int, vehicles: int) -> No
         moving = np.arange(len(table.landmark)) >= REST
         np.testing.assert_array_equal(table.status == "dynamic", moving)
         vehicle = (np.arange(vehicles * PARTS) // PARTS) * PARTS + REST
-        expected = [*[ALONE] * REST, *vehicle.tolist(), *[ALONE] * SOLOISTS]
+        expected = [*[NONE] * REST, *vehicle.tolist(), *[NONE] * SOLOISTS]
         assert table.moving_bin.tolist() == expected
 
 
 def remembered(n: int) -> DynamicStatus:
-    status = DynamicStatus()
-    status.resize(n)
-    return status
+    table = LandmarkState()
+    table.resize(n, 0, 2)
+    return DynamicStatus(table)
 
 
 def together(status: DynamicStatus) -> list[list[int]]:
-    bins = status.moving_bin
-    return [np.flatnonzero(bins == number).tolist() for number in np.unique(bins[bins != ALONE])]
+    bins = status.table.moving_bin
+    return [np.flatnonzero(bins == number).tolist() for number in np.unique(bins[bins != NONE])]
 
 
 def bins_of(*bins: list[int]) -> list[NDArray[np.int64]]:
@@ -68,10 +69,10 @@ NOBODY = np.empty(0, dtype=np.int64)
 def test_a_bin_keeps_its_number_while_some_of_it_stay_together() -> None:
     status = remembered(8)
     status.go_together(bins_of([1, 2, 3], [5, 6]), NOBODY)
-    before = status.moving_bin.copy()
+    before = status.table.moving_bin.copy()
     status.go_together(bins_of([2, 3, 4]), NOBODY)  # 1 is out of sight
     assert together(status) == [[1, 2, 3, 4], [5, 6]]
-    assert (status.moving_bin[[1, 5]] == before[[1, 5]]).all()
+    assert (status.table.moving_bin[[1, 5]] == before[[1, 5]]).all()
 
 
 def test_one_that_goes_its_own_way_leaves_its_bin() -> None:

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.globalmap import UNMAPPED, GlobalMap
-from relmap.core.sightings import Sightings
-from relmap.core.tying import NEIGHBOURHOOD, neighbourhoods, tie_pieces
+from relmap.core.globalmap import GlobalMap
+from relmap.core.table import NONE, LandmarkState
+from relmap.core.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
@@ -23,12 +23,13 @@ Points = NDArray[np.float64]
 
 def in_pieces(*places: Points) -> GlobalMap:
     """Return a map of pieces at positions (n, d), each in a frame of its own."""
-    global_map, n, d = GlobalMap(), sum(map(len, places)), places[0].shape[1]
-    global_map.resize(n, d)
+    table, n, d = LandmarkState(), sum(map(len, places)), places[0].shape[1]
+    table.resize(n, 0, d)
+    global_map = GlobalMap(table)
     numbers = np.split(np.arange(n), np.cumsum([len(one) for one in places])[:-1])
     for landmarks, positions in zip(numbers, places, strict=True):
         weights = np.full(len(landmarks), 10.0)
-        global_map.place(global_map.new_piece(), landmarks, positions, weights)
+        global_map.place(global_map.new_submap(), landmarks, positions, weights)
     return global_map
 
 
@@ -46,11 +47,11 @@ def test_what_overlaps_is_laid_on_one_another(seed: int, d: int, sigma: float) -
     # They share what lies in the middle, more than half of the smaller piece.
     first, second = world[world[:, 0] < 15], world[world[:, 0] > 6]
     global_map = in_pieces(moved(first, rng, sigma), moved(second, rng, sigma))
-    (tied,) = list(tie_pieces(global_map, sigma))
+    (tied,) = list(tie_submaps(global_map, sigma))
     assert len(tied) == len(first) + len(second)
-    assert len(np.unique(global_map.pieces)) == 1
+    assert len(np.unique(global_map.table.submap)) == 1
     truth = np.vstack([first, second])
-    assert aligned_rmse(global_map.positions, truth) < max(1e-9, 5 * sigma)
+    assert aligned_rmse(global_map.table.position, truth) < max(1e-9, 5 * sigma)
 
 
 @both_dimensions
@@ -58,12 +59,12 @@ def test_many_pieces_of_one_place_become_one(d: int) -> None:
     rng = np.random.default_rng(2)
     world = rng.uniform(0, 20, (60, d))
     global_map = in_pieces(*(moved(world, rng, 0.01) for _ in range(5)))
-    for tied in tie_pieces(global_map, 0.01):  # of those that are the same one is left
+    for tied in tie_submaps(global_map, 0.01):  # of those that are the same one is left
         _, kept = np.unique(tied % len(world), return_index=True)
-        global_map.remove(np.delete(tied, kept))
-    left = np.flatnonzero(global_map.pieces != UNMAPPED)
+        global_map.table.take_off_map(np.delete(tied, kept))
+    left = np.flatnonzero(global_map.table.submap != NONE)
     assert len(left) == len(world)
-    assert aligned_rmse(global_map.positions[left], world[left % len(world)]) < 0.05
+    assert aligned_rmse(global_map.table.position[left], world[left % len(world)]) < 0.05
 
 
 @settings(max_examples=10)
@@ -71,8 +72,8 @@ def test_many_pieces_of_one_place_become_one(d: int) -> None:
 def test_different_places_stay_apart(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     global_map = in_pieces(*(rng.uniform(0, 20, (60, d)) for _ in range(4)))
-    assert list(tie_pieces(global_map, 0.05)) == []
-    assert len(np.unique(global_map.pieces)) == 4
+    assert list(tie_submaps(global_map, 0.05)) == []
+    assert len(np.unique(global_map.table.submap)) == 4
 
 
 @both_dimensions
@@ -81,23 +82,23 @@ def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
     motif = rng.uniform(0, 8, (14, d))
     street = np.vstack([motif + np.eye(d)[0] * 12 * k for k in range(5)])
     global_map = in_pieces(street, moved(motif, rng))
-    assert list(tie_pieces(global_map, 0.01)) == []
+    assert list(tie_submaps(global_map, 0.01)) == []
 
 
 def test_landmarks_on_a_grid_tie_nothing() -> None:
     grid = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
     rng = np.random.default_rng(1)
     first, second = (part + 0.01 * rng.standard_normal(part.shape) for part in (grid, grid[:60]))
-    assert list(tie_pieces(in_pieces(first, second), 0.01)) == []
+    assert list(tie_submaps(in_pieces(first, second), 0.01)) == []
 
 
 def test_nothing_mapped_and_single_pieces_tie_nothing() -> None:
-    assert list(tie_pieces(GlobalMap(), 0.01)) == []
+    assert list(tie_submaps(GlobalMap(LandmarkState()), 0.01)) == []
     alone = in_pieces(np.random.default_rng(0).uniform(0, 9, (30, 3)))
-    assert list(tie_pieces(alone, 0.01)) == []
-    alone.remove(np.arange(20))
-    assert list(tie_pieces(alone, 0.01)) == []
-    assert (alone.pieces[:20] == UNMAPPED).all()
+    assert list(tie_submaps(alone, 0.01)) == []
+    alone.table.take_off_map(np.arange(20))
+    assert list(tie_submaps(alone, 0.01)) == []
+    assert (alone.table.submap[:20] == NONE).all()
 
 
 @given(seeds, st.integers(1, 70))
@@ -132,30 +133,29 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
 @given(seeds)
 def test_later_is_who_was_never_seen_meanwhile(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    sightings, seen = Sightings(), {k: {0} for k in range(6)}
+    table, seen = LandmarkState(), {k: {0} for k in range(6)}
     order = rng.permutation(6)
     begin = np.zeros(6, dtype=np.int64)
-    sightings.resize(0, 0)
     for iteration, k in enumerate(order.tolist()):  # six stretches, some of which overlap
         begin[k] = 4 * iteration
     length = rng.integers(1, 9, 6)
     numbers = np.argsort(begin)
     for number, k in enumerate(numbers.tolist()):
-        sightings.resize(number + 1, int(begin[k]))
+        table.resize(number + 1, int(begin[k]), 2)
         for iteration in range(begin[k], begin[k] + length[k]):
-            sightings.see(np.array([number]), iteration)
+            table.see(np.array([number]), iteration)
         seen[number] = set(range(begin[k], begin[k] + length[k]))
     present = list(range(6))
     while len(present) > 1:
         new, old = rng.choice(present, 2, replace=False).tolist()
         apart = not seen[new] & seen[old] and max(seen[old]) < max(seen[new])
-        stretches_touch = apart and not sightings.is_later(new, old)
-        if sightings.is_later(new, old):
+        stretches_touch = apart and not table.is_later(new, old)
+        if table.is_later(new, old):
             assert apart
-            sightings.merge(new, old)
+            table.merge(new, old)
             seen[old] |= seen[new]
         elif stretches_touch:
             raise AssertionError((seen[new], seen[old]))
         present.remove(new)
-        if sightings.last[old] == max(seen[old]):
-            assert sightings.first[old] == min(seen[old])
+        if table.last[old] == max(seen[old]):
+            assert table.first[old] == min(seen[old])

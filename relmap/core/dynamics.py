@@ -62,7 +62,7 @@ class DynamicStatus:
     """
 
     def __init__(self, table: LandmarkState) -> None:
-        self._table = table
+        self.table = table
         self._n_bins = 0
 
     def go_together(self, bins: list[NDArray[np.int64]], alone: NDArray[np.int64]) -> None:
@@ -70,7 +70,7 @@ class DynamicStatus:
 
         A bin keeps its number as long as some of it stay together; who is alone in view keeps it.
         """
-        table = self._table
+        table = self.table
         compared = table.moving_bin[np.concatenate([alone, *bins])]
         with_others = np.array([np.sum(compared == n) > 1 for n in table.moving_bin[alone]], bool)
         table.moving_bin[alone[with_others]] = NONE
@@ -88,7 +88,7 @@ class DynamicStatus:
         A landmark whose place deviates more than the noise explains, in group after group, is
         dynamic; one that has been at rest for long is static again.
         """
-        table = self._table
+        table = self.table
         landmarks = relative.landmarks
         still = rests(relative, noise_m)
         table.restless[landmarks] = ~still & (relative.n_used >= FEWEST)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid, fixes_rotation
-from relmap.core.completion import RelativeMap
 from relmap.core.table import NONE, LandmarkState
 
 
@@ -22,20 +21,26 @@ class GlobalMap:
     """
 
     def __init__(self, table: LandmarkState) -> None:
-        self._table = table
+        self.table = table
         self._n_submaps = 0
 
     def submaps_of(self, landmarks: NDArray[np.int64], at_least: int = 1) -> NDArray[np.int64]:
         """Return the submaps that so many of the landmarks belong to, the oldest first."""
-        submaps, counts = np.unique(self._table.submap[landmarks], return_counts=True)
+        submaps, counts = np.unique(self.table.submap[landmarks], return_counts=True)
         return np.asarray(submaps[(submaps != NONE) & (counts >= at_least)])
 
     def weights_in(self, submap: int, landmarks: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the weights (g,) of landmarks, 0 for those outside the submap."""
-        return np.where(self._table.submap[landmarks] == submap, self._table.weight[landmarks], 0.0)
+        return np.where(self.table.submap[landmarks] == submap, self.table.weight[landmarks], 0.0)
 
-    def align(self, submap: int, relative: RelativeMap) -> NDArray[np.float64] | None:
-        """Fit a group's relative map to those of its landmarks that are in a submap.
+    def align(
+        self,
+        submap: int,
+        landmarks: NDArray[np.int64],
+        relative_map: NDArray[np.float64],
+        n_iterations: NDArray[np.int64],
+    ) -> NDArray[np.float64] | None:
+        """Fit a group's relative map to those of its members that are in a submap.
 
         Each counts with the number of iterations behind its two positions, the one in the map and
         the one in the group: variances add, so the weights add in parallel.
@@ -43,21 +48,23 @@ class GlobalMap:
         Parameters
         ----------
         submap : int
-        relative : RelativeMap
+        landmarks : (g,) int64
+        relative_map : (g, d) float64, group frame, metres
+        n_iterations : (g,) int64
+            Iterations averaged into each position of the relative map.
 
         Returns
         -------
-        (n, d) float64, frame of the submap, metres, or None where they fix no rotation
+        (g, d) float64, frame of the submap, metres, or None where the members fix no rotation
         """
-        landmarks, n_iterations = relative.landmarks, relative.n_used
         in_map = self.weights_in(submap, landmarks)
         shared = in_map > 0
-        there = self._table.position[landmarks[shared]]
+        there = self.table.position[landmarks[shared]]
         if not fixes_rotation(there):
             return None
         weights = 1 / (1 / in_map[shared] + 1 / n_iterations[shared])
-        R, t = fit_rigid(relative.positions[shared], there, weights)
-        return relative.positions @ R.T + t
+        R, t = fit_rigid(relative_map[shared], there, weights)
+        return relative_map @ R.T + t
 
     def new_submap(self) -> int:
         """Return the number of a submap that nothing belongs to yet."""
@@ -81,19 +88,19 @@ class GlobalMap:
         weights : (g,) float64
             In iterations averaged.
         """
-        settled = self._table.settled_weight
-        settled[landmarks[self._table.submap[landmarks] != submap]] = 0.0
+        settled = self.table.settled_weight
+        settled[landmarks[self.table.submap[landmarks] != submap]] = 0.0
         total = settled[landmarks] + weights
         share = (weights / total)[:, None]
-        before = self._table.settled_position[landmarks]
-        self._table.position[landmarks] = before + share * (positions - before)
-        self._table.weight[landmarks] = total
-        self._table.submap[landmarks] = submap
+        before = self.table.settled_position[landmarks]
+        self.table.position[landmarks] = before + share * (positions - before)
+        self.table.weight[landmarks] = total
+        self.table.submap[landmarks] = submap
 
     def move(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
         """Move mapped landmarks (k,), and what is settled of them, to positions (k, d)."""
-        self._table.settled_position[landmarks] += positions - self._table.position[landmarks]
-        self._table.position[landmarks] = positions
+        self.table.settled_position[landmarks] += positions - self.table.position[landmarks]
+        self.table.position[landmarks] = positions
 
     def join(
         self, submap: int, landmarks: NDArray[np.int64], positions: NDArray[np.float64]
@@ -110,14 +117,14 @@ class GlobalMap:
         landmarks: NDArray[np.int64],
         positions: NDArray[np.float64],
     ) -> None:
-        shared = self._table.submap[landmarks] == other
-        there = self._table.position[landmarks[shared]]
+        shared = self.table.submap[landmarks] == other
+        there = self.table.position[landmarks[shared]]
         if fixes_rotation(there):
             self.tie(other, submap, *fit_rigid(there, positions[shared]))
 
     def tie(self, other: int, submap: int, R: NDArray[np.float64], t: NDArray[np.float64]) -> None:
         """Let a submap join another, in whose frame its own lies at R (d, d) and t (d,)."""
-        moved = self._table.submap == other
-        for places in (self._table.position, self._table.settled_position):
+        moved = self.table.submap == other
+        for places in (self.table.position, self.table.settled_position):
             places[moved] = places[moved] @ R.T + t
-        self._table.submap[moved] = submap
+        self.table.submap[moved] = submap

@@ -102,15 +102,12 @@ class LiveRefinement:
     Parameters
     ----------
     segments : CondensedSegments
-    table : LandmarkState
     global_map : GlobalMap
     """
 
-    def __init__(
-        self, segments: CondensedSegments, table: LandmarkState, global_map: GlobalMap
-    ) -> None:
+    def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
-        self._table = table
+        self._table = global_map.table
         self._map = global_map
         self._step: StepUnderWay | None = None
         self._begun = LEAST

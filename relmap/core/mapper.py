@@ -51,10 +51,10 @@ class RelativeMapper:
         self.averaging = Averaging(self.table, model.noise_spread)
         self.map = GlobalMap(self.table)
         self.levels = GroupLevels(self.table)
-        self.placing = Placing(self.table, self.store, self.schedule, self.map, self.levels)
+        self.placing = Placing(self.store, self.schedule, self.map, self.levels)
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
-        self.live = LiveRefinement(self.segments, self.table, self.map)
+        self.live = LiveRefinement(self.segments, self.map)
         self.kept = KeptObservations() if config.keep_observations else None
         self.refined: list[Refined] = []
 
@@ -115,8 +115,11 @@ class RelativeMapper:
         for submap in self.map.submaps_of(chart.landmarks, fixes):
             weights = self.map.weights_in(submap, chart.landmarks)
             averaged = self._relative_map(chart, weights, fixes + 1, fixes)
-            placed = None if averaged is None else self.map.align(submap, averaged[0])
-            if averaged is not None and placed is not None:
+            if averaged is None:
+                continue
+            relative = averaged[0]
+            placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
+            if placed is not None:
                 return self.placing.place(submap, level, placed, *averaged)
         return np.empty(0, dtype=np.int64)
 
@@ -201,7 +204,7 @@ class RelativeMapper:
 
     def tie_submaps(self) -> None:
         """Tie submaps that show the same place, and merge what both saw of it."""
-        for _ in tie_submaps(self.table, self.map, self.averaging.noise.sigma_m):
+        for _ in tie_submaps(self.map, self.averaging.noise.sigma_m):
             merge_doubles(self.table, self.merger, self.merge)
 
     def refine(self) -> None:
@@ -209,9 +212,9 @@ class RelativeMapper:
 
         Without ids, landmarks that then lie where older ones do that they may be are merged.
         """
-        self.refined = refine_submaps(self.table, self.map, self.rows, self.kept)
+        self.refined = refine_submaps(self.map, self.rows, self.kept)
         if not self.has_ids and merge_doubles(self.table, self.merger, self.merge):
-            self.refined = refine_submaps(self.table, self.map, self.rows, self.kept)
+            self.refined = refine_submaps(self.map, self.rows, self.kept)
         self.merger.look_again()
 
     def _association_for(self, ids: NDArray[np.int64] | None) -> Registration:

@@ -9,22 +9,22 @@ from relmap.core.globalmap import GlobalMap
 from relmap.core.observations import KeptObservations
 from relmap.core.powers import refine_by_powers
 from relmap.core.refinement import Refined, refine
-from relmap.core.table import NONE, LandmarkState
+from relmap.core.table import NONE
 
 
 def refine_submaps(
-    table: LandmarkState, global_map: GlobalMap, rows: SegmentRows, kept: KeptObservations | None
+    global_map: GlobalMap, rows: SegmentRows, kept: KeptObservations | None
 ) -> list[Refined]:
     """Move all landmarks to where the observations agree best; tell of each submap, in order.
 
     Parameters
     ----------
-    table : LandmarkState
     global_map : GlobalMap
     rows : SegmentRows
     kept : KeptObservations, optional
         Every observation, where bounded noise is to be made use of.
     """
+    table = global_map.table
     of, submaps, moving = table.landmark_of, table.submap, table.dynamic
     others = (submaps == NONE) & ~moving
     found = []

@@ -12,7 +12,6 @@ from relmap.core.landmarks import MappedGroup
 from relmap.core.levels import GroupLevels
 from relmap.core.schedule import GroupingSchedule
 from relmap.core.store import ObservationStore
-from relmap.core.table import LandmarkState
 
 
 class Placing:
@@ -20,7 +19,6 @@ class Placing:
 
     Parameters
     ----------
-    table : LandmarkState
     store : ObservationStore
     schedule : GroupingSchedule
     global_map : GlobalMap
@@ -29,13 +27,12 @@ class Placing:
 
     def __init__(
         self,
-        table: LandmarkState,
         store: ObservationStore,
         schedule: GroupingSchedule,
         global_map: GlobalMap,
         levels: GroupLevels,
     ) -> None:
-        self._table = table
+        self._table = global_map.table
         self._store = store
         self._schedule = schedule
         self._map = global_map

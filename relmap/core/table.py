@@ -255,8 +255,7 @@ class LandmarkState:
         self._earlier[old] = self._stretches(old) + self._earlier.pop(new, [])
         self.settle(np.array([old]))
         _average(self.position, self.weight, new, old)
-        if self.settled_weight[new] > 0:
-            _average(self.settled_position, self.settled_weight, new, old)
+        _average(self.settled_position, self.settled_weight, new, old)
         self.take_off_map(np.array([new]))
         for name, column in COLUMNS.items():
             if column.merged != "old":
@@ -301,7 +300,9 @@ class LandmarkState:
 def _average(
     positions: NDArray[np.float64], weights: NDArray[np.float64], new: int, old: int
 ) -> None:
-    """Average the position of one landmark into another's, in place."""
+    """Average the position of one landmark, if it has one, into another's."""
+    if weights[new] == 0:
+        return
     both = weights[[new, old]]
     positions[old] = both @ positions[[new, old]] / both.sum()
     weights[old] = both.sum()

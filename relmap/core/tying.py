@@ -32,14 +32,11 @@ APART = 4.0
 """How far apart submaps are laid out, in sizes of the largest."""
 
 
-def tie_submaps(
-    table: LandmarkState, global_map: GlobalMap, noise_m: float
-) -> Iterator[NDArray[np.int64]]:
+def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[NDArray[np.int64]]:
     """Join submaps that show the same place.
 
     Parameters
     ----------
-    table : LandmarkState
     global_map : GlobalMap
     noise_m : float
         Standard deviation of an observed coordinate.
@@ -50,6 +47,7 @@ def tie_submaps(
         The landmarks of a submap that another has just joined.  Those that are the same should be
         merged before the next is looked for.
     """
+    table = global_map.table
     submaps, sizes = np.unique(table.submap, return_counts=True)
     known = (submaps != NONE) & (sizes >= ENOUGH)
     for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
