@@ -32,6 +32,8 @@ SLICE = 500
 """Landmarks that are entered anew at a time after the map has moved."""
 LAST = 2**62
 """Beyond all landmarks."""
+SHARE = 0.5
+"""Share of the landmarks with candidates that must be in it: the drift is common to all."""
 CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
 ROUNDS = 5
@@ -178,7 +180,7 @@ class Merger:
         rows = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
         first_new, first_old = (np.unique(column, return_index=True)[1] for column in rows.T)
         agreeing = agreeing_pairs(new[first_new], old[first_old], rows, tolerance_m)
-        enough = ENOUGH + (new.shape[1] == 3)
+        enough = max(ENOUGH + (new.shape[1] == 3), SHARE * len(first_new))
         shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
         if shift is None or shift.n_agreeing < enough:
             return np.empty((0, 2), dtype=np.int64)

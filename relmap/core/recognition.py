@@ -91,14 +91,21 @@ class PlaceFinder:
         distance, landmark = nearest(self._tree, points)
         return np.where(distance[:, 0] <= self._tolerance_m, landmark[:, 0], -1)
 
-    def by_chance(self, n: int, n_agreeing: int) -> float:
-        """Return how likely so many of n points would be found where landmarks lie at random.
+    def by_chance(self, n: int, n_agreeing: int, elsewhere: int) -> float:
+        """Return how likely so many of n points would be found in a wrong place.
 
-        Beside the three of the triangle that was looked up.
+        Beside the three of the triangle that was looked up.  Landmarks may lie at random, or on
+        some lattice: then many of them are found in other places too.
+
+        Parameters
+        ----------
+        n, n_agreeing : int
+        elsewhere : int
+            How many are found in the best of the other places.
         """
         # Half of the landmarks have another within `apart_m`, so many of which lie in a tolerance.
         share = np.log(2) * (self._tolerance_m / self._apart_m) ** self._positions.shape[1]
-        return float(binom.sf(n_agreeing - 4, n - 3, share))
+        return float(binom.sf(n_agreeing - 4, n - 3, max(share, elsewhere / n)))
 
     def _hypotheses(self, points: NDArray[np.float64], needed: float) -> list[Placement]:
         """Return where triangles found in the map put the scan, the likeliest first.
@@ -150,13 +157,18 @@ def is_clear(points: NDArray[np.float64], places: list[Placement]) -> bool:
 
     Than those that put them elsewhere, that is.
     """
-    best, there = places[0], places[0].apply(points)
-    extent_m = float(np.ptp(points, axis=0).max())
-    return not any(
-        other.n_agreeing >= DISTINCT * best.n_agreeing
-        and np.abs(other.apply(points) - there).max() > 0.1 * extent_m
+    return found_elsewhere(points, places) < DISTINCT * places[0].n_agreeing
+
+
+def found_elsewhere(points: NDArray[np.float64], places: list[Placement]) -> int:
+    """Return how many of points (n, d) the next best place brings onto landmarks, elsewhere."""
+    there, extent_m = places[0].apply(points), float(np.ptp(points, axis=0).max())
+    rivals = [
+        other.n_agreeing
         for other in places[1:]
-    )
+        if np.abs(other.apply(points) - there).max() > 0.1 * extent_m
+    ]
+    return max(rivals, default=0)
 
 
 def _triangles(

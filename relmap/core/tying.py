@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relmap.core.globalmap import GlobalMap
-from relmap.core.recognition import ENOUGH, HITS, PlaceFinder, is_clear
+from relmap.core.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere, is_clear
 from relmap.core.registration.base import nearest
 from relmap.core.registration.placement import Placement
 from relmap.core.table import NONE, LandmarkState
@@ -79,7 +79,8 @@ def _found_elsewhere(
             continue
         other = int(in_submaps[0][0])
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
-        sure = trials * finder.by_chance(len(points), len(hits[0])) <= BY_CHANCE
+        elsewhere = found_elsewhere(points, rivals)
+        sure = trials * finder.by_chance(len(points), len(hits[0]), elsewhere) <= BY_CHANCE
         clear = sure and is_clear(points, rivals)
         if clear and _leads_back(back, positions[hits[0]], places[0], points):
             return other, replace(places[0], t=places[0].t - shifts[other])
