@@ -213,7 +213,7 @@ def load_state(path: Path, cls: type, saved_by: str = "versions") -> Any:
         Where there is no such file, it is damaged, or it holds something else.
     """
     if not path.is_file():
-        raise RelmapError(f"there is no saved map {path}")
+        raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")
     try:
         arrays = _read_arrays(path)
         content = json.loads(arrays.pop(_GRAPH).tobytes())
