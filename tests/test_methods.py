@@ -14,7 +14,14 @@ from relmap.evaluation.baselines.frame_to_frame import FrameToFrame
 from relmap.evaluation.compare import landmark_error_curve
 from relmap.evaluation.methods.base import MethodInfo
 from relmap.evaluation.methods.registry import METHODS, check_method, find_method, fitting_methods
-from relmap.evaluation.methods.running import ACCURACY, COST, MethodRun, run_method, setup_for
+from relmap.evaluation.methods.running import (
+    ACCURACY,
+    COST,
+    PATH,
+    MethodRun,
+    run_method,
+    setup_for,
+)
 from relmap.evaluation.metrics import align, rms
 from relmap.evaluation.sources import BuildingSource, EightSource, Landmarks
 from relmap.evaluation.truth import Truth
@@ -48,7 +55,7 @@ def runs(eight: Landmarks) -> dict[str, MethodRun]:
 def test_every_figure_is_there(method: MethodInfo, runs: dict[str, MethodRun]) -> None:
     installed(method)
     figures = runs[method.name].figures
-    assert set(figures) == {*ACCURACY, *COST}
+    assert set(figures) == {*ACCURACY, *PATH, *COST}
     assert len(runs[method.name].result.poses) == 150
     maps = method.name not in ("kiss-icp", "small-gicp")
     assert (figures["landmark_rmse_m"] is not None) == maps

@@ -76,7 +76,7 @@ def run_plane_mapper(
     scans: Iterable[PointScan] = ()
     if len(seen) < n_input:
         scans = log.between(first + len(seen), first + n_input).scans()
-    segmenter = segmenter or PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+    segmenter = segmenter or segmenter_for(view)
     scans = progress(scans) if progress else scans
     new, durations_s = _mapped(mapper, segmenter, scans, view)
     walls = [*seen, *new]
@@ -121,14 +121,19 @@ def _mapped(
     walls, durations_s = [], []
     for scan in scans:
         began = perf_counter()
-        planes = _segmented(segmenter, scan.points_robot, view)
+        planes = segment_scan(segmenter, scan.points_robot, view)
         segmented = perf_counter()
         walls.append(mapper.update(planes))
         durations_s.append([segmented - began, perf_counter() - segmented])
     return walls, np.array(durations_s).reshape(-1, 2)
 
 
-def _segmented(
+def segmenter_for(view: SensorView) -> PlaneSegmenter:
+    """Return a segmenter that knows what is known of the sensor."""
+    return PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+
+
+def segment_scan(
     segmenter: PlaneSegmenter, points_robot: NDArray[np.float64], view: SensorView
 ) -> SimpleNamespace:
     """Return the planes of a scan as the mapper takes them, seen from where the sensor is.
