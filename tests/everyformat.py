@@ -58,7 +58,7 @@ def write_points(folder: Path) -> None:
     rng = np.random.default_rng(5)
     places = rng.uniform([-3, -6, -2], [9, 6, 2], (N, 3))
     k = np.arange(K)
-    poses = planar_poses(0.2 * k, 0.02 * k, 0.01 * k)
+    poses = planar_poses(*(step * k.astype(np.float64) for step in (0.2, 0.02, 0.01)))
     seen = np.concatenate([(places - T[:3, 3]) @ T[:3, :3] for T in poses])
     seen += rng.normal(0, 0.01, seen.shape)
     ids, iteration = np.tile(np.arange(N), K), np.repeat(k, N)

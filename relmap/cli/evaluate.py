@@ -43,6 +43,9 @@ The figures:
   purity              share of observations given to the right landmark
   ate_m, rpe_m        error of the robot's path: as a whole, and from one step to the next
   relation_m, _rad    of walls: mean error against checked relations between poses
+
+A figure that cannot be had is "-" in the table and null in evaluation.json; where this truth could
+give it, the reason is told.
 """
 
 FIGURES = {

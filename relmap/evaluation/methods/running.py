@@ -186,7 +186,7 @@ def _of_landmarks(
         figures["often_rmse_m"] = _rmse_of_often_seen(result, data.truth, log)
     if not len(method.map.landmark_ids):
         figures |= dict.fromkeys(("matched", "coverage", "landmarks_per_true", "purity"))
-    return MethodRun(result, None, figures | _path_coverage(there) | cost)
+    return MethodRun(result, None, figures | _path_coverage(len(result.poses), len(log)) | cost)
 
 
 def _rmse_of_often_seen(result: Result, truth: Truth, log: ObservationLog) -> float | None:
@@ -226,11 +226,11 @@ def _of_scans(method: Method, data: Scans, cost: dict[str, float | None]) -> Met
         figures |= _known(evaluate_planes(result, walls, data.truth).as_dict())
     if planes is None:
         figures |= dict.fromkeys(("matched", "coverage"))
-    return MethodRun(result, planes, figures | _path_coverage(there) | cost)
+    return MethodRun(result, planes, figures | _path_coverage(len(result.poses), len(log)) | cost)
 
 
-def _path_coverage(there: NDArray[np.bool_]) -> dict[str, float | None]:
-    return {"path_coverage": float(there.mean()) if len(there) else None}
+def _path_coverage(poses: int, iterations: int) -> dict[str, float | None]:
+    return {"path_coverage": poses / iterations if iterations else None}
 
 
 def _known(figures: dict[str, Any]) -> dict[str, float | None]:
