@@ -184,6 +184,23 @@ def test_scans_without_walls_are_bridged() -> None:
     poses = mapper.trajectory
     assert np.isfinite(poses[1:]).all()
     assert abs(np.hypot(*(poses[13, :2, 3] - poses[11, :2, 3])) - 0.1) < 1e-6
+    # Where nothing was seen, the robot is taken to have gone on as before.
+    assert np.hypot(*(poses[12, :2, 3] - (poses[11, :2, 3] + poses[13, :2, 3]) / 2)) < 2e-3
+
+
+def test_rooms_with_nothing_to_see_between_lie_as_the_motion_leads() -> None:
+    """They have nothing in common; the map of the second is laid where the robot must be."""
+    mapper = PlaneMapper()
+    nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
+    for k in range(70):
+        room = ROOM + np.array([7.0 * (k >= 45), 0.0])
+        mapper.update(nothing if 25 <= k < 45 else seen_from(0.1 * k - 1, 0.0, 0.0, room))
+    mapper.finish()
+    for _ in range(2):
+        expected = np.column_stack([0.1 * np.arange(70), np.zeros(70)])
+        path = mapper.trajectory[:, :2, 3]
+        np.testing.assert_allclose(path - path[0], expected, atol=1e-6)
+        mapper.refine()
 
 
 def test_the_same_scans_give_the_same_map() -> None:
