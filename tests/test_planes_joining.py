@@ -18,7 +18,7 @@ HALF = 20
 def driven(*sights: tuple[list[list[float]], list[str], range]) -> tuple[PlaneMapper, list[int]]:
     """Map a room in which more walls are seen: ends, their types, and in which scans.
 
-    Return the mapper, refined, and the number that each wall had when it was last seen.
+    Return the mapper and the number that each wall had when it was last seen.
     """
     mapper, last = PlaneMapper(), [-1] * len(sights)
     for k in range(2 * HALF):
@@ -29,6 +29,13 @@ def driven(*sights: tuple[list[list[float]], list[str], range]) -> tuple[PlaneMa
         for row, number in zip(there, mapper.update(seen)[len(ROOM) :].tolist(), strict=True):
             last[row] = number
     mapper.finish()
+    return mapper, last
+
+
+def refined(
+    *sights: tuple[list[list[float]], list[str], range],
+) -> tuple[PlaneMapper, list[int]]:
+    mapper, last = driven(*sights)
     mapper.refine()
     return mapper, last
 
@@ -41,9 +48,20 @@ OPEN = ["view", "view"]
 EARLY, LATE, ALWAYS = range(HALF - 4), range(HALF + 4, 2 * HALF), range(2 * HALF)
 
 
+def test_corners_seen_again_are_merged_while_mapping() -> None:
+    ends, kinds = [[3.0, -1.5], [3.0, 1.0]], ["corner", "corner"]
+    mapper, numbers = driven((ends, kinds, EARLY), (ends, kinds, LATE))
+    assert numbers[0] != numbers[1]
+    assert len(np.unique(now(mapper, numbers))) == 1
+    # Not with those of a wall that looks the other way.
+    turned = [[3.0, -1.5], [3.9, -1.5]]
+    mapper, numbers = driven((ends, kinds, EARLY), (turned, kinds, LATE))
+    assert len(np.unique(now(mapper, numbers))) == 2
+
+
 def test_a_wall_without_corners_seen_again_is_one() -> None:
     """Nothing but its line tells: no corner of it was ever seen."""
-    mapper, numbers = driven(
+    mapper, numbers = refined(
         ([[3.0, -1.5], [3.0, 1.0]], OPEN, EARLY), ([[3.0, -1.0], [3.0, 1.5]], OPEN, LATE)
     )
     assert numbers[0] != numbers[1]
@@ -53,7 +71,7 @@ def test_a_wall_without_corners_seen_again_is_one() -> None:
 
 
 def test_walls_beside_one_another_on_a_line_are_two() -> None:
-    mapper, numbers = driven(
+    mapper, numbers = refined(
         ([[3.0, -1.5], [3.0, -0.5]], OPEN, EARLY), ([[3.0, 0.5], [3.0, 1.5]], OPEN, LATE)
     )
     assert len(np.unique(now(mapper, numbers))) == 2
@@ -61,16 +79,16 @@ def test_walls_beside_one_another_on_a_line_are_two() -> None:
 
 def test_of_walls_a_hand_apart_those_seen_side_by_side_are_two() -> None:
     near, far = [[3.0, -1.5], [3.0, 1.5]], [[3.1, -1.5], [3.1, 1.5]]
-    mapper, numbers = driven((near, OPEN, EARLY), (far, OPEN, LATE))
+    mapper, numbers = refined((near, OPEN, EARLY), (far, OPEN, LATE))
     assert len(np.unique(now(mapper, numbers))) == 1
-    mapper, numbers = driven((near, OPEN, ALWAYS), (far, OPEN, ALWAYS))
+    mapper, numbers = refined((near, OPEN, ALWAYS), (far, OPEN, ALWAYS))
     assert len(np.unique(now(mapper, numbers))) == 2
 
 
 def test_a_corner_beyond_which_its_wall_goes_on_is_none() -> None:
     """As where something stood before the wall for a while, and its edge was taken for the end."""
     cut, whole = [[3.0, -1.5], [3.0, 0.5]], [[3.0, -1.5], [3.0, 2.0]]
-    mapper, numbers = driven(
+    mapper, numbers = refined(
         (cut, ["view", "corner"], range(12)), (whole, ["view", "corner"], range(12, 2 * HALF))
     )
     assert len(np.unique(now(mapper, numbers))) == 1
