@@ -248,7 +248,8 @@ def test_what_no_noise_explains_counts_less() -> None:
 @both_dimensions
 def test_one_that_stands_elsewhere_for_a_while_does_not_bend_the_map(d: int) -> None:
     """As under a wrong id: within its segment all agrees, so that only other segments tell."""
-    errors, sound = [], []
+    errors: list[float] = []
+    sound: list[float] = []
     for seed in range(3):
         world = walk(d, seed, sigma=0.02)
         scans = [(ids, points.copy()) for ids, points in world.scans]
