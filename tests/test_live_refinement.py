@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Generator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.core import live, slices
+from relmap.core.condensing import CondensedSegments
+from relmap.core.globalmap import GlobalMap
 from relmap.core.kernels import joint
 from relmap.core.tridiagonal import Levels
 from relmap.evaluation.baselines.batch import Batch, batch_least_squares
@@ -170,3 +173,23 @@ def test_what_merges_into_one_first_seen_later_takes_no_part_in_the_step_under_w
         pass
     assert len(step.step.members) > 50
     assert not np.isin([merged, n], step.step.members).any()
+
+
+def test_a_step_that_leaves_the_neighbourhood_it_holds_in_is_not_taken() -> None:
+    """Wrong matches make such steps; a sound one moves what was mapped since along."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0, 10, (12, 2))
+    global_map, members = GlobalMap(), np.arange(10)
+    global_map.resize(12, 2)
+    piece = global_map.new_piece()
+    global_map.place(piece, np.arange(12), places.copy(), np.ones(12))
+    refinement = live.LiveRefinement(CondensedSegments(), global_map)
+    moves = np.zeros((10, 2))
+    for size, shift in ((2.0, 0.0), (0.5, 1.0)):
+        moves[3, 0] = size
+        latest = np.eye(2), np.array([0.0, shift]), np.zeros(2)
+        step: Any = SimpleNamespace(members=members, moves=moves, latest=latest)
+        refinement._apply(live.StepUnderWay(piece, 0, 0, step))
+        moved = global_map.positions - places
+        np.testing.assert_allclose(moved[:10], shift * moves, atol=1e-12)
+        np.testing.assert_allclose(moved[10:], [[0.0, shift]] * 2, atol=1e-12)

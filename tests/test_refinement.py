@@ -243,3 +243,22 @@ def test_what_no_noise_explains_counts_less() -> None:
         batch = batch_least_squares(batch_of(dirty), world.landmarks)
         spoilt.append(aligned_rmse(batch, world.landmarks))
     assert np.median(errors) < 0.5 * np.median(spoilt)
+
+
+@both_dimensions
+def test_one_that_stands_elsewhere_for_a_while_does_not_bend_the_map(d: int) -> None:
+    """As under a wrong id: within its segment all agrees, so that only other segments tell."""
+    errors: list[float] = []
+    sound: list[float] = []
+    for seed in range(3):
+        world = walk(d, seed, sigma=0.02)
+        scans = [(ids, points.copy()) for ids, points in world.scans]
+        for ids, points in scans[56:66]:
+            points[ids == 10] += 3.0
+        for log, found in ((scans, errors), (world.scans, sound)):
+            mapper = mapped(log)
+            mapper.refine()
+            others = mapper.map.landmark_ids != 10
+            ids, positions = mapper.map.landmark_ids[others], mapper.map.positions[others, :d]
+            found.append(aligned_rmse(positions, world.landmarks[ids]))
+    assert max(errors) < 2 * max(sound)

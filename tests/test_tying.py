@@ -75,6 +75,14 @@ def test_different_places_stay_apart(seed: int, d: int) -> None:
     assert len(np.unique(global_map.pieces)) == 4
 
 
+def test_few_landmarks_that_lie_alike_by_chance_tie_nothing() -> None:
+    """Half of so few are found somewhere in any world, if the noise is large."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        global_map = in_pieces(*(rng.uniform(0, 10, (12, 2)) for _ in range(4)))
+        assert list(tie_pieces(global_map, 0.2)) == []
+
+
 @both_dimensions
 def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
     rng = np.random.default_rng(0)
