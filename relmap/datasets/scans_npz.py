@@ -2,8 +2,8 @@
 
 ``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
 each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
-time of every scan, seconds, ascending; a scan without a point is an empty one. ``view_rad`` and
-``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
+time of every scan, seconds, which is their order; a scan without a point is an empty one.
+``view_rad`` and ``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown, unreadable
 
 FILE_NAME = "scans.npz"
@@ -88,13 +88,15 @@ class ScansNpz:
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
         _check_shapes(file, points, iteration, stamps_s)
         _check_values(file, points, iteration, stamps_s)
+        in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
+        iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
         offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
         points_robot = points[order].astype(np.float64, copy=False)
         return stored_scans(
             points_robot,
             offsets.astype(np.int64),
-            stamps_s.astype(np.float64),
+            stamps_s,
             sensor=SensorView(**limits),
         )
 
@@ -240,9 +242,10 @@ def _check_values(
     _require(file, "points", good, "is not finite or out of range, expected metres")
     inside = (iteration >= 0) & (iteration < len(stamps_s))
     _require(file, "iteration", inside, f"is no scan, expected 0 to {len(stamps_s) - 1}")
-    ascending = np.isfinite(stamps_s)
-    ascending[1:] &= np.diff(stamps_s) > 0
-    _require(file, "stamps_s", ascending, "is no later time, expected seconds in ascending order")
+    told_apart = np.isfinite(stamps_s)
+    order = np.argsort(stamps_s, kind="stable")
+    told_apart[order[1:]] &= np.diff(stamps_s[order]) > 0
+    _require(file, "stamps_s", told_apart, "is no later time, expected seconds, each scan its own")
 
 
 def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:
