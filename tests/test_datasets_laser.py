@@ -159,9 +159,7 @@ def test_a_range_below_zero_is_no_return(
     assert caplog.messages == [f"{path}: 1 ranges below 0 are taken for no return"]
 
 
-@pytest.mark.parametrize(
-    ("text", "cut"), [(CORRECTED, "FLASER"), (GRAPH, "VERTEX2"), (LASER, "1")]
-)
+@pytest.mark.parametrize(("text", "cut"), [(CORRECTED, "FLASER"), (GRAPH, "VERTEX2"), (LASER, "1")])
 def test_scans_come_in_the_order_of_time(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str, cut: str
 ) -> None:

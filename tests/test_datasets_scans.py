@@ -63,9 +63,7 @@ def test_limits_of_the_sensor_must_be_positive_numbers(tmp_path: Path) -> None:
         assert "expected one positive number" in message
 
 
-def test_scans_come_in_the_order_of_time(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_scans_come_in_the_order_of_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = npz(tmp_path / "a.npz", stamps_s=np.array([3.0, 1.0, 2.0]))
     log = open_scans(path)
     assert log.stamps_s.tolist() == [1, 2, 3]
