@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.foreign import ZIP, foreign_at
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown, unreadable
 
@@ -65,11 +66,11 @@ class ScansNpz:
     description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a zip file, as .npz files are."""
+        """Tell whether it is a zip file with arrays, as .npz files are, or a damaged one."""
         file = _file_of(path)
         try:
             with file.open("rb") as stream:
-                return stream.read(len(_MAGIC)) == _MAGIC
+                return stream.read(len(_MAGIC)) == _MAGIC and not _without_arrays(file)
         except (OSError, ValueError):
             return False
 
@@ -151,6 +152,9 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(file) as archive:
             there = {member.filename for member in archive.infolist()}
             names = [*_KINDS, *(name for name in _LIMITS if f"{name}.npy" in there)]
+            missing = [f"{name}.npy" for name in names if f"{name}.npy" not in there]
+            if missing:
+                raise ValueError(f"a zip archive without {' and '.join(missing)}")
             members = {name: archive.getinfo(f"{name}.npy") for name in names}
             size = sum(member.file_size for member in members.values())
             if size > MAX_BYTES:
@@ -159,10 +163,22 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise unreadable(file, error) from error
     except _DAMAGE as error:
-        reason = quoted(str(error) or type(error).__name__)
+        found = foreign_at(file)
+        other = found if found != ZIP else None
+        reason = quoted(other or str(error) or type(error).__name__)
         raise RelmapError(
             f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
         ) from error
+
+
+def _without_arrays(file: Path) -> bool:
+    """Tell whether a zip file is whole and holds no array."""
+    try:
+        _check_directory(file)
+        with zipfile.ZipFile(file) as archive:
+            return not any(name.endswith(".npy") for name in archive.namelist())
+    except _DAMAGE:
+        return False
 
 
 def _check_directory(file: Path) -> None:
