@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from relmap.segmentation.em import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
 
-CHANCE = 1e-4
+CHANCE = 1e-3
 """Points that form a line by chance with a greater probability are no wall."""
 MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
-INLIER = 3 / MEDIAN
-"""Three standard deviations, in such medians."""
+INLIER = 5 / MEDIAN
+"""Five standard deviations, in such medians: what lies farther off is no noise."""
 ROUNDS = 10
 NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
