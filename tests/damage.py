@@ -162,7 +162,7 @@ def made_to_harm(canary: Path) -> dict[str, Files]:
     return {
         "scans-npz": npz_made_to_harm(canary) | {"zeros": _deflated_scans(8 * GIB)},
         "point-clouds-0.pcd": {"billions": cloud, "text": cloud.replace(b"binary", b"ascii")},
-        "point-clouds-3.pcd": {"zeros": _packed_zeros(GIB // 4)},
+        "point-clouds-3.pcd": {"zeros": _packed_zeros(12 << 23)},
         "point-clouds-1.ply": {"billions": ply(CLOUD, declared=3_000_000_000)},
         "point-clouds-2.pcd.xz": {"zeros": lzma.compress(pcd(CLOUD) + bytes(GIB // 2), preset=0)},
         "config": {"deep": deep, "long": b"group_after = " + b"9" * 5000},

@@ -13,9 +13,14 @@ from relmap.segmentation.corners import Sharpened, meet, sharpen
 from relmap.segmentation.em import WallMixture, scan_area
 from relmap.segmentation.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
+from relmap.segmentation.upright import require_upright
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
+SPATIAL = ("ransac3d", "patches")
+"""Methods that know floors and ceilings from walls."""
 LEAST = 8
+CHECKED = 5
+"""Scans in space, of the first that a segmenter is given, that must show upright surfaces."""
 
 
 class PlaneSegmenter:
@@ -69,9 +74,12 @@ class PlaneSegmenter:
         self.random_state = random_state
         self.view_rad = view_rad
         self.range_m = range_m
+        self._checked = 0
 
     def fit(self, points: ArrayLike) -> Self:
         """Segment one scan.
+
+        The first five in space are checked for surfaces that are not upright.
 
         Parameters
         ----------
@@ -81,10 +89,14 @@ class PlaneSegmenter:
         Raises
         ------
         RelmapError
-            Where a parameter or the shape is wrong, or a coordinate is not finite.
+            Where a parameter or the shape is wrong, a coordinate is not finite, or floors, ceilings
+            and the like would be taken for walls.
         """
         xyz = _as_points(points)
         method = self._validated(xyz.shape[1])
+        if xyz.shape[1] == 3 and len(xyz) and method not in SPATIAL and self._checked < CHECKED:
+            require_upright(xyz)
+            self._checked += 1
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xy) < 2 or not np.ptp(xy, axis=0).any():
             sharp = meet(_no_walls(xy, self.noise), max(len(xy), 1))
@@ -99,7 +111,7 @@ class PlaneSegmenter:
         method = self.method or ("scanlines" if d == 2 else "em")
         if method not in METHODS:
             raise RelmapError(f"method is {self.method!r}; it must be one of {', '.join(METHODS)}")
-        if d == 2 and method in ("ransac3d", "patches"):
+        if d == 2 and method in SPATIAL:
             raise RelmapError(f"method {method} needs points (n, 3); these are (n, 2)")
         for name, value in (
             ("noise", self.noise),
