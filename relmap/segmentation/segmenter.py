@@ -19,6 +19,8 @@ METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
 """Methods that know floors and ceilings from walls."""
 LEAST = 8
+FARTHEST_M = 1e9
+"""No sensor sees farther; squares of much larger numbers overflow."""
 CHECKED = 5
 """Scans in space, of the first that a segmenter is given, that must show upright surfaces."""
 
@@ -181,11 +183,13 @@ class PlaneSegmenter:
         """Return labels without gaps in their numbers, and the planes."""
         from relmap.segmentation.pairs import corners
 
-        kept = np.flatnonzero(np.bincount(labels[labels >= 0], minlength=len(sharp.spread)))
-        number = np.full(len(sharp.spread) + 1, -1)
+        ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
+        count = np.bincount(labels[labels >= 0], minlength=len(ends))
+        long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
+        kept = np.flatnonzero((count > 0) & long)
+        number = np.full(len(ends) + 1, -1)
         number[kept] = np.arange(len(kept))
-        labels = number[labels]
-        ends = np.array([corners(w) for w in sharp.mixture.walls[kept]]).reshape(-1, 2, 2)
+        labels, ends = number[labels], ends[kept]
         spread, joined = sharp.spread[kept], sharp.joined[kept]
         turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
         hidden = None if sharp.hidden is None else sharp.hidden[kept]
@@ -232,8 +236,11 @@ def _as_points(points: ArrayLike) -> NDArray[np.float64]:
         raise RelmapError(f"points are not numbers: {error}") from error
     if xyz.ndim != 2 or xyz.shape[1] not in (2, 3):
         raise RelmapError(f"points have shape {xyz.shape}; it must be (n, 2) or (n, 3)")
-    bad = ~np.isfinite(xyz).all(axis=1)
+    bad = ~(np.abs(xyz) <= FARTHEST_M).all(axis=1)
     if bad.any():
         row = int(bad.argmax())
-        raise RelmapError(f"point {row} is {xyz[row].tolist()}; coordinates must be finite")
+        raise RelmapError(
+            f"point {row} is {xyz[row].tolist()}; coordinates must be finite, and metres up to "
+            f"{FARTHEST_M:g}"
+        )
     return xyz
