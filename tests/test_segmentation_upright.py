@@ -13,6 +13,8 @@ from relmap.datasets import open_scans
 from relmap.segmentation.upright import MOST_SHARE, tilted_share
 from relmap.simulation import simulate_building
 from relmap.simulation.building import building_scene
+from relmap.simulation.floor_plan import World
+from relmap.simulation.sensor import Sampling
 
 
 def room(rng: np.random.Generator, height_m: float = 3.0) -> NDArray[np.float64]:
@@ -56,7 +58,7 @@ def test_only_the_first_scans_decide() -> None:
 @pytest.mark.parametrize("world", ["building", "panels", "long-wall"])
 @pytest.mark.parametrize("sampling", ["surface", "rays"])
 @pytest.mark.parametrize("sigma", [0.0, 0.05, 0.3])
-def test_simulated_walls_are_upright(world: str, sampling: str, sigma: float) -> None:
+def test_simulated_walls_are_upright(world: World, sampling: Sampling, sigma: float) -> None:
     building = simulate_building(points=500, sigma=sigma, seed=0, world=world, sampling=sampling)
     shares = [tilted_share(scan.points) for scan in building.scans[::20] if len(scan.points)]
     assert max(shares) < 0.5 * MOST_SHARE
