@@ -7,7 +7,7 @@ DATA is a folder with the real data sets (mrpt-kf-slam); without it those rows a
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 from time import perf_counter
 
@@ -140,9 +140,17 @@ def constant_time() -> None:
     print(f"  last 100 / first 100 iterations, median time: {last / warm:.2f}", flush=True)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print all figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
+    data = parser.parse_args().data
     figure_eight()
     constant_time()
-    if len(sys.argv) > 1:
-        mrpt(Path(sys.argv[1]))
+    if data is not None:
+        mrpt(data)
     figure_eight_without_ids()
+
+
+if __name__ == "__main__":
+    main()
