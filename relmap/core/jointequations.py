@@ -22,8 +22,6 @@ from relmap.core.tridiagonal import Factor, Levels, at_once
 
 ALL = 2**62
 """More rows than there are."""
-WEAKEST = 1e-6
-"""Least hold of a landmark, in observations: none moves far that hangs by nothing."""
 FLOPS_PER_OBSERVATION = 2e4
 """What may be spent to have one placement for each iteration: half a microsecond or so."""
 
@@ -50,6 +48,8 @@ class Equations(Protocol):
         with_matrix: bool,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; an empty one where it is not asked for.
+
+        What nothing holds makes the matrix singular: see `Levels.hold`.
 
         Parameters
         ----------
@@ -141,8 +141,6 @@ class LandmarkEquations:
         """Return right side and matrix; see `Equations`."""
         buffer = np.zeros(self.levels.size if with_matrix else 0)
         right, self.cost = self._free.equations(positions, placed, weight, self.levels, buffer)
-        if with_matrix:
-            self.levels.hold(buffer, WEAKEST)
         return right, buffer
 
     def moved(
@@ -217,7 +215,6 @@ class PlacementEquations:
         gradient[self._anchor[0]] += gradient[fixed]
         gradient[fixed] = 0.0
         if with_matrix:
-            levels.hold(buffer)
             levels.fix(buffer, fixed)
         return -gradient, buffer
 
