@@ -75,7 +75,9 @@ def settle(system: Equations, rows: JointRows, positions: NDArray[np.float64]) -
         To start from.
     """
     start = positions
-    weight, limit = _weights_at(rows, start, lenient, np.inf)
+    residual = _residuals_at(rows, start)
+    limit = limit_of(residual, start.shape[1], _size(start))
+    weight = lenient(residual, limit)
     positions, found, converged = _settled(system, rows, start, weight)
     for function in (lenient, strict):
         for _ in range(REWEIGHTED):
@@ -87,25 +89,18 @@ def settle(system: Equations, rows: JointRows, positions: NDArray[np.float64]) -
             kept = found if change.mean() < ALIKE else None
             positions, found, converged = _settled(system, rows, positions, weight, kept)
     rounding = len(rows.points) * (EXACT * _size(start)) ** 2
-    if not _cost_at(rows, positions, limit) <= WORSE * _cost_at(rows, start, limit) + rounding:
-        weight = _weights_at(rows, start, strict, limit)[0]
-        return Settled(start, weight, converged=False)
+    cost = robust_cost(_residuals_at(rows, positions), limit)
+    if not cost <= WORSE * robust_cost(residual, limit) + rounding:
+        return Settled(start, strict(residual, limit), converged=False)
     return Settled(positions, weight, converged)
 
 
-def _weights_at(
-    rows: JointRows, positions: NDArray[np.float64], function: Weights, at_most: float
-) -> tuple[NDArray[np.float64], float]:
-    """Return the weights (n,) of the rows at some positions, and their limit."""
-    there, n_seen = positions[rows.landmark], rows.n_seen.astype(np.float64)
-    weight = fit_robust_each(rows.points, there, n_seen, rows.segment, len(rows.segments))[3]
-    return _weights(rows, positions, weight, function, at_most)
-
-
-def _cost_at(rows: JointRows, positions: NDArray[np.float64], limit: float) -> float:
-    """Return the robust cost of the rows at some positions, square metres."""
-    weight, _ = _weights_at(rows, positions, lenient, limit)
-    return robust_cost(_residuals(rows, positions, weight), limit)
+def _residuals_at(rows: JointRows, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what is left of the rows (n,), each segment laid on as most of its rows say."""
+    there, n_seen, at = positions[rows.landmark], rows.n_seen.astype(np.float64), rows.segment
+    R, t, _, _ = fit_robust_each(rows.points, there, n_seen, at, len(rows.segments))
+    placed = np.einsum("nij,nj->ni", R[at], rows.points) + t[at]
+    return norm(placed - there) * np.sqrt(n_seen)
 
 
 def lay_on(
@@ -181,17 +176,10 @@ def _weights(
     The limit never grows: many wrong matches that count a little raise the noise, and so each
     other's weights.
     """
-    residual = _residuals(rows, positions, weight)
+    residual = norm(lay_on(rows, positions, weight) - positions[rows.landmark])
+    residual *= np.sqrt(rows.n_seen)
     limit = min(limit_of(residual, positions.shape[1], _size(positions)), at_most)
     return function(residual, limit), limit
-
-
-def _residuals(
-    rows: JointRows, positions: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return what is left of the rows (n,), each in units of what its observations make it."""
-    residual = norm(lay_on(rows, positions, weight) - positions[rows.landmark])
-    return np.asarray(residual * np.sqrt(rows.n_seen))
 
 
 def _size(positions: NDArray[np.float64]) -> float:
