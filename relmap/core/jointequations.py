@@ -45,11 +45,9 @@ class Equations(Protocol):
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        with_matrix: bool,
+        hold: tuple[float, float] | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; an empty one where it is not asked for.
-
-        What nothing holds makes the matrix singular: see `Levels.hold`.
 
         Parameters
         ----------
@@ -58,6 +56,8 @@ class Equations(Protocol):
             The rows, each segment where it fits the positions best.
         weight : (n,) float64
             Of one observation in a row.
+        hold : (share, least), optional
+            What holds unknowns that nothing else does, see `Levels.hold`; no matrix without it.
         """
         ...
 
@@ -136,11 +136,13 @@ class LandmarkEquations:
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        with_matrix: bool,
+        hold: tuple[float, float] | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; see `Equations`."""
-        buffer = np.zeros(self.levels.size if with_matrix else 0)
+        buffer = np.zeros(self.levels.size if hold else 0)
         right, self.cost = self._free.equations(positions, placed, weight, self.levels, buffer)
+        if hold:
+            self.levels.hold(buffer, *hold)
         return right, buffer
 
     def moved(
@@ -188,14 +190,14 @@ class PlacementEquations:
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        with_matrix: bool,
+        hold: tuple[float, float] | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; see `Equations`."""
         from relmap.core.kernels.joint import placement_equations
 
         levels, omega = self.levels, self._seen * weight[self._row]
         gradient = np.zeros((len(levels.level), levels.q))
-        buffer = np.zeros(levels.size if with_matrix else 0)
+        buffer = np.zeros(levels.size if hold else 0)
         residual = (placed - self._means(placed, weight)[self._rows.landmark])[self._row]
         squares = omega * np.sum(residual**2, axis=1)
         self.cost = np.bincount(self._rows.segment[self._row], weights=squares).astype(np.float64)
@@ -214,7 +216,8 @@ class PlacementEquations:
         # The anchor only makes the frame: what pulls at it pulls at its segment.
         gradient[self._anchor[0]] += gradient[fixed]
         gradient[fixed] = 0.0
-        if with_matrix:
+        if hold:
+            levels.hold(buffer, *hold)
             levels.fix(buffer, fixed)
         return -gradient, buffer
 

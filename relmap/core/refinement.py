@@ -25,7 +25,7 @@ from relmap.core.residuals import (
 )
 from relmap.core.robust import fit_robust_each
 from relmap.core.settling import lay_on, norm, settle
-from relmap.core.tridiagonal import factor
+from relmap.core.tridiagonal import BARELY, factor
 
 STEADY = 3.0
 """Median deviation up to which a landmark keeps its place, in units of what is usual."""
@@ -47,8 +47,7 @@ class Spread:
     def __call__(self) -> NDArray[np.float64]:
         """Return the covariances, square metres; NaN of what the observations do not fix."""
         at, levels = (self.positions, self.placed, self.weight), self.system.levels
-        matrix = self.system.normal(*at, with_matrix=True)[1]
-        levels.hold(matrix)
+        matrix = self.system.normal(*at, (BARELY, 0.0))[1]
         found = self.system.covariances(factor(levels, matrix), self.placed, self.weight)
         found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
         # No linear theory tells of errors as large as the map.
@@ -161,7 +160,7 @@ def _solved(
     settled = settle(system, joint, start[joint.landmarks])
     refined, weight = settled.positions, settled.weight
     placed = lay_on(joint, refined, weight)
-    system.normal(refined, placed, weight, with_matrix=False)
+    system.normal(refined, placed, weight, None)
     noise_m = _noise(rows, joint, system.cost, weight)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)

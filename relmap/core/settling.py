@@ -28,7 +28,7 @@ DAMPED, MORE = 1e-5, 10.0
 (Levenberg, 1944; Marquardt, 1963)."""
 UNSURE = 1e-4
 """A step has settled too that gains no more, in squared standard deviations of the whole map."""
-LOOSE, WEAKEST = 1e-9, 1e-6
+HOLD = 1e-9, 1e-6
 """What holds an unknown in a step, as a share of others and in observations: none moves far that
 hangs by nothing."""
 SLOW = 0.1
@@ -130,7 +130,7 @@ def _settled(
     before, least, damping, best, length, residual = np.inf, np.inf, 0.0, positions, np.inf, 0.0
     for _ in range(ROUNDS):
         placed = lay_on(rows, positions, weight)
-        right, matrix = system.normal(positions, placed, weight, with_matrix=found is None)
+        right, matrix = system.normal(positions, placed, weight, None if found else HOLD)
         cost = system.cost.sum()
         if not cost <= WORSE * least + rounding:
             damping = max(DAMPED, MORE * damping)
@@ -138,7 +138,6 @@ def _settled(
             continue
         best, least = positions, min(cost, least)
         if found is None:
-            system.levels.hold(matrix, LOOSE, WEAKEST)
             system.levels.damp(matrix, damping)
             found = factor(system.levels, matrix)
         step = found.solve(right)

@@ -95,7 +95,7 @@ class Levels:
         row, column = np.mgrid[: self.q, : self.q]
         return np.asarray(buffer[start[:, None, None] + row * width[:, None, None] + column])
 
-    def hold(self, buffer: NDArray[np.float64], share: float = BARELY, least: float = 0.0) -> None:
+    def hold(self, buffer: NDArray[np.float64], share: float, least: float = 0.0) -> None:
         """Give unknowns that hang by too little, or by nothing, a little hold where they are.
 
         It damps a step, and belongs in no covariance but for `BARELY`: many weak holds along a
