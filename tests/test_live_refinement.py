@@ -75,6 +75,16 @@ def test_live_refinement_is_exact_without_noise(d: int) -> None:
     )
 
 
+@pytest.mark.parametrize(("density", "seed"), [(6, 11), (3, 4), (4, 1)])
+def test_a_sparse_world_is_mapped(density: int, seed: int) -> None:
+    """Where little is seen, parts of one piece of the map share no segment."""
+    world = simulate_figure_eight(density=density, seed=seed)
+    mapper = driven(world, 900)
+    mapper.finish()
+    mapper.refine()
+    assert np.isfinite(mapper.map.positions).all()
+
+
 def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
     world = simulate_figure_eight(seed=2)
     mapper = PointMapper()
@@ -113,6 +123,20 @@ def test_a_step_brings_displaced_bodies_together() -> None:
     found = step(placed, landmark, placement)
     means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
     np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
+
+
+def test_bodies_that_share_nothing_are_each_brought_together() -> None:
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (40, 2))
+    landmark = np.tile(np.arange(20), 2)
+    landmark = np.concatenate([landmark, landmark + 20])
+    placement = np.repeat(np.arange(4), 20)
+    shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, -0.2]])
+    placed = world[landmark] + shift[placement]
+    found = step(placed, landmark, placement)
+    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
+    assert aligned_rmse((means + found.moves)[:20], world[:20]) < 1e-6
+    assert aligned_rmse((means + found.moves)[20:], world[20:]) < 1e-6
 
 
 def test_bodies_are_joined_where_a_step_would_cost_too_much(

@@ -13,7 +13,7 @@ import typer
 from relmap.cli.arguments import parse_scans, read_config
 from relmap.cli.job import Association, Job, journaled_labels
 from relmap.cli.map_planes import BENCH_GIF, BENCH_PNG
-from relmap.cli.outcome import each, leave, stopped_after, untied
+from relmap.cli.outcome import each, leave, stopped_after, unconverged, untied
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def report_points(job: Job) -> None:
         f"{counts['landmarks']} landmarks mapped from {counts['observations']} observations in "
         f"{counts['iterations']} iterations, {each(timing['median_ms'])}"
         + untied(len(run.result.pieces) - 1)
+        + unconverged(run.result.summary["refinement"])
     )
     if job.onto and job.association == "nearest" and run.result.summary["tied_at"] is None:
         typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")

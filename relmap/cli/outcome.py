@@ -31,6 +31,16 @@ def untied(pieces: int) -> str:
     return f"; {pieces} piece{'s' if pieces > 1 else ''} could not be tied to the map"
 
 
+def unconverged(refinement: dict[str, Any] | None) -> str:
+    """Return that a refinement did not converge, as a line after a message."""
+    if refinement is None or refinement["converged"]:
+        return ""
+    return (
+        "\nWARNING: the refinement did not converge, so the map is the best that was found and may "
+        "be wrong; look for wrong ids or matches, or compare with --no-refine"
+    )
+
+
 def leave(job: Job, summary: dict[str, Any]) -> None:
     """End the program as what became of the run demands.
 

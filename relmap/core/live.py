@@ -14,10 +14,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import SEEN, CondensedSegments, SegmentRows
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
+from relmap.core.robust import fit_robust_each
 from relmap.core.slices import SLICE, StepInSlices
 
 GROWTH = 1.15
@@ -96,10 +96,11 @@ class StepUnderWay:
         seen = SEEN[rows.visible[first:end][kept]].astype(np.float64)
         base = segments[first]
         there = global_map.positions[landmark]
-        R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)
-        placed = np.einsum("nij,nj->ni", R[segment - base], points) + t[segment - base]
-        on = fixed[segment - base]
-        self.step.add(placed[on], landmark[on], segment[on], seen[on])
+        at, n = segment - base, int(last - base) + 1
+        R, t, fixed, weight = fit_robust_each(points, there, seen, at, n)
+        placed = np.einsum("nij,nj->ni", R[at], points) + t[at]
+        on = fixed[at]
+        self.step.add(placed[on], landmark[on], segment[on], (weight * seen)[on])
         self._first = end
 
 
