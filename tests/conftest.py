@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,9 @@ from tests.commands import GOOD, Check, snapshot
 from tests.everyformat import WALLS, Mapped, write_points, write_walls
 
 os.environ["MPLBACKEND"] = "Agg"
+# A shell starts what runs in the background without Ctrl-C, and so would be the tests' commands.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[1]
 
