@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.building import MapBuilder
 from relmap.core.condensing import CondensedSegments, SegmentRows
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
@@ -55,9 +56,12 @@ class RelativeMapper(ABC):
 
     _noise_spread = 1.0
     """How many times noisier than the typical landmark the noisiest are."""
+    _unused: ClassVar[dict[str, str]] = {}
+    """Settings that the variant ignores, and why."""
 
     def __init__(self, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
+        self.config.refuse(self._unused)
         self._registration: Registration | None = None
         self._begun = 0
         self._store = ObservationStore()
@@ -167,6 +171,8 @@ class RelativeMapper(ABC):
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
+            if ids is not None:
+                self.config.refuse(WITH_IDS)
             self._begun = self._store.n_iterations
             self._registration = KnownAssociation() if ids is not None else self._own_registration()
         if isinstance(self._registration, KnownAssociation) != (ids is not None):
@@ -249,6 +255,12 @@ class RelativeMapper(ABC):
     def _merge(self, placed: NDArray[np.int64]) -> None:
         if not self._has_ids:
             self._seen_again.merge(placed)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that the mapper makes use of, by name."""
+        is_known = isinstance(self._registration, KnownAssociation)
+        return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
     def map(self) -> LandmarkMap:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import UNMAPPED
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece
@@ -70,6 +70,7 @@ class PlaneMapper(DurableMapper):
 
     _relative_map = staticmethod(relative_map)
     _noise_spread = 3.0
+    _unused = WITH_WALLS
     _variant = "planes"
     _passing = ("_journal", "_segmenter")
 
