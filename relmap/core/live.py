@@ -20,6 +20,8 @@ from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.growing import GrowingArray
 from relmap.core.slices import SLICE, StepInSlices
 
+SLICE_EVERY = 8
+"""Iterations for each slice."""
 GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
 SOUND = 0.1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.levels import GroupLevels
-from relmap.core.live import LiveRefinement
+from relmap.core.live import SLICE_EVERY, LiveRefinement
 from relmap.core.merging import Merger
 from relmap.core.observations import KeptObservations
 from relmap.core.piecewise import refine_pieces
@@ -34,14 +34,11 @@ from relmap.core.registration import (
     NearestPrevious,
     Registration,
 )
-from relmap.core.scan import checked_ids, checked_points
+from relmap.core.scan import checked_ids, checked_labels, checked_points
 from relmap.core.schedule import GroupingSchedule
 from relmap.core.seenagain import SeenAgain
 from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
-
-SLICE_EVERY = 8
-"""Iterations for each slice of live refinement."""
 
 
 class RelativeMapper(ABC):
@@ -133,9 +130,10 @@ class RelativeMapper(ABC):
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now.
 
-        A landmark lost and seen again has a label of its own until it is recognised.
+        A landmark lost and seen again has a label of its own until it is recognised; -1 stays.
+        A label that no update has returned raises `RelmapError`.
         """
-        labels = np.asarray(labels, dtype=np.int64)
+        labels = checked_labels(labels, np.append(self._labels, -1))
         if self._has_ids:
             return labels
         return np.where(labels >= 0, self._identity.of(labels), labels)
@@ -255,12 +253,6 @@ class RelativeMapper(ABC):
     def _merge(self, placed: NDArray[np.int64]) -> None:
         if not self._has_ids:
             self._seen_again.merge(placed)
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings that the mapper makes use of, by name."""
-        is_known = isinstance(self._registration, KnownAssociation)
-        return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
     def map(self) -> LandmarkMap:
