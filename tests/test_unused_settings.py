@@ -13,8 +13,8 @@ from relmap.cli import main
 from relmap.simulation import building_scene
 from tests.commands import load
 
-COMMON = {"group_after": 10, "max_missed": 5}
-USED = {
+COMMON: dict[str, object] = {"group_after": 10, "max_missed": 5}
+USED: dict[str, dict[str, object]] = {
     "constellation": COMMON | {"registration": "constellation", "keep_observations": False},
     "nearest-previous": COMMON
     | {"registration": "nearest-previous", "gate_m": None, "keep_observations": False},
