@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.mapper import RelativeMapper
+from relmap.core.registration import KnownAssociation
 
 if TYPE_CHECKING:
     from relmap.journal import Journal, JournalReader, RecordedScan
@@ -132,6 +133,12 @@ class DurableMapper(RelativeMapper):
 
         mapper: Self = load_state(Path(path), cls)
         return mapper
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that the mapper makes use of, by name."""
+        is_known = isinstance(self._registration, KnownAssociation)
+        return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
     def n_iterations(self) -> int:

@@ -48,6 +48,19 @@ def test_a_closed_loop_is_spread_over_the_live_map(monkeypatch: pytest.MonkeyPat
     assert np.median(spread) < 1.3 * np.median(limits)
 
 
+def test_finishing_spreads_what_has_drifted_since_the_last_step() -> None:
+    ratios = []
+    for seed in range(200, 208):
+        world = simulate_figure_eight(seed=seed)
+        mapper = driven(world, 900)
+        mapper.finish()
+        finished = live_error(mapper, world)
+        mapper.refine()
+        ratios.append(finished / live_error(mapper, world))
+    assert np.median(ratios) < 1.1
+    assert max(ratios) < 1.5
+
+
 def test_what_a_level_costs_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     levels: list[float] = []
     found = slices.StepInSlices._levels

@@ -12,7 +12,7 @@ from relmap import PointMapper
 from relmap.core.globalmap import UNMAPPED, GlobalMap
 from relmap.core.sightings import Sightings
 from relmap.core.tying import NEIGHBOURHOOD, neighbourhoods, tie_pieces
-from tests.worlds import aligned_rmse, random_rotation, walk
+from tests.worlds import aligned_rmse, random_rotation, two_visits, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -135,6 +135,28 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
     assert len(set(mapped)) >= len(world.landmarks) - 2
     assert len(mapped) <= 1.1 * len(set(mapped))
     assert aligned_rmse(mapper.map.positions[:, :d], world.landmarks[mapped]) < max(1e-9, sigma)
+
+
+@both_dimensions
+@pytest.mark.parametrize("seed", range(20))
+def test_nobody_stays_double_after_a_brief_second_visit(d: int, seed: int) -> None:
+    place, scans = two_visits(d, seed)
+    mapper, labels = PointMapper(), []
+    for _, points in scans:
+        labels.append(mapper.update(points))
+    of, true = np.concatenate(labels), np.concatenate([ids for ids, _ in scans])
+    stands_for = dict(np.column_stack([of, true]).tolist())
+    assert len(stands_for) == len(np.unique(np.column_stack([of, true]), axis=0))
+    assert set(labels[0]).isdisjoint(labels[-1])  # the second visit is not tied to the first
+    for step in (mapper.finish, mapper.refine):
+        step()
+        found = mapper.landmarks_of(of)
+        stands_for = dict(np.column_stack([found, true]).tolist())
+        assert len(stands_for) == len(np.unique(np.column_stack([found, true]), axis=0))
+        assert len(mapper.pieces) == 1
+        mapped = [stands_for[label] for label in mapper.map.landmark_ids.tolist()]
+        assert len(mapped) == len(set(mapped))
+    assert aligned_rmse(mapper.map.positions[:, :d], place[mapped]) < 0.02
 
 
 @given(seeds)

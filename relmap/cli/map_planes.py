@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +77,7 @@ def map_scans(job: Job) -> PlaneRun:
             yield from bench.watch(job.scans(scans, len(log)))
             afterwards.enter_context(busy("refining and writing"))
 
-        about = _about(job, source)
+        about = _about(job, source, mapper)
         run = run_plane_mapper(mapper, log, segmenter, about, shown, job.refine, seen)
         _write(staging, run, mapper)
         afterwards.close()
@@ -113,7 +112,7 @@ def _stale(animate: bool) -> list[str]:
     return [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
 
 
-def _about(job: Job, source: Path) -> dict[str, Any]:
+def _about(job: Job, source: Path, mapper: PlaneMapper) -> dict[str, Any]:
     from relmap.datasets import SCAN_DATASETS
 
     names = [dataset.name for dataset in SCAN_DATASETS if dataset.recognises(source)]
@@ -122,7 +121,7 @@ def _about(job: Job, source: Path) -> dict[str, Any]:
         "format": job.log_format or (names[0] if len(names) == 1 else None),
         "variant": "planes",
         "seed": 0,
-        "configuration": asdict(job.settings),
+        "configuration": mapper.settings,
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,6 @@ from relmap.cli.outcome import each, leave, stopped_after, unconverged, untied
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.core.config import MapperConfig
     from relmap.datasets.base import ObservationLog, Scan
     from relmap.evaluation.run import Run
 
@@ -71,7 +69,6 @@ def map_points(job: Job) -> Run:
         result in it is then as it was.
     """
     from relmap.cli.console import busy
-    from relmap.datasets import open_log
     from relmap.evaluation.run import run_mapper
     from relmap.files import staged_folder
     from relmap.plots.run import write_map_png
@@ -79,11 +76,7 @@ def map_points(job: Job) -> Run:
     from relmap.results import MAP_PNG, MAPPER, write_result
 
     source = job.at(job.source)
-    with busy("reading"):
-        log = open_log(source, job.log_format)
-    if job.interval is not None:
-        log = log.between(*job.interval)
-    check_association(log, job.association, source)
+    log = _read(job, source)
     with staged_folder(job.at(job.out), _stale()) as staging, ExitStack() as afterwards:
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
@@ -92,18 +85,31 @@ def map_points(job: Job) -> Run:
                 if not tied and mapper.take_up(scan.points_robot):
                     about["tied_at"], tied = scan.iteration, True
                 yield scan
+            about["configuration"] = mapper.settings
             afterwards.enter_context(busy("refining and writing"))
 
         seen = journaled_labels(job, log.scans())
         mapper = job.mapper(PointMapper)
         afterwards.callback(mapper.close)
-        about = _about(job, job.log_format or recognised_format(source), mapper.config)
+        about = _about(job, job.log_format or recognised_format(source))
         before = mapper.n_iterations - len(seen)
         run = run_mapper(mapper, log, job.association, about, shown, job.refine, seen, before)
         write_result(staging, run.result)
         mapper.save(staging / MAPPER)
         write_map_png(staging / MAP_PNG, run.result, run.groups)
     return run
+
+
+def _read(job: Job, source: Path) -> ObservationLog:
+    from relmap.cli.console import busy
+    from relmap.datasets import open_log
+
+    with busy("reading"):
+        log = open_log(source, job.log_format)
+    if job.interval is not None:
+        log = log.between(*job.interval)
+    check_association(log, job.association, source)
+    return log
 
 
 def _stale() -> list[str]:
@@ -114,13 +120,13 @@ def _stale() -> list[str]:
     return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF]
 
 
-def _about(job: Job, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
+def _about(job: Job, log_format: str | None) -> dict[str, Any]:
     return {
         "input": str(job.source),
         "format": log_format,
         "variant": "points",
         "seed": None,
-        "configuration": asdict(settings),
+        "configuration": {},
         "onto": None if job.onto is None else str(job.onto),
         "tied_at": None,
     }

@@ -20,6 +20,8 @@ from relmap.core.growing import GrowingArray
 from relmap.core.robust import fit_robust_each
 from relmap.core.slices import SLICE, StepInSlices
 
+SLICE_EVERY = 8
+"""Iterations for each slice."""
 GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
 SOUND = 0.1
@@ -135,17 +137,30 @@ class LiveRefinement:
             n = self._segments.rows.n_segments
             if self._back <= BACK or GROWTH * self._begun >= n:
                 return False
-            self._begun, self._back = n, 0
             self._step = self._begin(of)
             if self._step is None:
                 return True
         # The slices of a short run are small.
         for _ in range(np.clip(SMALL // len(self._segments.rows.segment), 1, MOST)):
-            if self._step.go_on(self._segments, self._map, of):
-                self._apply(self._step)
-                self._step = None
+            if self._go_on(of):
                 return True
         return False
+
+    def complete(self, of: Callable[[Indices], Indices]) -> None:
+        """Take a whole step over all there is, as no more is to come."""
+        self._note(of)
+        if self._segments.rows.n_segments > LEAST:
+            self._step = self._begin(of)
+        while self._step is not None:
+            self._go_on(of)
+
+    def _go_on(self, of: Callable[[Indices], Indices]) -> bool:
+        """Do a slice of the step under way; tell whether it was the last and has moved the map."""
+        if self._step is None or not self._step.go_on(self._segments, self._map, of):
+            return False
+        self._apply(self._step)
+        self._step = None
+        return True
 
     @property
     def is_busy(self) -> bool:
@@ -167,6 +182,7 @@ class LiveRefinement:
     def _begin(self, of: Callable[[Indices], Indices]) -> StepUnderWay | None:
         """Begin a Gauss-Newton step for the piece that is in view, if there is one."""
         rows = self._segments.rows
+        self._begun, self._back = rows.n_segments, 0
         piece = self._piece_in_view(rows, of)
         if piece == UNMAPPED:
             return None

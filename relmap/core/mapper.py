@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.building import MapBuilder
 from relmap.core.condensing import CondensedSegments, SegmentRows
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.identity import Identity
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.levels import GroupLevels
-from relmap.core.live import LiveRefinement
+from relmap.core.live import SLICE_EVERY, LiveRefinement
 from relmap.core.merging import Merger
 from relmap.core.observations import KeptObservations
 from relmap.core.piecewise import refine_pieces
@@ -33,14 +34,11 @@ from relmap.core.registration import (
     NearestPrevious,
     Registration,
 )
-from relmap.core.scan import checked_ids, checked_points
+from relmap.core.scan import checked_ids, checked_labels, checked_points
 from relmap.core.schedule import GroupingSchedule
 from relmap.core.seenagain import SeenAgain
 from relmap.core.sightings import Sightings
 from relmap.core.store import ObservationStore
-
-SLICE_EVERY = 8
-"""Iterations for each slice of live refinement."""
 
 
 class RelativeMapper(ABC):
@@ -55,9 +53,12 @@ class RelativeMapper(ABC):
 
     _noise_spread = 1.0
     """How many times noisier than the typical landmark the noisiest are."""
+    _unused: ClassVar[dict[str, str]] = {}
+    """Settings that the variant ignores, and why."""
 
     def __init__(self, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
+        self.config.refuse(self._unused)
         self._registration: Registration | None = None
         self._begun = 0
         self._store = ObservationStore()
@@ -129,9 +130,10 @@ class RelativeMapper(ABC):
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now.
 
-        A landmark lost and seen again has a label of its own until it is recognised.
+        A landmark lost and seen again has a label of its own until it is recognised; -1 stays.
+        A label that no update has returned raises `RelmapError`.
         """
-        labels = np.asarray(labels, dtype=np.int64)
+        labels = checked_labels(labels, np.append(self._labels, -1))
         if self._has_ids:
             return labels
         return np.where(labels >= 0, self._identity.of(labels), labels)
@@ -167,6 +169,8 @@ class RelativeMapper(ABC):
 
     def _registration_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self._registration is None:
+            if ids is not None:
+                self.config.refuse(WITH_IDS)
             self._begun = self._store.n_iterations
             self._registration = KnownAssociation() if ids is not None else self._own_registration()
         if isinstance(self._registration, KnownAssociation) != (ids is not None):

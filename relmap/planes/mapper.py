@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import UNMAPPED
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.pose import trajectory
+from relmap.core.refinement import Refined
 from relmap.core.registration import Registration
+from relmap.core.scan import checked_labels
 from relmap.durable import DurableMapper
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.basis import relative_map
@@ -22,9 +24,10 @@ from relmap.planes.merging import CornerMerger
 from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.refined_map import path_of, refined_map
 from relmap.planes.registration import PlaneRegistration
+from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.solving import tracks_astray
 from relmap.planes.stitching import stitched, weak_links
-from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
+from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
     from relmap.journal import RecordedScan
@@ -70,6 +73,7 @@ class PlaneMapper(DurableMapper):
 
     _relative_map = staticmethod(relative_map)
     _noise_spread = 3.0
+    _unused = WITH_WALLS
     _variant = "planes"
     _passing = ("_journal", "_segmenter")
 
@@ -87,6 +91,7 @@ class PlaneMapper(DurableMapper):
         )
         self._segmenter = segmenter
         self._refined_walls: tuple[Assembled, WallNumbers] | None = None
+        self._spread: NDArray[np.float64] | None = None
         self._astray = np.empty(0, dtype=np.int64)
 
     def update(self, points: Any, ids: ArrayLike | None = None) -> NDArray[np.int64]:
@@ -140,12 +145,19 @@ class PlaneMapper(DurableMapper):
             return
         best, numbers = found
         self._astray = tracks_astray(best, self._planes.history)
+        self._spread = None
         track = self._planes.history.plane[best.rows]
         self._refined_walls = best.only(~np.isin(track, self._astray)), numbers
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
-        """Return the numbers (n,) that walls, numbered by earlier updates, have now."""
-        labels = np.asarray(labels, dtype=np.int64)
+        """Return the numbers (n,) that walls, numbered by earlier updates, have now.
+
+        Raises
+        ------
+        RelmapError
+            Where no update has returned such a number.
+        """
+        labels = checked_labels(labels, np.arange(self._planes.n_planes))
         return np.asarray(self._state[1].wall_of[labels])
 
     @property
@@ -161,15 +173,22 @@ class PlaneMapper(DurableMapper):
 
     @property
     def map(self) -> LandmarkMap:
-        """The mapped corners, in ascending order of their numbers."""
-        return corner_map(self._state[0])
+        """The mapped corners, in ascending order of their numbers.
+
+        Their covariances are known once the map is refined, until the next update; (0, 3, 3) else.
+        """
+        return corner_map(self._state[0], self._covariances)
 
     @property
     def landmarks(self) -> LandmarkTable:
-        """Every corner ever seen, mapped or not."""
+        """Every corner ever seen, mapped or not.
+
+        Before refinement `sd` is that of the average behind a corner alone, along its wall.
+        """
         assembled, numbers = self._state
         chosen, dynamic = self._planes.chosen, self._builder.dynamics.dynamic[::2]
-        return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
+        history, spread = self._planes.history, self._covariances
+        return corner_table(history, numbers, assembled, chosen[dynamic], spread)
 
     @property
     def pieces(self) -> list[Piece]:
@@ -182,11 +201,31 @@ class PlaneMapper(DurableMapper):
         return [Piece(table.landmark[mapped], table.position[mapped], int(first), int(last))]
 
     @property
+    def groups(self) -> list[MappedGroup]:
+        """The groups behind the chained map, in the order in which they were placed.
+
+        Their landmarks are corners, numbered as in `landmarks`; the midpoints beside them, which
+        have no number, are left out.  Several that turned out to be one corner have one number.
+        """
+        corner = self._own_numbers.corner_of[self._planes.chosen]
+        return [corner_group(group, corner) for group in super().groups]
+
+    @property
     def group_walls(self) -> list[NDArray[np.int64]]:
         """Numbers of the walls that each group ties to one another, in the order of mapping."""
-        own = self._numbers if self._refined_walls is None else self._refined_walls[1]
-        wall = own.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
-        return [np.unique(wall[group.landmarks // 2]) for group in self.groups]
+        wall = self._own_numbers.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
+        return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
+
+    @property
+    def refined(self) -> list[Refined]:
+        """The map as refined, one piece; none before, and after a later update.
+
+        It tells how well each eight iterations, and each corner that was joined to another, fit the
+        map, and how sure the corners are, which are its landmarks.
+        """
+        if self._refined_walls is None:
+            return []
+        return [refined_walls(self._refined_walls[0], self._planes.history)]
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
@@ -236,6 +275,20 @@ class PlaneMapper(DurableMapper):
             return self._refined_walls
         numbers = self._numbers
         return assemble(self._planes.history, numbers, self._path, self._moving), numbers
+
+    @property
+    def _own_numbers(self) -> WallNumbers:
+        """Who is who in the map as it is."""
+        return self._numbers if self._refined_walls is None else self._refined_walls[1]
+
+    @property
+    def _covariances(self) -> NDArray[np.float64] | None:
+        """Of the corners of the refined map (c, 2, 2), worked out when first asked."""
+        if self._refined_walls is None:
+            return None
+        if self._spread is None:
+            self._spread = corner_covariances(self._refined_walls[0])
+        return self._spread
 
     @property
     def _numbers(self) -> WallNumbers:

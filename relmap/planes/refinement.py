@@ -111,11 +111,34 @@ class WallSystem:
 
         return residuals(self._seen, _arrays(state))
 
+    def corner_covariances(self, state: Walls, doubtful: float) -> NDArray[np.float64]:
+        """Return how sure each corner's wall and place are; (c, 3, 3).
+
+        Of the direction of the normal, radians, the distance across and the place along, metres,
+        with the first iteration where it is.
+        """
+        values = self._equations(state, doubtful, by_scan=False)[0]
+        wall = np.zeros(len(state.along), dtype=np.int64)
+        wall[self._given.corner] = self._given.wall[self._given.corner_row]
+        line = self._line[wall]
+        return self._pattern.inverse(values, np.column_stack([line, line + 1, self._corner]))
+
     def _step(
         self, state: Walls, doubtful: float, by_scan: bool
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the next step of poses (i, 3), lines (w, 2) and corners (c,)."""
-        from relmap.planes.kernels.refinement import observation_weights, pose_steps, wall_equations
+        from relmap.planes.kernels.refinement import pose_steps
+
+        values, right, away, alone = self._equations(state, doubtful, by_scan)
+        step = self._pattern.solve(values, right)
+        poses = pose_steps(self._stretches, away, alone, step)
+        return poses, step[self._line[:, None] + [0, 1]], step[self._corner]
+
+    def _equations(
+        self, state: Walls, doubtful: float, by_scan: bool
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the matrix and what else `wall_equations` gives."""
+        from relmap.planes.kernels.refinement import observation_weights, wall_equations
 
         arrays, begins = _arrays(state), (self._begin, self._corner_begin)
         off = self.residuals(state)
@@ -126,9 +149,7 @@ class WallSystem:
             self._seen, arrays, weights, begins, self._open_along, self._stretches, values
         )
         self._pattern.hold(values, LOOSE, LEAST)
-        step = self._pattern.solve(values, right)
-        poses = pose_steps(self._stretches, away, alone, step)
-        return poses, step[self._line[:, None] + [0, 1]], step[self._corner]
+        return values, right, away, alone
 
     def _prepare(self) -> None:
         """Find out which unknowns stand together in the equations, and where.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, in_space
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, in_space
 from relmap.planes.assembly import OFTEN, Assembled, WallNumbers, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import wall_extents
@@ -101,11 +101,20 @@ def _mapped(
     return base[:, None] + reach[:, :, None] * along[:, None], normal, corner
 
 
-def corner_map(assembled: Assembled | None) -> LandmarkMap:
-    """Return the mapped corners, in ascending order of their numbers."""
+def corner_map(assembled: Assembled | None, spread: NDArray[np.float64] | None) -> LandmarkMap:
+    """Return the mapped corners, in ascending order of their numbers.
+
+    Parameters
+    ----------
+    assembled : Assembled or None
+    spread : (c, 2, 2) float64 or None
+        Covariances of the corners, square metres, where they are known.
+    """
     if assembled is None:
         return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
-    return LandmarkMap(assembled.corners, in_space(assembled.corner_at))
+    covariances = np.zeros((0 if spread is None else len(spread), 3, 3))
+    covariances[:, :2, :2] = np.empty((0, 2, 2)) if spread is None else spread
+    return LandmarkMap(assembled.corners, in_space(assembled.corner_at), covariances)
 
 
 def corner_table(
@@ -113,6 +122,7 @@ def corner_table(
     numbers: WallNumbers,
     assembled: Assembled | None,
     moving: NDArray[np.int64],
+    spread: NDArray[np.float64] | None,
 ) -> LandmarkTable:
     """Return the table of all corners but those that turned out to be none.
 
@@ -124,6 +134,8 @@ def corner_table(
         Where the mapped ones are.
     moving : (k,) int64
         Corners that were seen moving.
+    spread : (c, 2, 2) float64 or None
+        Covariances of the mapped ones, square metres, where they are known.
     """
     row, end = np.nonzero(history.corner >= 0)
     corner = numbers.corner_of[history.corner[row, end]]
@@ -139,6 +151,8 @@ def corner_table(
     if assembled is not None:
         there = np.searchsorted(label, assembled.corners)
         position[there], sd[there] = in_space(assembled.corner_at), assembled.corner_sd
+        if spread is not None:
+            sd[there] = np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
         status[there], level[there] = "static", 3
     return LandmarkTable(
         landmark=label,
@@ -151,4 +165,21 @@ def corner_table(
         status=status,
         piece=np.where(status == "static", 0, -1),
         moving_bin=np.full(n, -1),
+    )
+
+
+def corner_group(group: MappedGroup, corner: NDArray[np.int64]) -> MappedGroup:
+    """Return a group of corners and midpoints without these, by the numbers of corners.
+
+    Parameters
+    ----------
+    group : MappedGroup
+        Of landmarks numbered as by `PlaneRegistration`.
+    corner : (k,) int64
+        Number of the corner at each place; -1 for what turned out to be none.
+    """
+    number = np.where(group.landmarks % 2 == 0, corner[group.landmarks // 2], -1)
+    own = number >= 0
+    return MappedGroup(
+        number[own], group.relative_map[own], group.n_observations[own], group.iterations
     )

@@ -80,12 +80,15 @@ class PointMapper(DurableMapper):
         super().refine()
 
     def finish(self) -> None:
-        """Map what is left, and without ids tie pieces that show the same place.
+        """Map what is left, spread what has drifted since, and without ids tie pieces.
 
-        Landmarks that turn out to be the same are merged on the way: see `landmarks_of`.
+        Those that show the same place become one.  Landmarks that turn out to be the same are
+        merged on the way: see `landmarks_of`.
         """
         self._finder = None
         super().finish()
+        self._live.complete(self._identity.of)
+        self._seen_again.merger.look_again()
         if not self._has_ids:
             self._seen_again.tie_pieces()
 

@@ -7,15 +7,22 @@ from numpy.typing import NDArray
 
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
+from relmap.core.registration import NearestPrevious, Registration
 from relmap.evaluation.methods.base import Method, MethodInfo
 from relmap.points.mapper import PointMapper
 
-PAPER = MapperConfig(registration="nearest-previous", max_missed=0)
-"""As sections II and III have it: matched to the previous iteration alone, gone once missed."""
+PAPER = MapperConfig(max_missed=0)
+"""As sections II and III have it: gone once missed."""
 
 
 class PaperPointMapper(PointMapper):
-    """Takes no step of refinement on the way: the paper has none."""
+    """Takes no step of refinement on the way, which the paper has none of.
+
+    Where no ids are given, scans are matched to the previous iteration alone.
+    """
+
+    def _own_registration(self) -> Registration:
+        return NearestPrevious(None)
 
     def _refine_next(self) -> bool:
         return False
