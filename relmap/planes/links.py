@@ -1,0 +1,81 @@
+"""Which links between a scan and those before are believed; where none is, a submap ends.
+
+A motion that nothing measured would be invented, and one that few walls tell may be wrong: from
+there on the whole map would lie elsewhere.  So the run breaks, and goes on in a frame of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.matching import Match
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.placement import worth
+from relmap.planes.tracks import PlaneTracks
+
+SUPPORTED = 0.375
+"""Share of the walls and corners of the poorer side that must agree on a motion."""
+JUMP_M, JUMP = 0.5, 3.0
+"""A step longer than this and so many usual ones is a jump."""
+USUAL, KNOWN = 200, 5
+"""Last steps that tell which are usual, and how few do not."""
+CROSSING = np.sin(np.deg2rad(10.0)) ** 2
+"""Walls whose directions spread less than by this hold no motion along themselves."""
+VARYING = 20
+"""So many steps tell how much the speed varies."""
+UNSURE = 0.05
+"""Share of a step that is not known at least, where the robot is taken to go on as before."""
+ASTRAY_M = 1.0
+"""What is not known along a wall in a row ends the submap where it may add up to this."""
+
+
+def believed(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+    """Tell whether enough of the walls expected and of those seen agree on a motion."""
+    recent = tracks.missed == tracks.missed.min(initial=0)
+    return match.score >= SUPPORTED * min(worth(tracks, seen, recent))
+
+
+def farthest_m(before: NDArray[np.float64]) -> float:
+    """Return how far a robot goes at most from one scan to the next, metres.
+
+    Parameters
+    ----------
+    before : (n, 3) float64
+        yaw, x, y of all motions so far.
+    """
+    if len(before) < KNOWN:
+        return np.inf
+    return JUMP_M + JUMP * float(np.median(_lengths(before[-USUAL:])))
+
+
+def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+    """Tell whether matched walls tell the whole motion: by a corner, or as they cross."""
+    known = np.isfinite(tracks.corner_at[match.tracks, :, 0])
+    if (known & seen.static[match.walls]).any():
+        return True
+    of = np.zeros(len(match.walls), dtype=np.int64)
+    return bool(spread(seen.along[match.walls], of, 1)[0] >= CROSSING)
+
+
+def unsure_m(before: NDArray[np.float64]) -> float:
+    """Return by how much the length of a step may be off where nothing measures it, metres.
+
+    As much as the last motions that were measured, of those (n, 3) so far, differ.
+    """
+    low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.1, 0.5, 0.9))
+    return float(max((high - low) / 2, UNSURE * middle))
+
+
+def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hypot(motions[:, 1], motions[:, 2])
+
+
+def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+    """Return how much the directions (k, 2) of the walls of each of n scans spread, (n,).
+
+    The smaller eigenvalue of the sum of the directions' outer products.
+    """
+    x, y = along.T
+    xx, xy, yy = (np.bincount(of, v, minlength=n) for v in (x * x, x * y, y * y))
+    return np.asarray((xx + yy) / 2 - np.hypot((xx - yy) / 2, xy))
