@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,6 +69,18 @@ class PlaneHistory:
     def submap(self) -> NDArray[np.int64]:
         """Submap of each iteration; (i,), -1 where nothing ties it to any."""
         return self._submap.values
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First iteration of each submap and one after its last, those of most iterations first."""
+        edges = np.flatnonzero(np.diff(self.submap, prepend=-1, append=-1)).tolist()
+        spans = [(a, b) for a, b in pairwise(edges) if self.submap[a] >= 0]
+        return sorted(spans, key=lambda span: span[0] - span[1])
+
+    def within(self, span: tuple[int, int]) -> slice:
+        """Return the rows of the iterations from the first of a span up to its end."""
+        begin, end = np.searchsorted(self.iteration, span).tolist()
+        return slice(begin, end)
 
     def append(
         self,

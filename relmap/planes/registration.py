@@ -63,6 +63,7 @@ class PlaneRegistration:
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._place: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._chosen: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.planes = np.empty(0, dtype=np.int64)
@@ -83,6 +84,11 @@ class PlaneRegistration:
     def wall_end(self) -> NDArray[np.int64]:
         """Wall end of each corner: twice the number of the wall, and 1 more for its left end."""
         return self._wall_end.values
+
+    @property
+    def submap_of(self) -> NDArray[np.int64]:
+        """Submap of each corner."""
+        return self._submap_of.values
 
     @property
     def chosen(self) -> NDArray[np.int64]:
@@ -163,6 +169,7 @@ class PlaneRegistration:
         corners = tracks.corner[row, end]
         corners[fresh] = len(self._half) + np.arange(fresh.sum())
         self._half.extend(seen.size[wall[fresh]] / 2)
+        self._submap_of.extend(np.full(fresh.sum(), self._n_submaps - 1))
         self._wall_end.extend(2 * self.planes[wall[fresh]] + end[fresh])
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]

@@ -111,7 +111,7 @@ def corner_map(assembled: Assembled | None) -> LandmarkMap:
 def corner_table(
     history: PlaneHistory,
     numbers: WallNumbers,
-    assembled: Assembled | None,
+    submaps: list[Assembled | None],
     moving: NDArray[np.int64],
 ) -> LandmarkTable:
     """Return the table of all corners but those that turned out to be none.
@@ -120,8 +120,8 @@ def corner_table(
     ----------
     history : PlaneHistory
     numbers : WallNumbers
-    assembled : Assembled or None
-        Where the mapped ones are.
+    submaps : list of Assembled or None
+        Where those of each submap are; mapped are those of the first.
     moving : (k,) int64
         Corners that were seen moving.
     """
@@ -135,9 +135,14 @@ def corner_table(
     np.maximum.at(last, at, history.iteration[row])
     position, sd = np.full((n, 3), np.nan), np.full(n, np.nan)
     status = np.where(np.isin(label, moving), "dynamic", "unmapped")
-    level = np.zeros(n, dtype=np.int64)
-    if assembled is not None:
+    level, piece = np.zeros(n, dtype=np.int64), np.full(n, -1)
+    for number, assembled in enumerate(submaps):
+        if assembled is None:
+            continue
         there = np.searchsorted(label, assembled.corners)
+        piece[there] = number
+        if number > 0:
+            continue
         position[there], sd[there] = in_space(assembled.corner_at), assembled.corner_sd
         status[there], level[there] = "static", 3
     return LandmarkTable(
@@ -149,6 +154,6 @@ def corner_table(
         last_iteration=last,
         level=level,
         status=status,
-        piece=np.where(status == "static", 0, -1),
+        piece=piece,
         moving_bin=np.full(n, -1),
     )
