@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from relmap.planes.matching import Match
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import worth
+from relmap.planes.placement import LEVER_M, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
@@ -26,6 +26,8 @@ VARYING = 20
 """So many steps tell how much the speed varies."""
 UNSURE = 0.05
 """Share of a step that is not known at least, where the robot is taken to go on as before."""
+TORN_M = 1.0
+"""A map is torn where it disagrees with a link by more."""
 ASTRAY_M = 1.0
 """What is not known along a wall in a row ends the submap where it may add up to this."""
 
@@ -63,12 +65,33 @@ def unsure_m(before: NDArray[np.float64]) -> float:
 
     As much as the last motions that were measured, of those (n, 3) so far, differ.
     """
-    low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.1, 0.5, 0.9))
+    low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
     return float(max((high - low) / 2, UNSURE * middle))
 
 
 def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.hypot(motions[:, 1], motions[:, 2])
+
+
+def disagreement(
+    poses: NDArray[np.float64], motions: NDArray[np.float64]
+) -> tuple[int, float]:
+    """Return at how many links a path is torn, and how far off it is at the others on average.
+
+    As the motions that were measured from scan to scan have it; metres.
+
+    Parameters
+    ----------
+    poses : (k, 4, 4) float64
+    motions : (k, 3) float64
+        yaw, x, y from the robot frame before into that of each iteration.
+    """
+    relative = np.linalg.inv(poses[1:]) @ poses[:-1]
+    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
+    off_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
+    off_m += LEVER_M * np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    torn = off_m > TORN_M
+    return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
 
 
 def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:

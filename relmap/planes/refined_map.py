@@ -6,6 +6,8 @@ that are one wall are one.
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,12 @@ from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
+from relmap.planes.links import disagreement
 from relmap.planes.solving import refined, refined_to_the_noise
 from relmap.planes.stitching import stitched, without_strays
 from relmap.planes.submaps import Submap, among_all
+
+_LOG = logging.getLogger(__name__)
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
@@ -23,6 +28,8 @@ CLOSED = 3
 """How often loops are looked for, each time with less drift left."""
 ROUGHLY = ((1, 20.0), (1, 8.0), (2, 5.0))
 """Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
+WORSE_M = 0.1
+"""How much farther off the links a refined map may be than the chained one: they are rough."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
 
@@ -50,7 +57,7 @@ def refined_map(
     Returns
     -------
     (submap, numbers) or None
-        None where nothing is mapped.
+        None where nothing is mapped, or refining does not settle or makes it worse.
     """
     span = chained.span
     first = assemble(history, numbers, among_all(chained.poses, span, history), moving)
@@ -70,7 +77,22 @@ def refined_map(
             again = assemble(history, numbers, path, moving)
             best = best if again is None else refined(again, rounds)
     best = refined_to_the_noise(best)
-    return Submap(span, poses_of(best, span, history), best, refined=True), numbers
+    found = Submap(span, poses_of(best, span, history), best, refined=True)
+    return (found, numbers) if _better(found, chained, history.motion[slice(*span)]) else None
+
+
+def _better(found: Submap, chained: Submap, motions: NDArray[np.float64]) -> bool:
+    """Tell whether a refined map settled and agrees with the links between its scans."""
+    assert found.assembled is not None
+    torn, off_m = disagreement(found.poses, motions)
+    torn_before, off_before_m = disagreement(chained.poses, motions)
+    if not found.assembled.settled:
+        _LOG.warning("scans %d:%d: refining does not settle; they stay as chained", *found.span)
+    elif torn > torn_before or off_m > off_before_m + WORSE_M:
+        _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *found.span)
+    else:
+        return True
+    return False
 
 
 def poses_of(
