@@ -75,11 +75,10 @@ def plane_table(
     corner = np.full((n, 2), -1)
     status = np.where(np.isin(plane, numbers.wall_of[moving]), "dynamic", "unmapped")
     if assembled is not None:
-        at = np.searchsorted(plane, assembled.walls)
-        ends[at], normal[at], corner[at] = _mapped(assembled)
-        seen_often = count[at] >= OFTEN
-        status[at[seen_often]] = "static"
-        ends[at[~seen_often]] = np.nan
+        often = _often(assembled)
+        at = np.searchsorted(plane, assembled.walls[often])
+        ends[at], normal[at], corner[at] = (part[often] for part in _mapped(assembled))
+        status[at] = "static"
     return PlaneTable(plane, ends, z, normal, corner, count, first, last, status)
 
 
@@ -90,22 +89,46 @@ def _mapped(
     state = assembled.state
     normal, along = directions(state.angle)
     reach = np.column_stack(wall_extents(assembled))
+    at_end = _at_ends(assembled)
+    wall, end = np.nonzero(at_end >= 0)
+    compact = at_end[wall, end]
     corner = np.full(reach.shape, -1)
-    end = np.zeros(len(assembled.corners), dtype=np.int64)
-    end[assembled.given.corner] = assembled.given.corner_end
-    seen = np.bincount(assembled.given.corner, minlength=len(assembled.corners))
-    for k in np.argsort(seen, kind="stable"):  # of several the one seen most often is last
-        wall = assembled.corner_wall[k]
-        reach[wall, end[k]], corner[wall, end[k]] = state.along[k], assembled.corners[k]
+    reach[wall, end], corner[wall, end] = state.along[compact], assembled.corners[compact]
     base = state.centre + state.across[:, None] * normal
     return base[:, None] + reach[:, :, None] * along[:, None], normal, corner
+
+
+def _often(assembled: Assembled) -> NDArray[np.bool_]:
+    """Tell which walls (w,) were seen often enough to be mapped."""
+    given = assembled.given
+    return np.asarray(np.bincount(given.wall, minlength=len(assembled.walls)) >= OFTEN)
+
+
+def _at_ends(assembled: Assembled) -> NDArray[np.int64]:
+    """Return the corner (w, 2) at either end of each wall, in compact numbers; -1 for none."""
+    given = assembled.given
+    corner = np.full((len(assembled.walls), 2), -1)
+    end = np.zeros(len(assembled.corners), dtype=np.int64)
+    end[given.corner] = given.corner_end
+    seen = np.bincount(given.corner, minlength=len(assembled.corners))
+    wall = assembled.corner_wall
+    for k in np.argsort(seen, kind="stable").tolist():  # of several the one seen most often is last
+        corner[wall[k], end[k]] = k
+    return corner
+
+
+def _mapped_corners(assembled: Assembled) -> NDArray[np.int64]:
+    """Return the corners (k,), compact and ascending, that are an end of a mapped wall."""
+    at_end = _at_ends(assembled)[_often(assembled)]
+    return np.unique(at_end[at_end >= 0])
 
 
 def corner_map(assembled: Assembled | None) -> LandmarkMap:
     """Return the mapped corners, in ascending order of their numbers."""
     if assembled is None:
         return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
-    return LandmarkMap(assembled.corners, in_space(assembled.corner_at))
+    mapped = _mapped_corners(assembled)
+    return LandmarkMap(assembled.corners[mapped], in_space(assembled.corner_at[mapped]))
 
 
 def corner_table(
@@ -139,11 +162,13 @@ def corner_table(
     for number, assembled in enumerate(submaps):
         if assembled is None:
             continue
-        there = np.searchsorted(label, assembled.corners)
+        mapped = _mapped_corners(assembled)
+        there = np.searchsorted(label, assembled.corners[mapped])
         piece[there] = number
         if number > 0:
             continue
-        position[there], sd[there] = in_space(assembled.corner_at), assembled.corner_sd
+        position[there] = in_space(assembled.corner_at[mapped])
+        sd[there] = assembled.corner_sd[mapped]
         status[there], level[there] = "static", 3
     return LandmarkTable(
         landmark=label,
