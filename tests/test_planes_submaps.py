@@ -159,16 +159,17 @@ def test_steps_of_refinement_are_bounded(monkeypatch: pytest.MonkeyPatch) -> Non
 def make_broken(tmp_path: Path) -> Path:
     """A log that shows one building and then, without a way between, another."""
     logs = []
-    for seed in ("3", "11"):
-        options = ["--points", "400", "--sigma", "0.01", "--iterations", "30", "--seed", seed]
-        sampled = [*options, "--sampling", "laser"]
+    for seed, begin in (("3", 0), ("11", 60)):
+        options = ["--points", "400", "--sigma", "0.01", "--seed", seed, "--sampling", "laser"]
+        sampled = [*options, "--iterations", str(begin + 30)]
         assert main(["simulate", "building", "-o", str(tmp_path / seed), *sampled]) == 0
-        logs.append(dict(np.load(tmp_path / seed / "scans.npz")))
-    first, second = logs
-    log = {name: values for name, values in first.items()}
-    log["points"] = np.concatenate([first["points"], second["points"]])
-    log["iteration"] = np.concatenate([first["iteration"], second["iteration"] + 30])
-    log["stamps_s"] = np.concatenate([first["stamps_s"], second["stamps_s"] + 100.0])
+        log = dict(np.load(tmp_path / seed / "scans.npz"))
+        kept = log["iteration"] >= begin
+        logs.append((log, log["points"][kept], log["iteration"][kept] - begin))
+    (log, *first), (_, *second) = logs
+    log["points"] = np.concatenate([first[0], second[0]])
+    log["iteration"] = np.concatenate([first[1], second[1] + 30])
+    log["stamps_s"] = np.arange(60.0)
     (tmp_path / "log").mkdir()
     np.savez(tmp_path / "log" / "scans.npz", **log)
     return tmp_path / "log"

@@ -71,7 +71,10 @@ def map_scans(job: Job) -> tuple[PlaneRun, int]:
     view = log.sensor
     segmenter = PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
     every = frame_step(len(log)) if job.animate else 0
-    with staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging, ExitStack() as afterwards:
+    with (
+        staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging,
+        ExitStack() as afterwards,
+    ):
         mapper = job.mapper(PlaneMapper)
         afterwards.callback(mapper.close)
         before_s = log.stamps_s[: len(seen)].tolist()

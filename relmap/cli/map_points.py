@@ -83,7 +83,10 @@ def map_points(job: Job) -> Run:
     if job.interval is not None:
         log = log.between(*job.interval)
     check_association(log, job.association, source)
-    with staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging, ExitStack() as afterwards:
+    with (
+        staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging,
+        ExitStack() as afterwards,
+    ):
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
             tied = job.onto is None or job.association == "known"

@@ -73,9 +73,7 @@ def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.hypot(motions[:, 1], motions[:, 2])
 
 
-def disagreement(
-    poses: NDArray[np.float64], motions: NDArray[np.float64]
-) -> tuple[int, float]:
+def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[int, float]:
     """Return at how many links a path is torn, and how far off it is at the others on average.
 
     As the motions that were measured from scan to scan have it; metres.

@@ -229,7 +229,7 @@ class PlaneMapper(DurableMapper):
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN beyond the first submap."""
+        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN beyond the map."""
         history, submaps = self._planes.history, self.submaps
         if not submaps:
             return np.full((history.n_iterations, 4, 4), np.nan)

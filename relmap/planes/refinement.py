@@ -145,7 +145,10 @@ class WallSystem:
                 state.along + corners,
             )
             step = np.abs(np.concatenate([poses.ravel(), lines.ravel(), corners]))
-            if np.abs(poses[:, 1:]).max() <= farthest_m and np.abs(poses[:, 0]).max() <= FARTHEST_RAD:
+            if (
+                np.abs(poses[:, 1:]).max() <= farthest_m
+                and np.abs(poses[:, 0]).max() <= FARTHEST_RAD
+            ):
                 return after, step
             firmer *= FIRMER
         return None

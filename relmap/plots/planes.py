@@ -98,9 +98,7 @@ def plot_submaps(
     return figure
 
 
-def draw_map(
-    axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]
-) -> tuple[int, int]:
+def draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return how many walls and corners."""
     mapped = planes.status == "static"
     draw_walls(axes, planes.ends[mapped], WALL, 1.0, "wall")
