@@ -22,6 +22,8 @@ USUAL, KNOWN = 200, 5
 """Last steps that tell which are usual, and how few do not."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
 """Walls whose directions spread less than by this hold no motion along themselves."""
+STEADY = 5
+"""Scans whose typical motion the robot is expected to go on with."""
 VARYING = 20
 """So many steps tell how much the speed varies."""
 UNSURE = 0.05
@@ -33,9 +35,12 @@ ASTRAY_M = 1.0
 
 
 def believed(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
-    """Tell whether enough of the walls expected and of those seen agree on a motion."""
+    """Tell whether enough of the walls expected and of those seen agree on a motion.
+
+    One that does not is nothing: it may be a speck, or just have come into view.
+    """
     recent = tracks.missed == tracks.missed.min(initial=0)
-    return match.score >= SUPPORTED * min(worth(tracks, seen, recent))
+    return match.score >= SUPPORTED * (min(worth(tracks, seen, recent)) - 1)
 
 
 def farthest_m(before: NDArray[np.float64]) -> float:
@@ -63,10 +68,11 @@ def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) ->
 def unsure_m(before: NDArray[np.float64]) -> float:
     """Return by how much the length of a step may be off where nothing measures it, metres.
 
-    As much as the last motions that were measured, of those (n, 3) so far, differ.
+    It is taken for the median of the last motions that were measured, of those (n, 3) so far: that
+    is the less sure the more they differ.
     """
     low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
-    return float(max((high - low) / 2, UNSURE * middle))
+    return float(max((high - low) / 2 / np.sqrt(STEADY), UNSURE * middle))
 
 
 def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:

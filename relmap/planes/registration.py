@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from relmap.core.growing import GrowingArray
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import ASTRAY_M, believed, farthest_m, measured_along, unsure_m
+from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
@@ -29,10 +29,6 @@ LONG_M = 4.0
 """Walls longer than this are as good as any."""
 FAMILIAR = 8
 """Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
-
-
-STEADY = 5
-"""Scans whose typical motion the robot is expected to go on with."""
 
 
 class PlaneRegistration:
