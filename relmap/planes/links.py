@@ -53,7 +53,8 @@ def farthest_m(before: NDArray[np.float64]) -> float:
     """
     if len(before) < KNOWN:
         return np.inf
-    return JUMP_M + JUMP * float(np.median(_lengths(before[-USUAL:])))
+    last = np.sort(_lengths(before[-USUAL:]))
+    return JUMP_M + JUMP * float(last[len(last) // 2])
 
 
 def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
