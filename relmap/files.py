@@ -69,7 +69,8 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
     folder : Path
         Where the files go; it is made if need be, with the folders above it.
     stale : sequence of str
-        Names of files in ``folder`` that the new files put out of date; deleted at the end.
+        Names of files in ``folder`` that the new files put out of date; deleted at the end, but
+        for those that were written anew.
 
     Yields
     ------
@@ -88,8 +89,9 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".relmap-", dir=folder))
         yield staging
+        written = {path.name for path in staging.iterdir()}
         _move_files(staging, folder)
-        for name in stale:
+        for name in set(stale) - written:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise RelmapError(f"cannot write into {shown(folder)}: {_reason(error)}") from error

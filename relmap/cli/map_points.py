@@ -77,7 +77,10 @@ def map_points(job: Job) -> Run:
 
     source = job.at(job.source)
     log = _read(job, source)
-    with staged_folder(job.at(job.out), _stale()) as staging, ExitStack() as afterwards:
+    with (
+        staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging,
+        ExitStack() as afterwards,
+    ):
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
             tied = job.onto is None or job.association == "known"
@@ -112,12 +115,12 @@ def _read(job: Job, source: Path) -> ObservationLog:
     return log
 
 
-def _stale() -> list[str]:
+def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
-    from relmap.planefiles import PLANES
+    from relmap.planefiles import PLANES, submap_files
     from relmap.results import EVALUATION
 
-    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF]
+    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 
 
 def _about(job: Job, log_format: str | None) -> dict[str, Any]:

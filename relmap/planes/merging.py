@@ -58,8 +58,11 @@ class CornerMerger(Merger):
 
     def _may_be(self, new: int, old: int) -> bool:
         """Tell whether a corner may be an older one: the same end of a wall with its direction."""
-        ends = self._planes.wall_end[self._planes.chosen]
-        if ends[new // 2] % 2 != ends[old // 2] % 2 or not super()._may_be(new, old):
+        corners = self._planes.chosen[[new // 2, old // 2]]
+        ends, submaps = self._planes.wall_end[corners], self._planes.submap_of[corners]
+        if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
+            return False
+        if not super()._may_be(new, old):
             return False
         positions = self._map.positions
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
