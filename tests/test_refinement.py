@@ -168,7 +168,7 @@ def deviations_by_qr(world: Walk, sigma: float) -> Points:
     J = jacobian(world)
     root = np.linalg.inv(np.linalg.qr(J, mode="r"))[-world.landmarks.size :]
     squares = np.sum(root**2, axis=1).reshape(world.landmarks.shape)
-    return sigma * np.sqrt(squares.mean(axis=1))
+    return np.asarray(sigma * np.sqrt(squares.mean(axis=1)))
 
 
 @pytest.mark.parametrize(("d", "length"), [(2, 400), (3, 150)])
