@@ -7,6 +7,7 @@ import logging
 import lzma
 import warnings
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +32,13 @@ SOME = 60
 
 
 @pytest.fixture
-def quiet() -> None:
+def quiet() -> Iterator[None]:
     """Let warnings of numpy pass: they are no traceback, and the command line turns them off."""
     logging.disable()
-    warnings.simplefilter("ignore")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+    logging.disable(logging.NOTSET)
 
 
 @pytest.mark.parametrize("name", READERS)
