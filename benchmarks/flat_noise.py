@@ -7,6 +7,7 @@ Figure eight, sigma 0.05, known association; the noise is uniform or Gaussian, o
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +48,10 @@ def squares(mapper: PointMapper, world: FigureEight) -> NDArray[np.float64]:
     return np.asarray(np.mean((found.positions - there) ** 2 / variances, axis=0))
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.parse_args()
     print("| noise | density | seeds | power | RMSE / least squares | normalised squares |")
     print("|---|---|---|---|---|---|")
     for noise, density, seeds in RUNS:
@@ -63,3 +67,7 @@ if __name__ == "__main__":
         mean = ", ".join(f"{square:.2f}" for square in np.mean(normalised, axis=0))
         power = ", ".join(f"{power:g}" for power in sorted(powers))
         print(f"| {noise} | {density} | {seeds} | {power} | {share} | {mean} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -10,7 +10,7 @@ independently (relmap/evaluation/baselines/batch.py).
 
 from __future__ import annotations
 
-import sys
+import argparse
 from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
@@ -224,14 +224,22 @@ def rmse_of(
     return rmse(positions[there], reference.positions[at, :2])
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print all figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
+    data = parser.parse_args().data
     measured(simulate_figure_eight(density=100, iterations=300).log, known=True)  # compiles
     print("| bar | found | asked |\n|---|---|---|")
     accuracy()
     exactness()
     consistency()
     stalls()
-    if len(sys.argv) > 1:
-        mrpt(Path(sys.argv[1]))
-        victoria_park(Path(sys.argv[1]))
+    if data is not None:
+        mrpt(data)
+        victoria_park(data)
     scaling()
+
+
+if __name__ == "__main__":
+    main()

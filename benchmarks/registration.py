@@ -9,7 +9,7 @@ without it only the figure eight is measured. "Often" is at least ten times.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -247,10 +247,18 @@ def cost(iterations: int = 300, warm_up: int = 20) -> None:
         print(f"  {visible:4.0f} visible{tree:34.3f}{match:16.3f}{match / tree:8.1f}", flush=True)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Print all figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
+    data = parser.parse_args().data
     cost()
     figure_eight()
-    if len(sys.argv) > 1:
-        mrpt(Path(sys.argv[1]))
-        victoria_park(Path(sys.argv[1]))
-        small_robots(Path(sys.argv[1]))
+    if data is not None:
+        mrpt(data)
+        victoria_park(data)
+        small_robots(data)
+
+
+if __name__ == "__main__":
+    main()

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.tables import MAX_RESULT_M
 
 MAX_TEXT = 1 << 26
 """Characters of a text that is read at once; JSON takes twenty times as much memory."""
@@ -69,7 +69,8 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
     folder : Path
         Where the files go; it is made if need be, with the folders above it.
     stale : sequence of str
-        Names of files in ``folder`` that the new files put out of date; deleted at the end.
+        Names of files in ``folder`` that the new files put out of date; deleted at the end, but
+        for those that were written anew.
 
     Yields
     ------
@@ -88,8 +89,9 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         staging = Path(tempfile.mkdtemp(prefix=".relmap-", dir=folder))
         yield staging
+        written = {path.name for path in staging.iterdir()}
         _move_files(staging, folder)
-        for name in stale:
+        for name in set(stale) - written:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
         raise RelmapError(f"cannot write into {shown(folder)}: {_reason(error)}") from error
@@ -159,9 +161,10 @@ def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float
     Raises
     ------
     RelmapError
-        Where a stamp or pose is not finite or the file cannot be written.
+        Where a stamp or pose is not finite, a pose is beyond what `read_tum` takes, or the file
+        cannot be written.
     """
-    if not (np.isfinite(stamps_s).all() and np.isfinite(poses).all()):
+    if not (np.isfinite(stamps_s).all() and (np.abs(poses) <= MAX_RESULT_M).all()):
         raise RelmapError(
             f"cannot write {shown(path)}: a stamp or pose of the trajectory is not finite"
         )
@@ -216,7 +219,7 @@ def _tum_row(where: str, line: str) -> list[float]:
             row.append(float(cell))
         except ValueError:
             raise RelmapError(f"{where}: {quoted(cell)} is not a number") from None
-    if not (np.isfinite(row).all() and max(map(abs, row[1:4])) <= MAX_COORDINATE_M):
+    if not (np.isfinite(row).all() and max(map(abs, row[1:4])) <= MAX_RESULT_M):
         raise RelmapError(f"{where}: {quoted(line)} holds a number that no pose can have")
     if not 0.1 < max(map(abs, row[4:])) < 10:
         raise RelmapError(f"{where}: the quaternion qx qy qz qw is not of unit length")

@@ -13,12 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core import readout, turns
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
 from relmap.core.refinement import Refined
+from relmap.core.registration import KnownAssociation
+from relmap.core.scan import checked_labels
 
 if TYPE_CHECKING:
     from relmap.journal import Journal, JournalReader, RecordedScan
@@ -43,6 +45,8 @@ class Mapper(ABC):
     """
 
     _variant: ClassVar[str]
+    _unused: ClassVar[dict[str, str]] = {}
+    """Settings that the variant ignores, and why."""
     _passing: ClassVar[tuple[str, ...]] = ("_journal",)
     """What is not saved."""
 
@@ -53,6 +57,7 @@ class Mapper(ABC):
         run: dict[str, Any] | None = None,
     ) -> None:
         self.config = config or MapperConfig()
+        self.config.refuse(self._unused)
         self._engine = RelativeMapper(self._model(), self.config)
         self._journal: Journal | None = None
         if journal is not None:
@@ -75,12 +80,19 @@ class Mapper(ABC):
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now.
 
-        A landmark lost and seen again has a label of its own until it is recognised.
+        A landmark lost and seen again has a label of its own until it is recognised; -1 stays.
+        A label that no update has returned raises `RelmapError`.
         """
-        labels = np.asarray(labels, dtype=np.int64)
+        labels = checked_labels(labels, np.append(readout.labels(self._engine), -1))
         if self._engine.has_ids:
             return labels
         return np.where(labels >= 0, self._engine.table.landmark_of[labels], labels)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings that the mapper makes use of, by name."""
+        is_known = isinstance(self._engine.association, KnownAssociation)
+        return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
     def n_iterations(self) -> int:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from relmap.files import atomic_write
+from relmap.files import atomic_write, write_tum
 from relmap.planes.table import PlaneTable
 from relmap.tables import Kind, csv_text, read_table
 
@@ -59,6 +61,25 @@ def write_planes(folder: Path, table: PlaneTable) -> None:
     ]
     text = csv_text(list(COLUMNS), zip(*columns, strict=True))
     atomic_write(folder / PLANES, text)
+
+
+def write_submaps(
+    folder: Path, submaps: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
+) -> None:
+    """Write the times (k,) and poses (k, 4, 4) of all submaps but the first: ``submap-K.tum``.
+
+    Raises
+    ------
+    RelmapError
+        Where a file cannot be written.
+    """
+    for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
+        write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
+
+
+def submap_files(folder: Path) -> list[str]:
+    """Return the names of the files of submaps that are in a folder."""
+    return sorted(path.name for path in folder.glob("submap-*.tum"))
 
 
 def read_planes(folder: Path) -> PlaneTable:

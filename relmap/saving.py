@@ -2,7 +2,8 @@
 
 The file is an ``.npz`` of numpy, not compressed: one flat array for each type of number, and
 ``graph``, a text in JSON (as bytes) that tells which objects there are and how they hang together.
-An object is told by its class, one of relmap's own, and its attributes.  What is shared stays shared.
+An object is told by its class, one of relmap's own, and its attributes.  What is shared stays
+shared.
 """
 
 from __future__ import annotations
@@ -205,7 +206,7 @@ def load_state(path: Path, cls: type, saved_by: str = "versions") -> Any:
         Where there is no such file, it is damaged, or it holds something else.
     """
     if not path.is_file():
-        raise RelmapError(f"there is no saved map {path}")
+        raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")
     try:
         arrays = _read_arrays(path)
         content = json.loads(arrays.pop(_GRAPH).tobytes())

@@ -19,7 +19,14 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 Kind = Literal["int", "float", "float or empty", "text"]
-"""What a column of a table holds; ``float or empty`` reads an empty cell as NaN."""
+"""What a column of a table holds.
+
+``float`` is measured or given, at most `MAX_COORDINATE_M`; ``float or empty`` is computed, at most
+`MAX_RESULT_M`, and an empty cell reads as NaN.
+"""
+
+MAX_RESULT_M = 1e70
+"""Where a map or a path may have drifted to, metres: squares of that are still finite."""
 
 MAX_WORD = 32
 """Characters of a text at most: numpy gives all texts of a column the room of the longest."""
@@ -134,7 +141,8 @@ class _Column:
         if not text and self._kind == "float or empty":
             return math.nan
         value = float(text)
-        if not abs(value) <= MAX_COORDINATE_M:
+        limit = MAX_RESULT_M if self._kind == "float or empty" else MAX_COORDINATE_M
+        if not abs(value) <= limit:
             raise ValueError
         return value
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,12 @@ from hypothesis import HealthCheck, settings
 import relmap
 from relmap.cli import main
 from tests.commands import GOOD, Check, snapshot
+from tests.everyformat import WALLS, Mapped, write_points, write_walls
 
 os.environ["MPLBACKEND"] = "Agg"
+# A shell starts what runs in the background without Ctrl-C, and so would be the tests' commands.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -98,3 +103,29 @@ def refused(place: Path, capsys: pytest.CaptureFixture[str]) -> Check:
         return printed.err
 
     return check
+
+
+@pytest.fixture(scope="session")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with every format."""
+    folder = tmp_path_factory.mktemp("formats")
+    write_points(folder)
+    write_walls(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def mapped(logs: Path) -> Mapped:
+    """Return what maps a log once, and gives its result folder."""
+    done: dict[str, Path] = {}
+
+    def result_of(source: str) -> Path:
+        if source not in done:
+            walls = source in [name for _, name in WALLS]
+            out = logs / "results" / str(len(done))
+            variant = ["--variant", "planes"] if walls else []
+            assert main(["map", str(logs / source), "-o", str(out), *variant]) == 0
+            done[source] = out
+        return done[source]
+
+    return result_of

@@ -162,6 +162,7 @@ def made_to_harm(canary: Path) -> dict[str, Files]:
     return {
         "scans-npz": npz_made_to_harm(canary) | {"zeros": _deflated_scans(8 * GIB)},
         "point-clouds-0.pcd": {"billions": cloud, "text": cloud.replace(b"binary", b"ascii")},
+        "point-clouds-3.pcd": {"zeros": _packed_zeros(12 << 23)},
         "point-clouds-1.ply": {"billions": ply(CLOUD, declared=3_000_000_000)},
         "point-clouds-2.pcd.xz": {"zeros": lzma.compress(pcd(CLOUD) + bytes(GIB // 2), preset=0)},
         "config": {"deep": deep, "long": b"group_after = " + b"9" * 5000},
@@ -219,6 +220,16 @@ def nearly_too_large() -> dict[str, Files]:
         "scans-npz": {"most": npz(points=points[0], iteration=points[1], stamps_s=points[2])},
         "slsjf-sim": {"most": _zeros_mat("sensor_data", 8 << 24)},
     }
+
+
+def _packed_zeros(size: int) -> bytes:
+    """Return a cloud of so many bytes of zeros, packed by LZF."""
+    more, rest = divmod(size - 1, 264)
+    packed = b"\0\0" + b"\xe0\xff\0" * more + bytes([rest - 1, *bytes(rest)])
+    n = size // 12
+    header = pcd(CLOUD, declared=n).partition(b"DATA")[0]
+    sizes = np.array([len(packed), 12 * n], dtype="<u4").tobytes()
+    return header + b"DATA binary_compressed\n" + sizes + packed
 
 
 def packed_zeros(size: int) -> bytes:

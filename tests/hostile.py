@@ -24,7 +24,7 @@ from relmap.evaluation.truth import read_truth
 from relmap.planefiles import read_planes
 from relmap.results import read_result
 from tests.logs import PLAIN, TREES
-from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, pcd, ply
+from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
 
 Files = dict[str, bytes]
 
@@ -155,7 +155,8 @@ def readers() -> dict[str, Reader]:
         "0.pcd": pcd(CLOUD),
         "1.ply": ply(CLOUD[:2]),
         "2.pcd.xz": lzma.compress(pcd(CLOUD)),
-        "alidarPose.csv": (POSES * 3).encode(),
+        "3.pcd": packed_pcd(np.tile(CLOUD, (30, 1))),
+        "alidarPose.csv": (POSES * 4).encode(),
     }
     found = {
         "observation-csv": Reader({"a": PLAIN.encode()}, "a", _log("a", "observation-csv")),

@@ -46,6 +46,46 @@ def points_of(log: ScanLog) -> list[list[list[float]]]:
     return [scan.points_robot.round(12).tolist() for scan in log.scans()]
 
 
+def lzf(content: bytes) -> bytes:
+    """Return bytes packed as LZF: what came before is repeated where it is three bytes or more."""
+    packed, literal, at = b"", b"", 0
+    while at < len(content):
+        length, back = _repetition(content, at)
+        literal += b"" if length else content[at : at + 1]
+        at += length or 1
+        if literal and (length or len(literal) == 32 or at == len(content)):
+            packed, literal = packed + bytes([len(literal) - 1]) + literal, b""
+        if length:
+            more = [length - 9] if length > 8 else []
+            packed += bytes([min(length - 2, 7) << 5 | back - 1 >> 8, *more, back - 1 & 255])
+    return packed
+
+
+def _repetition(content: bytes, at: int) -> tuple[int, int]:
+    """Return how long what came before repeats at a place, 0 for not at all, and how far back."""
+    start = content.rfind(content[at : at + 3], max(at - (1 << 13), 0), at + 2)
+    if start < 0 or at + 3 > len(content):
+        return 0, 0
+    length = 3
+    while (
+        length < 264
+        and content[start + length : start + length + 1]
+        == content[at + length : at + length + 1]
+        != b""
+    ):
+        length += 1
+    return length, at - start
+
+
+def packed_pcd(points: NDArray[np.float64]) -> bytes:
+    """Return a PCD file of the form binary_compressed."""
+    header = pcd(points).partition(b"DATA")[0]
+    content = points.T.astype("<f4").tobytes()
+    packed = lzf(content)
+    sizes = np.array([len(packed), len(content)], dtype="<u4").tobytes()
+    return header + b"DATA binary_compressed\n" + sizes + packed
+
+
 def pcd(points: NDArray[np.float64], declared: int | None = None) -> bytes:
     n = len(points) if declared is None else declared
     header = (

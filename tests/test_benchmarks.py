@@ -69,3 +69,19 @@ def test_dynamics_judges_every_landmark(repo_root: Path, child_env: dict[str, st
             assert 0.8 < float(row[figure].split()[0]) <= 1.0
         typical, largest = (row["comparisons / (n log2 n), median"], row["largest"])
         assert 0 < float(typical) <= float(largest)
+
+
+BENCHMARKS = sorted((Path(__file__).parents[1] / "benchmarks").glob("*.py"))
+
+
+@pytest.mark.parametrize("script", BENCHMARKS, ids=lambda script: script.stem)
+def test_every_benchmark_tells_what_it_does(script: Path, child_env: dict[str, str]) -> None:
+    done = subprocess.run(
+        [sys.executable, str(script), "--help"],
+        env=child_env,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert done.stdout.startswith(f"usage: {script.name}")

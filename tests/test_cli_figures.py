@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from relmap import RelmapError
 from relmap.cli import main
 from relmap.figures.registry import chosen_figures
 from tests.commands import RELMAP, Check, names, snapshot, table
@@ -167,3 +168,37 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path, child_env: dict[str, str])
     assert child.returncode == 130
     assert errors == b"relmap: interrupted\n"
     assert names(tmp_path) == []
+
+
+def fails(self: object, *_: object) -> None:
+    raise RelmapError("nothing was mapped")
+
+
+def test_a_figure_that_fails_does_not_take_the_others_along(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (failing,) = chosen_figures(["10"])
+    monkeypatch.setattr(type(failing), "run", fails)
+    out = tmp_path / "out"
+    assert main(["figures", "9", "10", "-o", str(out), "--quick"]) == 0
+    assert names(out) == ["figure09.csv", "figure09.png", "index.html", "verdicts.csv"]
+    printed = capsys.readouterr()
+    assert printed.err == "relmap: figure 10 is left out: it failed: nothing was mapped\n"
+    assert "failed: nothing was mapped" in (out / "index.html").read_text()
+    assert main(["figures", "10", "-o", str(tmp_path / "none"), "--quick"]) == 2
+    assert capsys.readouterr().err.splitlines()[1:] == ["relmap: error: no figure could be made"]
+    assert not (tmp_path / "none").exists()
+
+
+def test_finished_figures_stay_when_ctrl_c_ends_the_run(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(self: object, *_: object) -> None:
+        raise KeyboardInterrupt
+
+    (last,) = chosen_figures(["10"])
+    monkeypatch.setattr(type(last), "run", interrupted)
+    assert main(["figures", "9", "10", "-o", str(tmp_path), "--quick"]) == 130
+    assert names(tmp_path) == ["figure09.csv", "figure09.png", "index.html", "verdicts.csv"]
+    assert (tmp_path / "figure09.png").read_bytes() == (made / "figure09.png").read_bytes()
+    assert Page((tmp_path / "index.html").read_text(encoding="utf-8")).sections == ["f9"]

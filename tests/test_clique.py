@@ -36,14 +36,16 @@ def test_where_steps_run_out_what_was_found_is_a_clique() -> None:
     assert 0 < len(few) <= len(many)
 
 
-def all_to_all(seed: int, overlap: float, d: int) -> tuple[NDArray[np.float64], ...]:
+def all_to_all(
+    seed: int, overlap: float, d: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
     """Return two views of a world that share some points, those with the same row, turned."""
     rng = np.random.default_rng(seed)
     here = rng.uniform(0, 10, (N, d))
     shared = int(N * overlap)
     there = np.vstack([here[:shared], rng.uniform(0, 10, (N - shared, d))])
     there = there @ random_rotation(d, 3.0, rng).T + SIGMA * rng.standard_normal((N, d))
-    pairs = np.indices((N, N)).reshape(2, -1).T
+    pairs = np.indices((N, N), dtype=np.int64).reshape(2, -1).T
     return here, there, pairs
 
 

@@ -8,18 +8,22 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from relmap.cli import main
 from relmap.cli.compare import HELP
 from relmap.evaluation.compare import CSV_COLUMNS, compare
-from relmap.evaluation.methods.base import MethodInfo
+from relmap.evaluation.methods.base import Association, MethodInfo
 from relmap.evaluation.methods.registry import METHODS, find_method
-from relmap.evaluation.sources import EightSource
+from relmap.evaluation.methods.running import run_method
+from relmap.evaluation.sources import EightSource, Landmarks
 from tests.commands import RELMAP, Check, names, table
 
+ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")
 SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
 
 
@@ -49,6 +53,8 @@ def test_files(compared: Path) -> None:
         "comparison.png",
         "map-ekf.png",
         "map-relmap-points.png",
+        "trajectory-ekf.tum",
+        "trajectory-relmap-points.tum",
     ]
     for picture in (compared / "out").glob("*.png"):
         assert picture.read_bytes().startswith(b"\x89PNG")
@@ -80,7 +86,7 @@ def test_printed_table_says_what_the_csv_says(compared: Path) -> None:
         assert cells[0] == row["method"]
         assert cells[1] == f"{float(row['landmark_rmse_m']):.4f}"
         assert len(line) <= 100
-    assert lines[-1] == "wrote comparison.csv and 3 pictures to out"
+    assert lines[-1] == "wrote comparison.csv, 2 trajectories and 3 pictures to out"
 
 
 def test_a_log_with_its_truth_beside_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -188,3 +194,27 @@ def test_interrupted_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
             return
         time.sleep(0.05)
     pytest.fail("a process was left behind")
+
+
+def test_a_map_in_pieces_is_judged_by_the_largest() -> None:
+    """Nothing that is seen before iteration 50 is seen after 65, and nothing in between."""
+    world = EightSource(iterations=90, sigma=0.02).load()
+    log = world.log
+    assert log.ids is not None
+    early, late = log.iteration < 50, log.iteration >= 65
+    kept = early | (late & ~np.isin(log.ids, log.ids[early]))
+    parted = replace(
+        log,
+        points_robot=log.points_robot[kept],
+        iteration=log.iteration[kept],
+        rows=log.rows[kept],
+        ids=log.ids[kept],
+    )
+    for association in ASSOCIATIONS:
+        data = Landmarks(parted, world.truth)
+        run = run_method(find_method("relmap-points"), data, association)
+        assert len(run.result.poses) == 50
+        assert run.figures["path_coverage"] == pytest.approx(50 / 90)
+        assert 0.8 < (run.figures["coverage"] or 0) < 1.0
+        for name in ("landmark_rmse_m", "ate_m"):
+            assert 0 < (run.figures[name] or 1) < 0.02

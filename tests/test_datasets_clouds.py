@@ -12,17 +12,23 @@ from numpy.typing import NDArray
 
 from relmap.datasets import open_scans
 from tests.logs import put
-from tests.scanlogs import CLOUD, failure, pcd, ply, points_of
+from tests.scanlogs import CLOUD, failure, lzf, packed_pcd, pcd, ply, points_of
 
 
-@pytest.mark.parametrize("write", [pcd, ply])
+def lzf_pcd(packed: bytes, size: int) -> bytes:
+    """Return a cloud of four points with such packed data."""
+    header = packed_pcd(CLOUD).partition(b"compressed\n")
+    return b"".join(header[:2]) + np.array([len(packed), size], "<u4").tobytes() + packed
+
+
+@pytest.mark.parametrize("write", [pcd, ply, packed_pcd])
 @pytest.mark.parametrize("packed", [False, True])
 def test_clouds_in_the_order_of_their_numbers(
     tmp_path: Path, write: Callable[[NDArray[np.float64]], bytes], packed: bool
 ) -> None:
     for number in (2, 10, 9):
         data = write(CLOUD * number)
-        name = f"scan{number}.{write.__name__}" + ".xz" * packed
+        name = f"scan{number}.{write.__name__[-3:]}" + ".xz" * packed
         (tmp_path / name).write_bytes(lzma.compress(data) if packed else data)
     log = open_scans(tmp_path)
     assert log.dimension == 3
@@ -49,6 +55,13 @@ def test_poses_beside_the_clouds(tmp_path: Path) -> None:
     assert log.poses is not None
     assert log.poses[:, :3, 3].tolist() == [[1, 5, 6], [2, 5, 6]]
     assert log.poses[:, 3].tolist() == [[0, 0, 0, 1]] * 2
+    put(tmp_path, "\n".join(rows).replace("102.0,", "99.0,"), "alidarPose.csv")
+    (tmp_path / "full2.pcd").write_bytes(pcd(2 * CLOUD))
+    earlier = open_scans(tmp_path)
+    assert earlier.stamps_s.tolist() == [99, 101]
+    assert earlier.poses is not None
+    assert earlier.poses[:, 0, 3].tolist() == [2, 1]
+    assert points_of(earlier)[0] == (2 * CLOUD[[0, 1, 3]]).tolist()
     put(tmp_path, "\n".join(rows[:9]), "alidarPose.csv")
     assert "alidarPose.csv: no rows for full2.pcd" in failure(tmp_path)
     put(tmp_path, "\n".join(rows).replace("6.0,", "six,", 1), "alidarPose.csv")
@@ -73,9 +86,17 @@ def test_poses_beside_the_clouds(tmp_path: Path) -> None:
         pytest.param(pcd(CLOUD).replace(b"SIZE 4", b"SIZE"), "damaged", id="sizes too few"),
         pytest.param(pcd(CLOUD).replace(b"TYPE F", b"TYPE S"), "'S 4'", id="no such type"),
         pytest.param(pcd(CLOUD).replace(b"SIZE 4", b"SIZE 3"), "damaged", id="no such size"),
-        pytest.param(
-            pcd(CLOUD).replace(b"binary", b"binary_compressed"), "only ascii", id="packed"
-        ),
+        pytest.param(pcd(CLOUD).replace(b"binary", b"packed"), "only ascii", id="no such form"),
+        pytest.param(packed_pcd(CLOUD)[:-5], "4 of 4 points, packed to", id="lzf cut"),
+        pytest.param(packed_pcd(CLOUD).partition(b"sed\n")[0] + b"sed\n12", "0 of 4", id="no lzf"),
+        pytest.param(packed_pcd(CLOUD).replace(b"S 4", b"S 5"), "4 of 5 points", id="lzf short"),
+        pytest.param(lzf_pcd(b"\x1f" + bytes(32), 48), "do not unpack to 48", id="too little"),
+        pytest.param(lzf_pcd(b"\x1f" + bytes(32) + b"\x1f" + bytes(32), 48), "do not", id="much"),
+        pytest.param(lzf_pcd(b"\x00a\xe0", 48), "do not unpack", id="repetition cut"),
+        pytest.param(lzf_pcd(b"\x00a\x20\x01\x1f", 48), "do not", id="before the beginning"),
+        pytest.param(lzf_pcd(b"\x00a\xe0\x24\x00\x1f", 48), "do not", id="literal cut"),
+        pytest.param(lzf_pcd(b"\x00", 48), "do not unpack", id="nothing"),
+        pytest.param(lzf_pcd(b"", 48), "0 packed bytes for 48", id="bomb"),
         pytest.param(pcd(CLOUD[2:3]), "holds no point", id="only NaN"),
         pytest.param(pcd(CLOUD[:0]), "holds no point", id="empty cloud"),
         pytest.param(pcd(CLOUD * 1e20), "a point is out of range", id="far away"),
@@ -101,13 +122,31 @@ def test_all_forms_of_a_cloud_hold_the_same_points(tmp_path: Path) -> None:
     cloud.normals = open3d.utility.Vector3dVector(points[:, ::-1])
     cloud.colors = open3d.utility.Vector3dVector(np.abs(points) / 10)
     for kind in ("pcd", "ply"):
-        for text in (True, False):
+        for text, packed in ((True, False), (False, False), (False, True)):
             file = tmp_path / f"cloud.{kind}"
-            open3d.io.write_point_cloud(str(file), cloud, write_ascii=text)
+            open3d.io.write_point_cloud(str(file), cloud, write_ascii=text, compressed=packed)
             read = open_scans(file).points_of(0)
             theirs = np.asarray(open3d.io.read_point_cloud(str(file)).points)
             np.testing.assert_allclose(read, theirs, rtol=1e-12)
             np.testing.assert_allclose(read, points, atol=1e-5)
+
+
+def test_packed_fields_stand_one_after_another(tmp_path: Path) -> None:
+    """Fields of other sizes, or of several numbers, are passed over."""
+    n = 500
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(n, 3)).round(1)
+    header = (
+        "VERSION 0.7\nFIELDS x ring y shape z\nSIZE 8 2 8 4 8\nTYPE F U F F F\nCOUNT 1 1 1 3 1\n"
+        f"WIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary_compressed\n"
+    )
+    between = [np.arange(n, dtype="<u2"), np.zeros((n, 3), dtype="<f4")]
+    fields = [points[:, 0], between[0], points[:, 1], between[1], points[:, 2]]
+    content = b"".join(field.tobytes() for field in fields)
+    packed = lzf(content)
+    sizes = np.array([len(packed), len(content)], dtype="<u4").tobytes()
+    (tmp_path / "a.pcd").write_bytes(header.encode() + sizes + packed)
+    assert points_of(open_scans(tmp_path)) == [points.tolist()]
 
 
 def test_a_cloud_in_the_other_order_of_bytes(tmp_path: Path) -> None:

@@ -63,6 +63,14 @@ def test_limits_of_the_sensor_must_be_positive_numbers(tmp_path: Path) -> None:
         assert "expected one positive number" in message
 
 
+def test_scans_come_in_the_order_of_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = npz(tmp_path / "a.npz", stamps_s=np.array([3.0, 1.0, 2.0]))
+    log = open_scans(path)
+    assert log.stamps_s.tolist() == [1, 2, 3]
+    assert points_of(log) == [[[6, 7, 8]], [], [[0, 1, 2], [3, 4, 5]]]
+    assert caplog.messages == [f"{path}: 2 scans out of order: all are sorted by time"]
+
+
 def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
     points = np.arange(9, dtype=np.float32).reshape(3, 3)
     path = npz(tmp_path / "a.npz", points=points, iteration=np.array([1, 0, 1]))
@@ -87,6 +95,7 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
         ({"iteration": np.array([0, -1, 1])}, "iteration, row 1"),
         ({"stamps_s": np.array([1.0, 1.0])}, "stamps_s, row 1: is no later time"),
         ({"stamps_s": np.array([np.nan, 1.0])}, "stamps_s, row 0"),
+        ({"stamps_s": np.array([1.0, 0.0, 1.0])}, "stamps_s, row 2: is no later time"),
         ({"stamps_s": np.zeros((2, 1))}, "array stamps_s"),
         (
             {"stamps_s": np.array([object(), 1], dtype=object)},

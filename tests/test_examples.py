@@ -1,8 +1,7 @@
-"""Every file of ``examples/`` runs, and so does the first Python block of the README."""
+"""Every file of ``examples/`` runs."""
 
 from __future__ import annotations
 
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -35,15 +34,3 @@ def test_there_are_examples() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)
 def test_example_runs(path: Path, child_env: dict[str, str], tmp_path: Path) -> None:
     run_file(path, child_env, tmp_path)
-
-
-def test_first_python_block_of_the_readme_runs_as_shown(
-    repo_root: Path, child_env: dict[str, str], tmp_path: Path
-) -> None:
-    readme = (repo_root / "README.md").read_text(encoding="utf-8")
-    block = re.search(r"^```python\n(.*?)^```$", readme, flags=re.MULTILINE | re.DOTALL)
-    assert block is not None, "README.md has no ```python block"
-    assert len(block[1].splitlines()) < 10
-    script = tmp_path / "readme_block.py"
-    script.write_text(block[1], encoding="utf-8")
-    run_file(script, child_env, tmp_path)

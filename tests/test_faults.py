@@ -211,6 +211,24 @@ def test_what_is_not_rigid_is_not_believed(seed: int, d: int) -> None:
     assert good.all()
 
 
+def test_among_strays_a_new_landmark_is_believed_when_it_is_seen_twice() -> None:
+    rng = np.random.default_rng(0)
+    world, ids = rng.uniform(-20, 20, (31, 3)), np.arange(31)
+
+    def of_the_new(strays: bool) -> list[bool]:
+        rigidity = Rigidity()
+        for k in range(8):
+            scan = world + 0.02 * rng.standard_normal((31, 3))
+            if strays and k >= 5:
+                scan[[4, 9]] += rng.normal(0, 15, (2, 3))
+            rigidity.believed(ids[:30], scan[:30])
+        good = [rigidity.believed(ids, world) for _ in range(2)]
+        return [each is not None and bool(each[30]) for each in good]
+
+    assert of_the_new(strays=False) == [True, True]
+    assert of_the_new(strays=True) == [False, True]
+
+
 def test_too_little_in_common_is_not_judged() -> None:
     rng = np.random.default_rng(0)
     rigidity = Rigidity()

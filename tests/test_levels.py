@@ -142,6 +142,17 @@ def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_
     assert set(mapper.landmarks.level[often]) == {3}
 
 
+def test_who_has_left_the_view_is_grouped_over_the_whole_interval_before_the_end() -> None:
+    mapper, world = PointMapper(), walk(3, 7, sigma=0.05, iterations=300)
+    for ids, points in world.scans[::2]:  # too few observations of each for level 3 in view
+        mapper.update(points, ids)
+    table = mapper.landmarks  # nothing is finished
+    left = (table.last_iteration < 100) & (table.observations >= 20)
+    assert left.sum() > 10
+    assert set(table.level[left]) == {3}
+    assert len(mapper._engine.schedule.gone) <= 10
+
+
 def test_there_are_no_more_groups_than_landmarks() -> None:
     world, mapper = simulate_figure_eight(density=25, iterations=500, seed=4), PointMapper()
     made = 0

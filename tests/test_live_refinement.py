@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Generator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,10 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.core import live, slices
+from relmap.core.condensing import CondensedSegments
+from relmap.core.globalmap import GlobalMap
 from relmap.core.kernels import joint
+from relmap.core.table import LandmarkState
 from relmap.core.tridiagonal import Levels
 from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.simulation import FigureEight, simulate_figure_eight
@@ -45,6 +49,19 @@ def test_a_closed_loop_is_spread_over_the_live_map(monkeypatch: pytest.MonkeyPat
     assert np.median(spread) < 1.3 * np.median(limits)
 
 
+def test_finishing_spreads_what_has_drifted_since_the_last_step() -> None:
+    ratios = []
+    for seed in range(200, 208):
+        world = simulate_figure_eight(seed=seed)
+        mapper = driven(world, 900)
+        mapper.finish()
+        finished = live_error(mapper, world)
+        mapper.refine()
+        ratios.append(finished / live_error(mapper, world))
+    assert np.median(ratios) < 1.1
+    assert max(ratios) < 1.5
+
+
 def test_what_a_level_costs_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     levels: list[float] = []
     found = slices.StepInSlices._levels
@@ -70,6 +87,16 @@ def test_live_refinement_is_exact_without_noise(d: int) -> None:
     np.testing.assert_allclose(
         found.positions[:, :d], world.landmarks[found.landmark_ids], atol=1e-9
     )
+
+
+@pytest.mark.parametrize(("density", "seed"), [(6, 11), (3, 4), (4, 1)])
+def test_a_sparse_world_is_mapped(density: int, seed: int) -> None:
+    """Where little is seen, parts of one piece of the map share no segment."""
+    world = simulate_figure_eight(density=density, seed=seed)
+    mapper = driven(world, 900)
+    mapper.finish()
+    mapper.refine()
+    assert np.isfinite(mapper.map.positions).all()
 
 
 def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
@@ -110,6 +137,20 @@ def test_a_step_brings_displaced_bodies_together() -> None:
     found = step(placed, landmark, placement)
     means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
     np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
+
+
+def test_bodies_that_share_nothing_are_each_brought_together() -> None:
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (40, 2))
+    landmark = np.tile(np.arange(20), 2)
+    landmark = np.concatenate([landmark, landmark + 20])
+    placement = np.repeat(np.arange(4), 20)
+    shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, -0.2]])
+    placed = world[landmark] + shift[placement]
+    found = step(placed, landmark, placement)
+    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
+    assert aligned_rmse((means + found.moves)[:20], world[:20]) < 1e-6
+    assert aligned_rmse((means + found.moves)[20:], world[20:]) < 1e-6
 
 
 def test_bodies_are_joined_where_a_step_would_cost_too_much(
@@ -171,3 +212,24 @@ def test_what_merges_into_one_first_seen_later_takes_no_part_in_the_step_under_w
         pass
     assert len(step.step.members) > 50
     assert not np.isin([merged, n], step.step.members).any()
+
+
+def test_a_step_that_leaves_the_neighbourhood_it_holds_in_is_not_taken() -> None:
+    """Wrong matches make such steps; a sound one moves what was mapped since along."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0, 10, (12, 2))
+    table, members = LandmarkState(), np.arange(10)
+    table.resize(12, 0, 2)
+    global_map = GlobalMap(table)
+    submap = global_map.new_submap()
+    global_map.place(submap, np.arange(12), places.copy(), np.ones(12))
+    refinement = live.LiveRefinement(CondensedSegments(), global_map)
+    moves = np.zeros((10, 2))
+    for size, shift in ((2.0, 0.0), (0.5, 1.0)):
+        moves[3, 0] = size
+        latest = np.eye(2), np.array([0.0, shift]), np.zeros(2)
+        step: Any = SimpleNamespace(members=members, moves=moves, latest=latest)
+        refinement._apply(live.StepUnderWay(submap, 0, 0, step))
+        moved = table.position - places
+        np.testing.assert_allclose(moved[:10], shift * moves, atol=1e-12)
+        np.testing.assert_allclose(moved[10:], [[0.0, shift]] * 2, atol=1e-12)

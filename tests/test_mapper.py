@@ -138,6 +138,26 @@ def test_update_names_the_landmark_of_each_row() -> None:
     assert nearest.update([[5.1, 0.0], [0.1, 0.0], [20.0, 20.0]]).tolist() == [1, 0, 3]
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_labels_never_returned_are_refused(known: bool) -> None:
+    mapper, ids = PointMapper(), np.array([70, -1, 3])
+    for k in range(3):
+        labels = mapper.update(
+            [[0, 0, 1 + 0.1 * k], [5, 0, 0.1 * k], [1, 4, 0.1 * k]], ids if known else None
+        )
+    assert mapper.landmarks_of(labels).tolist() == labels.tolist()
+    assert mapper.landmarks_of([[-1], [labels[0]]]).tolist() == [[-1], [labels[0]]]
+    for unknown in (4, -2, 71, 2**40):
+        with pytest.raises(RelmapError, match=f"labels holds {unknown}, which no update"):
+            mapper.landmarks_of([labels[0], unknown])
+    with pytest.raises(RelmapError, match="labels has type float64"):
+        mapper.landmarks_of([0.5])
+    with pytest.raises(RelmapError, match="labels must be"):
+        mapper.landmarks_of([[0], [0, 0]])
+    with pytest.raises(RelmapError, match="labels holds 0"):
+        PointMapper().landmarks_of([0])
+
+
 def test_a_gap_in_sight_and_empty_scans_are_part_of_the_stream() -> None:
     world = walk(3, 3)
     scans = list(world.scans)

@@ -108,3 +108,19 @@ def test_who_is_merged_away_takes_in_nobody() -> None:
     chosen = Merger(table, PointModel(), 10)._choose(pairs, 0.05)
     assert len(chosen) >= 4
     assert not np.isin(chosen[:, 1], chosen[:, 0]).any()
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_constellation_needs_three_landmarks_and_in_space_one_more(d: int) -> None:
+    """Any two lie like two others; three in space fit their mirror image."""
+    rng = np.random.default_rng(d)
+    for n in range(1, 6):
+        old = rng.uniform(-9, 9, (n, d))
+        table = LandmarkState()
+        table.resize(2 * n, 0, d)
+        global_map = GlobalMap(table)
+        places = np.vstack([old, old + np.full(d, 0.5)])
+        global_map.place(global_map.new_submap(), np.arange(2 * n), places, np.full(2 * n, 10.0))
+        pairs = np.column_stack([np.arange(n, 2 * n), np.arange(n)])
+        chosen = Merger(table, PointModel(), 10)._choose(pairs, 0.05)
+        assert chosen.tolist() == (pairs.tolist() if n > d else [])

@@ -14,12 +14,20 @@ from relmap.evaluation.baselines.frame_to_frame import FrameToFrame
 from relmap.evaluation.compare import landmark_error_curve
 from relmap.evaluation.methods.base import MethodInfo
 from relmap.evaluation.methods.registry import METHODS, check_method, find_method, fitting_methods
-from relmap.evaluation.methods.running import ACCURACY, COST, MethodRun, run_method, setup_for
+from relmap.evaluation.methods.running import (
+    ACCURACY,
+    COST,
+    PATH,
+    MethodRun,
+    run_method,
+    setup_for,
+)
 from relmap.evaluation.metrics import align, rms
 from relmap.evaluation.sources import BuildingSource, EightSource, Landmarks
 from relmap.evaluation.truth import Truth
 
 EIGHT = EightSource(iterations=150)
+WITHOUT_A_MAP = ("kiss-icp", "small-gicp")
 OF_LANDMARKS = [method for method in METHODS if "landmarks" in method.logs]
 
 
@@ -48,9 +56,9 @@ def runs(eight: Landmarks) -> dict[str, MethodRun]:
 def test_every_figure_is_there(method: MethodInfo, runs: dict[str, MethodRun]) -> None:
     installed(method)
     figures = runs[method.name].figures
-    assert set(figures) == {*ACCURACY, *COST}
+    assert set(figures) == {*ACCURACY, *PATH, *COST}
     assert len(runs[method.name].result.poses) == 150
-    maps = method.name not in ("kiss-icp", "small-gicp")
+    maps = method.name not in WITHOUT_A_MAP
     assert (figures["landmark_rmse_m"] is not None) == maps
     assert (figures["coverage"] == 1.0) == maps
     for name in ("ate_m", "rpe_m", "median_ms", "total_s"):
@@ -184,8 +192,10 @@ def test_planar_worlds(name: str) -> None:
     flat = np.column_stack([places, np.zeros(25)])
     truth = Truth(np.arange(25), flat, np.full(25, "static"), np.arange(60.0), poses)
     run = run_method(find_method(name), Landmarks(log, truth), "known")
-    if run.figures["landmark_rmse_m"] is not None:
-        assert run.figures["landmark_rmse_m"] < 0.05
+    if name in WITHOUT_A_MAP:
+        assert run.figures["landmark_rmse_m"] is None
+    else:
         assert run.figures["matched"] == 25
+        assert (run.figures["landmark_rmse_m"] or 9) < 0.05
     assert (run.figures["rpe_m"] or 9) < 0.1
     assert np.allclose(run.result.poses[:, 2, 3], 0.0, atol=1e-6 if run.figures["matched"] else 1.0)

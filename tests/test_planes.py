@@ -138,13 +138,15 @@ def test_walls_seen_again_are_joined() -> None:
 
 
 def test_a_swinging_door_leaves_the_map() -> None:
-    mapper = PlaneMapper()
+    mapper, numbers, is_door = PlaneMapper(), [], []
     for k in range(60):
         angle = 0.8 + 0.6 * np.sin(k / 8)
         door = np.array([[1.0, 2.9], [1.0, 2.9]])
         door[0] += 0.9 * np.array([np.cos(angle), -np.sin(angle)])
         walls = np.concatenate([ROOM, door[None]])
-        mapper.update(seen_from(-1.5 + 0.02 * k, 0.0, 0.1, walls))
+        seen = seen_from(-1.5 + 0.02 * k, 0.0, 0.1, walls)
+        numbers.append(mapper.update(seen))
+        is_door.append(seen.wall == len(ROOM))
     mapper.finish()
     mapper.refine()
     corners = mapper.map.positions[:, :2]
@@ -154,8 +156,15 @@ def test_a_swinging_door_leaves_the_map() -> None:
     fixed = np.concatenate([ROOM.reshape(-1, 2), [[1.0, 2.9]]])
     apart = np.linalg.norm(there[:, None] - fixed, axis=2).min(axis=1)
     assert len(corners) >= 4
-    assert np.median(apart) < 1e-3
+    assert apart.max() < 1e-6
     assert np.isfinite(poses).all()
+    table, of_door = mapper.planes, np.concatenate(is_door)
+    number = mapper.landmarks_of(np.concatenate(numbers))
+    door_row = np.isin(table.plane, number[of_door])
+    assert not np.isin(table.plane[door_row], number[~of_door]).any()
+    assert set(table.status[door_row & (table.observations >= 4)]) == {"dynamic"}
+    assert set(table.status[door_row]) == {"dynamic", "unmapped"}
+    assert set(table.status[~door_row]) == {"static"}
 
 
 def test_numbers_of_walls_stay() -> None:
@@ -175,6 +184,23 @@ def test_scans_without_walls_are_bridged() -> None:
     poses = mapper.trajectory
     assert np.isfinite(poses[1:]).all()
     assert abs(np.hypot(*(poses[13, :2, 3] - poses[11, :2, 3])) - 0.1) < 1e-6
+    # Where nothing was seen, the robot is taken to have gone on as before.
+    assert np.hypot(*(poses[12, :2, 3] - (poses[11, :2, 3] + poses[13, :2, 3]) / 2)) < 2e-3
+
+
+def test_rooms_with_nothing_to_see_between_lie_as_the_motion_leads() -> None:
+    """They have nothing in common; the map of the second is laid where the robot must be."""
+    mapper = PlaneMapper()
+    nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
+    for k in range(70):
+        room = ROOM + np.array([7.0 * (k >= 45), 0.0])
+        mapper.update(nothing if 25 <= k < 45 else seen_from(0.1 * k - 1, 0.0, 0.0, room))
+    mapper.finish()
+    for _ in range(2):
+        expected = np.column_stack([0.1 * np.arange(70), np.zeros(70)])
+        path = mapper.trajectory[:, :2, 3]
+        np.testing.assert_allclose(path - path[0], expected, atol=1e-6)
+        mapper.refine()
 
 
 def test_the_same_scans_give_the_same_map() -> None:

@@ -64,3 +64,22 @@ def tracks_of_a_room() -> tuple[PlaneTracks, np.ndarray]:
     tracks = PlaneTracks.begun(np.arange(3), seen)
     tracks.corner_at = seen.ends.copy()
     return tracks, room
+
+
+def test_a_speck_of_a_wall_does_not_swing_the_scan() -> None:
+    """A false long wall that a short and noisy track takes for its own pulls at next to nothing."""
+    speck = np.array([[4.0, 1.0], [4.0, 1.1]])
+    tracks, room = tracks_of_a_room()
+    seen = checked_planes(Room(np.concatenate([room, speck[None]])))
+    tracks = PlaneTracks.begun(np.arange(4), seen)
+    tracks.corner_at[:3] = seen.ends[:3]
+    tracks.sd[3] = 0.01
+    # The wall through the speck is turned by 35 degrees and goes on for 3 m either way.
+    along = np.array([np.sin(0.6), np.cos(0.6)])
+    false = speck[0] + np.array([[-3.0], [3.0]]) * along
+    scan = checked_planes(Room(np.concatenate([np.add(room, [0.0, -0.1]), false[None]])))
+    found = place(tracks, scan, STILL)
+    assert found is not None
+    motion, match = found
+    np.testing.assert_allclose([motion.yaw, *motion.t], [0.0, 0.0, -0.1], atol=0.01)
+    assert set(match.tracks.tolist()) >= {0, 1, 2}

@@ -22,12 +22,12 @@ from relmap.figures.partial_wall import (
     PartialWall,
     longest,
     run_partial_wall,
-    weak_links,
 )
 from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
+from relmap.planes.stitching import weak_links
 from relmap.plots.bench import plot_bench, write_bench_gif
 from relmap.plots.corner_test import plot_corner_test
 from relmap.plots.partial_wall import plot_partial_wall
@@ -221,14 +221,15 @@ def test_points_are_not_animated(refused: Check) -> None:
 
 def test_links_by_parallel_walls_alone_are_weak() -> None:
     still = [WALLS] * 3
-    assert weak_links(history_of(still, [["view"] * 2] * 2, [[-1, -1]] * 2)).tolist() == [False] * 3
+    assert weak_links(history_of(still, [["view"] * 2] * 2, [[-1, -1]] * 2)).tolist() == []
     alone = [WALLS[:1]] * 3
     cut = history_of(alone, [["view", "view"]], [[-1, -1]])
-    assert weak_links(cut).tolist() == [False, True, True]
+    assert weak_links(cut).tolist() == [1, 2]
     with_corner = history_of(alone, [["view", "corner"]], [[-1, 7]])
-    assert not weak_links(with_corner).any()
+    assert weak_links(with_corner).tolist() == []
     parallel = np.array([[[4.0, -2.0], [4.0, 2.0]], [[-4.0, 2.0], [-4.0, -2.0]]])
-    assert weak_links(history_of([parallel] * 2, [["view"] * 2] * 2, [[-1, -1]] * 2))[1]
+    both = history_of([parallel] * 2, [["view"] * 2] * 2, [[-1, -1]] * 2)
+    assert weak_links(both).tolist() == [1]
 
 
 def test_longest_run() -> None:

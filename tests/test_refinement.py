@@ -13,7 +13,7 @@ from relmap.core.refinement import Refined, refine
 from relmap.core.store import ObservationStore
 from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.simulation import simulate_figure_eight
-from tests.worlds import Walk, aligned_rmse, mapped, walk
+from tests.worlds import Walk, aligned_rmse, mapped, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -95,8 +95,8 @@ def test_one_placement_for_a_segment_is_nearly_as_good(
     assert np.hypot(np.median(limits), np.median(apart)) < 1.1 * np.median(limits)
 
 
-def dense_covariances(world: Walk, sigma: float) -> Points:
-    """Return the landmarks' covariances by a dense inverse, the first pose being the frame."""
+def jacobian(world: Walk) -> Points:
+    """Return the derivatives of all observations by poses, but the first, and landmarks."""
     batch, d = batch_of(world), world.landmarks.shape[1]
     k, m = len(world.scans), len(world.landmarks)
     q = 3 if d == 2 else 6
@@ -109,7 +109,12 @@ def dense_covariances(world: Walk, sigma: float) -> Points:
         J[row, :, pose * q : pose * q + q - d] = (R.T @ turning @ from_robot).T
         J[row, :, pose * q + q - d : (pose + 1) * q] = R.T
         J[row, :, k * q + landmark * d : k * q + (landmark + 1) * d] = -R.T
-    J = J.reshape(-1, J.shape[2])[:, q:]
+    return J.reshape(-1, J.shape[2])[:, q:]
+
+
+def dense_covariances(world: Walk, sigma: float) -> Points:
+    """Return the landmarks' covariances by a dense inverse, the first pose being the frame."""
+    J, (m, d) = jacobian(world), world.landmarks.shape
     inverse = np.linalg.inv(J.T @ J)[-m * d :, -m * d :]
     blocks = inverse.reshape(m, d, m, d)
     return sigma**2 * np.stack([blocks[i, :, i] for i in range(m)])
@@ -135,6 +140,71 @@ def test_covariances_are_those_of_a_dense_inverse(d: int, both_equations: str) -
         np.testing.assert_allclose(found.covariances / scale, expected / scale, atol=0.05)
     else:
         np.testing.assert_allclose(deviation, reference, rtol=0.2)
+
+
+def corridor(d: int, length: int, seed: int = 0) -> Walk:
+    """Walk along a corridor that never closes, seeing a few landmarks at a time, without noise."""
+    rng = np.random.default_rng(seed)
+    road = np.column_stack([np.arange(length), rng.uniform(-2, 2, (length, d - 1))])
+    scans, poses = [], []
+    for k in range(length):
+        R, t = random_rotation(d, 0.1, rng), np.zeros(d)
+        t[0] = k
+        seen = np.flatnonzero(np.abs(road[:, 0] - k) < 3.5)
+        scans.append((seen, (road[seen] - t) @ R))
+        poses.append((R, t))
+    R0, t0 = poses[0]
+    return Walk((road - t0) @ R0, poses, scans)
+
+
+def noisy(world: Walk, sigma: float, seed: int) -> Walk:
+    rng = np.random.default_rng(seed)
+    scans = [(ids, points + rng.normal(0, sigma, points.shape)) for ids, points in world.scans]
+    return Walk(world.landmarks, world.poses, scans)
+
+
+def deviations_by_qr(world: Walk, sigma: float) -> Points:
+    """Return the landmarks' standard deviations from all observations and poses, undamped."""
+    J = jacobian(world)
+    root = np.linalg.inv(np.linalg.qr(J, mode="r"))[-world.landmarks.size :]
+    squares = np.sum(root**2, axis=1).reshape(world.landmarks.shape)
+    return np.asarray(sigma * np.sqrt(squares.mean(axis=1)))
+
+
+@pytest.mark.parametrize(("d", "length"), [(2, 400), (3, 150)])
+def test_how_sure_the_end_of_a_long_corridor_is(d: int, length: int) -> None:
+    world = corridor(d, length)
+    found = refined(noisy(world, 0.02, 0), world.landmarks)
+    expected = deviations_by_qr(world, found.noise_m)
+    assert expected[-1] > 2
+    variance = np.trace(found.covariances, axis1=1, axis2=2) / d
+    np.testing.assert_allclose(np.sqrt(variance), expected, rtol=0.05)
+
+
+@both_dimensions
+def test_errors_at_the_end_of_a_corridor_are_what_is_said(d: int) -> None:
+    squares, world = [], corridor(d, 150)
+    for seed in range(30):
+        found = refined(noisy(world, 0.002, seed), world.landmarks)
+        error = found.positions[-1] - world.landmarks[-1]
+        squares.append(error @ np.linalg.solve(found.covariances[-1], error) / d)
+    assert 0.6 < np.mean(squares) < 1.6
+
+
+def test_what_is_not_fixed_stays_and_is_not_sure() -> None:
+    """Seven landmarks may turn about the one that they share with the others."""
+    rng = np.random.default_rng(0)
+    world = rng.uniform(-5, 5, (15, 3))
+    scans, poses = [], []
+    for k in range(48):
+        R, seen = random_rotation(3, 0.2, rng), np.arange(8) + (7 if k >= 24 else 0)
+        scans.append((seen, world[seen] @ R + 0.02 * rng.standard_normal((8, 3))))
+        poses.append((R, np.zeros(3)))
+    found = refined(Walk(world, poses, scans), world)
+    assert aligned_rmse(found.positions, world) < 0.03
+    deviation = np.sqrt(np.trace(found.covariances, axis1=1, axis2=2) / 3)
+    assert (deviation[:8] < 0.05).all()
+    assert np.isnan(deviation[8:]).all()
 
 
 @both_dimensions
@@ -243,3 +313,22 @@ def test_what_no_noise_explains_counts_less() -> None:
         batch = batch_least_squares(batch_of(dirty), world.landmarks)
         spoilt.append(aligned_rmse(batch, world.landmarks))
     assert np.median(errors) < 0.5 * np.median(spoilt)
+
+
+@both_dimensions
+def test_one_that_stands_elsewhere_for_a_while_does_not_bend_the_map(d: int) -> None:
+    """As under a wrong id: within its segment all agrees, so that only other segments tell."""
+    errors: list[float] = []
+    sound: list[float] = []
+    for seed in range(3):
+        world = walk(d, seed, sigma=0.02)
+        scans = [(ids, points.copy()) for ids, points in world.scans]
+        for ids, points in scans[56:66]:
+            points[ids == 10] += 3.0
+        for log, found in ((scans, errors), (world.scans, sound)):
+            mapper = mapped(log)
+            mapper.refine()
+            others = mapper.map.landmark_ids != 10
+            ids, positions = mapper.map.landmark_ids[others], mapper.map.positions[others, :d]
+            found.append(aligned_rmse(positions, world.landmarks[ids]))
+    assert max(errors) < 2 * max(sound)

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 import relmap
 from relmap import PlaneSegmenter, RelmapError
 from relmap.segmentation import Planes
+from relmap.segmentation.corners import meet
+from relmap.segmentation.em import WallMixture
 from relmap.simulation.building import BuildingScan, building_scene
 
 VIEW_RAD = np.pi / 2
@@ -250,3 +252,38 @@ def test_bad_input_is_refused_in_one_line(
 
 def test_exported_from_the_package() -> None:
     assert relmap.PlaneSegmenter is PlaneSegmenter
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("method", ["em", "ransac", "mixture", "scanlines"])
+def test_odd_scans_make_no_warnings(method: str) -> None:
+    """Far away the length of a small wall is lost in rounding."""
+    rng = np.random.default_rng(1)
+    near = rng.normal(size=(40, 2))
+    for far_m in (1.0, 1e6, 1e9):
+        for n in (2, 3, 5):
+            clumps = np.repeat(rng.uniform(-1, 1, (n, 2)) * far_m, 12, axis=0)
+            for points in (
+                clumps,
+                np.vstack([clumps, near]),
+                np.vstack([clumps, near + far_m / 2]),
+            ):
+                planes = PlaneSegmenter(method, noise=0.1).fit(points).planes_
+                assert np.isfinite(planes.normal).all()
+                assert (planes.size > 0).all()
+
+
+@pytest.mark.parametrize("far_m", [1e10, 1e160, np.inf, np.nan])
+def test_points_that_no_sensor_sees_are_refused(far_m: float) -> None:
+    with pytest.raises(RelmapError, match="must be finite, and metres up to 1e\\+09"):
+        PlaneSegmenter().fit(np.array([[0.0, 1.0], [far_m, 2.0], [3.0, 4.0]]))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_wall_whose_length_is_lost_in_rounding_is_none() -> None:
+    rows = [[5e8, 1.0, 1.0, 0.0, 0.0, 1e-9, 0.5], [2.0, -1.0, 0.0, 1.0, 0.0, 2.0, 0.5]]
+    xy = np.array([[5e8, 1.0]] * 9 + [[2.0, 0.25 * k - 1] for k in range(9)])
+    sharp = meet(WallMixture(np.array(rows), 0.01, 0.0, 1.0), len(xy))
+    labels, planes = PlaneSegmenter()._planes(xy, sharp, np.repeat([0, 1], 9))
+    assert labels.tolist() == [-1] * 9 + [0] * 9
+    np.testing.assert_allclose(planes.size, [2.0])

@@ -12,7 +12,7 @@ from relmap import PointMapper
 from relmap.core.globalmap import GlobalMap
 from relmap.core.table import NONE, LandmarkState
 from relmap.core.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
-from tests.worlds import aligned_rmse, random_rotation, walk
+from tests.worlds import aligned_rmse, random_rotation, two_visits, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -76,6 +76,14 @@ def test_different_places_stay_apart(seed: int, d: int) -> None:
     assert len(np.unique(global_map.table.submap)) == 4
 
 
+def test_few_landmarks_that_lie_alike_by_chance_tie_nothing() -> None:
+    """Half of so few are found somewhere in any world, if the noise is large."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        global_map = in_pieces(*(rng.uniform(0, 10, (12, 2)) for _ in range(4)))
+        assert list(tie_submaps(global_map, 0.2)) == []
+
+
 @both_dimensions
 def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
     rng = np.random.default_rng(0)
@@ -128,6 +136,28 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
     assert len(set(mapped)) >= len(world.landmarks) - 2
     assert len(mapped) <= 1.1 * len(set(mapped))
     assert aligned_rmse(mapper.map.positions[:, :d], world.landmarks[mapped]) < max(1e-9, sigma)
+
+
+@both_dimensions
+@pytest.mark.parametrize("seed", range(20))
+def test_nobody_stays_double_after_a_brief_second_visit(d: int, seed: int) -> None:
+    place, scans = two_visits(d, seed)
+    mapper, labels = PointMapper(), []
+    for _, points in scans:
+        labels.append(mapper.update(points))
+    of, true = np.concatenate(labels), np.concatenate([ids for ids, _ in scans])
+    stands_for = dict(np.column_stack([of, true]).tolist())
+    assert len(stands_for) == len(np.unique(np.column_stack([of, true]), axis=0))
+    assert set(labels[0]).isdisjoint(labels[-1])  # the second visit is not tied to the first
+    for step in (mapper.finish, mapper.refine):
+        step()
+        found = mapper.landmarks_of(of)
+        stands_for = dict(np.column_stack([found, true]).tolist())
+        assert len(stands_for) == len(np.unique(np.column_stack([found, true]), axis=0))
+        assert len(mapper.pieces) == 1
+        mapped = [stands_for[label] for label in mapper.map.landmark_ids.tolist()]
+        assert len(mapped) == len(set(mapped))
+    assert aligned_rmse(mapper.map.positions[:, :d], place[mapped]) < 0.02
 
 
 @given(seeds)

@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from relmap import PointMapper
 from relmap.core.alignment import fit_rigid
 
+Scans = list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+
 
 @dataclass(frozen=True)
 class Walk:
@@ -70,3 +72,31 @@ def aligned_rmse(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> 
 def spacing(points: NDArray[np.float64]) -> float:
     """Return the median distance of points (n, d) to their nearest neighbours."""
     return float(np.median(np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1]))
+
+
+def two_visits(dimension: int, seed: int, sigma: float = 0.02) -> tuple[NDArray[np.float64], Scans]:
+    """Map a place, leave it through a stretch where nothing lasts, and come back to it, briefly.
+
+    Returns
+    -------
+    place : (40, d) float64
+        Landmarks at least 1 m apart, the ids their rows; nearly all are in view in each visit.
+    scans : list of (ids, points)
+        Of 40 scans, 60 of next to nothing, and 3 to 19.  What is seen once only has the id -1.
+    """
+    rng = np.random.default_rng(seed)
+    place = rng.uniform(-8, 8, (500, dimension))
+    apart = np.linalg.norm(place[:, None] - place, axis=2) + 9 * np.tri(500).T
+    place = place[apart.min(axis=1) > 1.0][:40]
+    scans: Scans = []
+    for n in (40, int(rng.integers(3, 20))):
+        R, t = random_rotation(dimension, 3.0, rng), rng.uniform(-1, 1, dimension)
+        for _ in range(n):
+            t = t + rng.normal(0, 0.1, dimension)
+            R = random_rotation(dimension, 0.02, rng) @ R
+            ids = rng.permutation(np.flatnonzero(np.linalg.norm(place - t, axis=1) < 9))
+            noise = sigma * rng.standard_normal((len(ids), dimension))
+            scans.append((ids, (place[ids] - t) @ R + noise))
+        scans += [(np.full(4, -1), rng.uniform(-8, 8, (4, dimension))) for _ in range(10)]
+        scans += [(ids[:0], place[:0])] * 50
+    return place, scans[:-60]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,23 +33,39 @@ def parse_scans(text: str | None) -> tuple[int, int] | None:
     raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
 
 
-def read_config(path: Path | None) -> MapperConfig:
+def read_config(
+    path: Path | None,
+    registration: str | None = None,
+    unused: Mapping[str, str] | None = None,
+) -> MapperConfig:
     """Read a mapper's configuration from a TOML file; the default one where there is none.
+
+    Parameters
+    ----------
+    path : Path or None
+    registration : str, optional
+        Goes before that of the file.
+    unused : mapping, optional
+        Settings that would be ignored, and why.
 
     Raises
     ------
     RelmapError
-        Where the file cannot be read, is not TOML or holds what a configuration does not know.
+        Where the file cannot be read, is not TOML or holds what a configuration does not know, or
+        what would be ignored.
     """
     import tomllib
 
-    from relmap.core.config import MapperConfig
+    from relmap.core.config import MapperConfig, refuse
     from relmap.files import read_text
 
+    given = {} if registration is None else {"registration": registration}
     if path is None:
-        return MapperConfig()
+        return MapperConfig.from_mapping(given)
     try:
-        return MapperConfig.from_mapping(tomllib.loads(read_text(path)))
+        settings = tomllib.loads(read_text(path))
+        refuse(settings, unused or {})
+        return MapperConfig.from_mapping(settings | given)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
         raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
     except RelmapError as error:

@@ -23,7 +23,8 @@ Noise = Literal["gaussian", "uniform"]
 HELP = """Compare methods on the same data: relmap's own, and what people would use instead.
 
 INPUT is a log of landmarks or of point scans, as 'relmap map' takes it; or a world is simulated.
-It prints one table and writes DIR/comparison.csv, comparison.png and map-METHOD.png.
+It prints one table and writes DIR/comparison.csv, comparison.png, and of each method
+trajectory-METHOD.tum and map-METHOD.png.
 
 \b
 Examples:
@@ -60,6 +61,8 @@ The figures:
   RMSE10      the same of those seen at least ten times
   cover       share of the landmarks seen at least ten times that are in the map
   ATE, RPE    error of the path, as a whole and from one step to the next [m]
+  path        share of the iterations that have a pose; of a map in pieces only the largest counts
+  pairs, turn mean error against checked relations between poses [m], [rad]
   ms, mean    processor time of an iteration, median and mean [ms]; one thread
   end         the same, median of the last 100 iterations [ms]
   total       of the whole log, with what is done at its end [s]
@@ -67,12 +70,15 @@ The figures:
 """
 
 DENSITY = 25.0
+RELATIONS = {"pairs": "relation_m", "turn": "relation_rad"}
 COLUMNS = {
     "of": "matched",
     "RMSE10": "often_rmse_m",
     "cover": "coverage",
     "ATE": "ate_m",
     "RPE": "rpe_m",
+    "path": "path_coverage",
+    **RELATIONS,
     "ms": "median_ms",
     "mean": "mean_ms",
     "end": "last_100_median_ms",
@@ -158,7 +164,8 @@ def compare_command(
     names = [name.strip() for name in methods.split(",")] if methods is not None else None
     rows = compare_into(out, given, names, association, sigma if source else sigma or 0.05)
     ran = sum(row.run is not None for row in rows)
-    typer.echo(f"wrote comparison.csv and {ran + 1} pictures to {out}" if ran else "nothing ran")
+    paths = f"{ran} trajector{'ies' if ran > 1 else 'y'}"
+    typer.echo(f"wrote comparison.csv, {paths} and {ran + 1} pictures to {out}")
 
 
 def _simulated(
@@ -210,7 +217,7 @@ def compare_into(
     from relmap.cli.console import busy
     from relmap.evaluation.compare import CSV_COLUMNS, chosen_methods, compare
     from relmap.evaluation.sources import has_ids
-    from relmap.files import atomic_write, staged_folder
+    from relmap.files import atomic_write, staged_folder, write_tum
     from relmap.tables import csv_text
 
     with busy("reading or simulating"):
@@ -230,6 +237,10 @@ def compare_into(
             raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
         lines = (row.row(association) for row in rows)
         atomic_write(staging / "comparison.csv", csv_text(CSV_COLUMNS, lines))
+        for row in rows:
+            if row.run is not None:
+                found = row.run.result
+                write_tum(staging / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
         with busy("drawing"):
             draw(staging, rows, data, source.about)
     print_rows(f"{source.about}; association {association}", rows)
@@ -273,8 +284,9 @@ def print_rows(title: str, rows: Iterable[Compared]) -> None:
     corners = any(figures["corner_rmse_m"] is not None for _, figures in ran)
     of_map = "corner_rmse_m" if corners else "landmark_rmse_m"
     columns = {"RMSE": of_map} | COLUMNS
-    if corners:
-        del columns["RMSE10"]
+    related = any(figures["relation_m"] is not None for _, figures in ran)
+    left_out = ["RMSE10"] * corners + [*RELATIONS] * (not related)
+    columns = {heading: key for heading, key in columns.items() if heading not in left_out}
     cells = [
         [name, *(shown(heading, figures[key]) for heading, key in columns.items())]
         for name, figures in ran

@@ -43,6 +43,9 @@ The figures:
   purity              share of observations given to the right landmark
   ate_m, rpe_m        error of the robot's path: as a whole, and from one step to the next
   relation_m, _rad    of walls: mean error against checked relations between poses
+
+A figure that cannot be had is "-" in the table and null in evaluation.json; where this truth could
+give it, the reason is told.
 """
 
 FIGURES = {
@@ -78,7 +81,7 @@ def evaluate_command(
         typer.Option(
             "--log",
             metavar="LOG",
-            help="The log that was mapped, if it is not where it was at that time.",
+            help="Of points, the log that was mapped, if it is not where it was at that time.",
         ),
     ] = None,
 ) -> None:
@@ -87,8 +90,10 @@ def evaluate_command(
     from relmap.planefiles import PLANES
 
     evaluation: Evaluation | PlaneEvaluation
+    walls = (folder / PLANES).exists()
+    if walls and log is not None:
+        raise RelmapError("walls have no ids: --log is for a map of points")
     with busy("evaluating"):
-        walls = (folder / PLANES).exists()
         if walls:
             evaluation = _evaluate_planes(folder, truth)
         else:
@@ -96,12 +101,21 @@ def evaluate_command(
     names = PLANE_FIGURES if walls else FIGURES
     rows = [(name, figure(getattr(evaluation, key))) for key, name in names.items()]
     if walls:
-        false, matched = (evaluation.counts[key] for key in ("false_corners", "matched_corners"))
-        rows.insert(1, ("false corners", f"{false} of {false + matched}"))
+        rows.insert(1, ("false corners", _false_corners(evaluation.counts)))
     print_table(f"{folder} against {truth}", ("figure", "value"), rows)
+    for note in evaluation.notes:
+        typer.echo(note)
     if evaluation.purity is None and not walls:
         typer.echo("no log with ids was found: give it with --log to have every figure")
     typer.echo(f"wrote evaluation.json to {folder}")
+
+
+def _false_corners(counts: dict[str, int]) -> str:
+    """Return how many of the mapped corners are false; "-" against a truth without walls."""
+    if "false_corners" not in counts:
+        return "-"
+    false = counts["false_corners"]
+    return f"{false} of {false + counts['matched_corners']}"
 
 
 def figure(value: float | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import typer
 
 from relmap.cli.console import Out
+from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.figures.making import Made
@@ -28,7 +29,8 @@ It writes into DIR
   verdicts.csv   figure, value and verdict
 
 Figure 17 is of real data: the folder of Victoria Park, or one that holds it as victoria-park, is
-given with --data.  Figures 14 and 15 are times: run them on a quiet machine.
+given with --data.  Figures 14 and 15 are times: run them on a quiet machine.  Each figure is
+written when it is done, and stays where a later one fails or Ctrl-C ends the run.
 
 \b
 Examples:
@@ -60,13 +62,14 @@ def figures_command(
 def figures_into(
     out: Path, names: Sequence[str], quick: bool = False, data: Path | None = None
 ) -> list[Made]:
-    """Run figures, tell the verdict on each, and write all files.
+    """Run figures, tell the verdict on each, and write each with the page when it is done.
 
     Raises
     ------
     RelmapError
-        Where there is no such figure, the data cannot be used, or the folder cannot be written;
-        what was in it is then as it was.
+        Where there is no such figure, the data cannot be used, the folder cannot be written, or
+        no figure could be made; what was in the folder is then as it was, but for figures that
+        were finished before.
     """
     from relmap.cli.console import busy
     from relmap.figures.making import check_data, make_figure, write_page
@@ -75,14 +78,16 @@ def figures_into(
 
     figures = chosen_figures(names)
     check_data(figures, data)
-    made = []
-    with staged_folder(out) as staging:
-        for number, figure in enumerate(figures, 1):
-            what = f"figure {figure.name}, {number} of {len(figures)}"
-            with busy(what) as tell:
-                made.append(make_figure(figure, staging, quick, data, _Counted(tell, what)))
-            _say(made[-1])
-        write_page(staging, made, quick)
+    made: list[Made] = []
+    for number, figure in enumerate(figures, 1):
+        what = f"figure {figure.name}, {number} of {len(figures)}"
+        with staged_folder(out) as staging, busy(what) as tell:
+            made.append(make_figure(figure, staging, quick, data, _Counted(tell, what)))
+            if any(each.outcome for each in made):
+                write_page(staging, made, quick)
+        _say(made[-1])
+    if not any(each.outcome for each in made):
+        raise RelmapError("no figure could be made")
     return made
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -128,15 +127,14 @@ def map_command(
     """Map a log; the arguments are explained in the help text."""
     planes = variant == "planes"
     _check_onto(onto, planes, journal, config, registration)
-    if planes and (association == "known" or registration is not None):
-        raise RelmapError("walls have no ids: --association and --registration are for points")
+    _check_matching(planes, association, registration)
     if animate and not planes:
         raise RelmapError("--animate draws walls: give --variant planes with it")
     with stoppable() as stopped:
         job = Job(
             source=source,
             out=out,
-            settings=_settings(config, registration),
+            settings=_settings(config, registration, planes, association),
             association=association,
             interval=parse_scans(scans),
             log_format=log_format,
@@ -172,6 +170,20 @@ def _check_onto(
         raise RelmapError("--onto goes on with the settings of the earlier run: give no others")
 
 
-def _settings(config: Path | None, registration: Registration | None) -> MapperConfig:
-    settings = read_config(config)
-    return settings if registration is None else replace(settings, registration=registration)
+def _check_matching(
+    planes: bool, association: Association, registration: Registration | None
+) -> None:
+    """Make sure that nothing is said of matching where there is none of that kind."""
+    if planes and (association == "known" or registration is not None):
+        raise RelmapError("walls have no ids: --association and --registration are for points")
+    if association == "known" and registration is not None:
+        raise RelmapError("--registration is for observations without ids: leave out --association")
+
+
+def _settings(
+    config: Path | None, registration: Registration | None, planes: bool, association: Association
+) -> MapperConfig:
+    from relmap.core.config import WITH_IDS, WITH_WALLS
+
+    unused = WITH_WALLS if planes else WITH_IDS if association == "known" else {}
+    return read_config(config, registration, unused)

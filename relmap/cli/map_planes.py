@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,22 +31,25 @@ def report_planes(job: Job) -> None:
     typer.Exit
         Where the run was interrupted.
     """
-    from relmap.cli.outcome import each, leave, stopped_after
+    from relmap.cli.outcome import each, leave, stopped_after, torn
 
-    summary = map_scans(job).result.summary
+    run, n_files = map_scans(job)
+    summary = run.result.summary
     counts, timing = summary["counts"], summary["timing"]
     weak = len(summary["weak_links"])
     told = f"; scans between which the robot was taken to go on as before: {weak}" if weak else ""
     typer.echo(
-        f"{stopped_after(summary)}wrote {11 if job.animate else 10} files to {job.out}: "
+        f"{stopped_after(summary)}wrote {n_files} files to {job.out}: "
         f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
-        f"{counts['iterations']} iterations, {each(timing['median_ms'])} beside segmentation" + told
+        f"{counts['iterations']} iterations, {each(timing['scan_median_ms'])}"
+        + torn(summary)
+        + told
     )
     leave(job, summary)
 
 
-def map_scans(job: Job) -> PlaneRun:
-    """Map a log of point scans into a result folder, with pictures.
+def map_scans(job: Job) -> tuple[PlaneRun, int]:
+    """Map a log of point scans into a result folder, with pictures; tell how many files it wrote.
 
     Raises
     ------
@@ -65,10 +67,13 @@ def map_scans(job: Job) -> PlaneRun:
     source, log, seen = job.at(job.source), _read(job), journaled_labels(job)
     if len(seen) > len(log):
         raise RelmapError(f"{source} has {len(log)} scans, fewer than journal {job.journal}")
-    view, stale = log.sensor, _stale(job.animate)
+    view = log.sensor
     segmenter = PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
     every = frame_step(len(log)) if job.animate else 0
-    with staged_folder(job.at(job.out), stale) as staging, ExitStack() as afterwards:
+    with (
+        staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging,
+        ExitStack() as afterwards,
+    ):
         mapper = job.mapper(PlaneMapper)
         afterwards.callback(mapper.close)
         before_s = log.stamps_s[: len(seen)].tolist()
@@ -78,12 +83,15 @@ def map_scans(job: Job) -> PlaneRun:
             yield from bench.watch(job.scans(scans, len(log)))
             afterwards.enter_context(busy("refining and writing"))
 
-        about = _about(job, source)
+        about = _about(job, source, mapper)
         run = run_plane_mapper(mapper, log, segmenter, about, shown, job.refine, seen)
         _write(staging, run, mapper)
         afterwards.close()
+        if len(seen) == len(log):
+            bench.see_again(log)
         _draw_bench(staging, bench, job.animate)
-    return run
+        n_files = len(list(staging.iterdir()))
+    return run, n_files
 
 
 def _read(job: Job) -> ScanLog:
@@ -96,24 +104,27 @@ def _read(job: Job) -> ScanLog:
 
 
 def _write(folder: Path, run: PlaneRun, mapper: PlaneMapper) -> None:
-    from relmap.planefiles import write_planes
-    from relmap.plots.planes import write_planes_png
+    from relmap.planefiles import write_planes, write_submaps
+    from relmap.plots.planes import write_submaps_png
     from relmap.results import MAP_PNG, MAPPER, write_result
 
     write_result(folder, run.result)
     mapper.save(folder / MAPPER)
     write_planes(folder, run.planes)
-    write_planes_png(folder / MAP_PNG, run.planes, run.result.poses)
+    write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in run.submaps])
+    n_apart = len(run.result.summary["submaps"])
+    write_submaps_png(folder / MAP_PNG, [(s.planes, s.poses) for s in run.submaps], n_apart)
 
 
-def _stale(animate: bool) -> list[str]:
+def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result that this one puts out of date."""
+    from relmap.planefiles import submap_files
     from relmap.results import EVALUATION
 
-    return [EVALUATION] if animate else [EVALUATION, BENCH_GIF]
+    return [EVALUATION, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 
 
-def _about(job: Job, source: Path) -> dict[str, Any]:
+def _about(job: Job, source: Path, mapper: PlaneMapper) -> dict[str, Any]:
     from relmap.datasets import SCAN_DATASETS
 
     names = [dataset.name for dataset in SCAN_DATASETS if dataset.recognises(source)]
@@ -122,7 +133,7 @@ def _about(job: Job, source: Path) -> dict[str, Any]:
         "format": job.log_format or (names[0] if len(names) == 1 else None),
         "variant": "planes",
         "seed": 0,
-        "configuration": asdict(job.settings),
+        "configuration": mapper.settings,
     }
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +12,10 @@ import typer
 from relmap.cli.arguments import parse_scans, read_config
 from relmap.cli.job import Association, Job, journaled_labels
 from relmap.cli.map_planes import BENCH_GIF, BENCH_PNG
-from relmap.cli.outcome import each, leave, stopped_after, untied
+from relmap.cli.outcome import each, leave, stopped_after, unconverged, untied
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.core.config import MapperConfig
     from relmap.datasets.base import ObservationLog, Scan
     from relmap.evaluation.run import Run
 
@@ -37,6 +35,7 @@ def report_points(job: Job) -> None:
         f"{counts['landmarks']} landmarks mapped from {counts['observations']} observations in "
         f"{counts['iterations']} iterations, {each(timing['median_ms'])}"
         + untied(len(run.result.pieces) - 1)
+        + unconverged(run.result.summary["refinement"])
     )
     if job.onto and job.association == "nearest" and run.result.summary["tied_at"] is None:
         typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")
@@ -70,7 +69,6 @@ def map_points(job: Job) -> Run:
         result in it is then as it was.
     """
     from relmap.cli.console import busy
-    from relmap.datasets import open_log
     from relmap.evaluation.run import run_mapper
     from relmap.files import staged_folder
     from relmap.plots.run import write_map_png
@@ -78,12 +76,11 @@ def map_points(job: Job) -> Run:
     from relmap.results import MAP_PNG, MAPPER, write_result
 
     source = job.at(job.source)
-    with busy("reading"):
-        log = open_log(source, job.log_format)
-    if job.interval is not None:
-        log = log.between(*job.interval)
-    check_association(log, job.association, source)
-    with staged_folder(job.at(job.out), _stale()) as staging, ExitStack() as afterwards:
+    log = _read(job, source)
+    with (
+        staged_folder(job.at(job.out), _stale(job.at(job.out))) as staging,
+        ExitStack() as afterwards,
+    ):
 
         def shown(scans: Iterable[Scan]) -> Iterator[Scan]:
             tied = job.onto is None or job.association == "known"
@@ -91,12 +88,13 @@ def map_points(job: Job) -> Run:
                 if not tied and mapper.take_up(scan.points_robot):
                     about["tied_at"], tied = scan.iteration, True
                 yield scan
+            about["configuration"] = mapper.settings
             afterwards.enter_context(busy("refining and writing"))
 
         seen = journaled_labels(job, log.scans())
         mapper = job.mapper(PointMapper)
         afterwards.callback(mapper.close)
-        about = _about(job, job.log_format or recognised_format(source), mapper.config)
+        about = _about(job, job.log_format or recognised_format(source))
         before = mapper.n_iterations - len(seen)
         run = run_mapper(mapper, log, job.association, about, shown, job.refine, seen, before)
         write_result(staging, run.result)
@@ -105,21 +103,33 @@ def map_points(job: Job) -> Run:
     return run
 
 
-def _stale() -> list[str]:
+def _read(job: Job, source: Path) -> ObservationLog:
+    from relmap.cli.console import busy
+    from relmap.datasets import open_log
+
+    with busy("reading"):
+        log = open_log(source, job.log_format)
+    if job.interval is not None:
+        log = log.between(*job.interval)
+    check_association(log, job.association, source)
+    return log
+
+
+def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
-    from relmap.planefiles import PLANES
+    from relmap.planefiles import PLANES, submap_files
     from relmap.results import EVALUATION
 
-    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF]
+    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 
 
-def _about(job: Job, log_format: str | None, settings: MapperConfig) -> dict[str, Any]:
+def _about(job: Job, log_format: str | None) -> dict[str, Any]:
     return {
         "input": str(job.source),
         "format": log_format,
         "variant": "points",
         "seed": None,
-        "configuration": asdict(settings),
+        "configuration": {},
         "onto": None if job.onto is None else str(job.onto),
         "tied_at": None,
     }

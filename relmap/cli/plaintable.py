@@ -23,8 +23,8 @@ def shown(heading: str, value: float | None) -> str:
         return "-"
     if heading in ("of", "MB"):
         return f"{value:.0f}"
-    if heading == "cover":
+    if heading in ("cover", "path"):
         return f"{100 * value:.0f} %"
-    if heading in ("RMSE", "RMSE10", "ATE", "RPE"):
+    if heading in ("RMSE", "RMSE10", "ATE", "RPE", "pairs", "turn"):
         return f"{value:.4f}"
     return f"{value:.0f}" if value >= 100 else f"{value:.2g}"

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from relmap.core.errors import RelmapError
 
 REGISTRATIONS = ("constellation", "nearest-previous")
+WITH_IDS = dict.fromkeys(("registration", "gate_m"), "with ids nothing is matched")
+WITH_WALLS = dict.fromkeys(
+    ("registration", "gate_m", "keep_observations"),
+    "walls are matched and refined in a way of their own",
+)
+"""Settings that would be ignored, and why."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +41,13 @@ class MapperConfig:
     keep_observations : bool
         Keep every single observation, 32 bytes each, so that `refine` can make use of noise that is
         bounded.
+    refine_live : bool
+        Refine the map while it is being built, when landmarks came back into view.
+
+    Notes
+    -----
+    A setting that would be ignored is refused: `gate_m` with another registration, `registration`
+    where ids are given, and both and `keep_observations` where walls are mapped.
     """
 
     group_after: int = 10
@@ -42,6 +55,7 @@ class MapperConfig:
     registration: str = "constellation"
     gate_m: float | None = None
     keep_observations: bool = False
+    refine_live: bool = True
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -62,14 +76,43 @@ class MapperConfig:
                 f"setting registration is {self.registration!r}; "
                 f"it must be {' or '.join(REGISTRATIONS)}"
             )
-        if type(self.keep_observations) is not bool:
-            raise RelmapError(
-                f"setting keep_observations is {self.keep_observations!r}; it must be true or false"
-            )
+        for key in ("keep_observations", "refine_live"):
+            if type(getattr(self, key)) is not bool:
+                raise RelmapError(
+                    f"setting {key} is {getattr(self, key)!r}; it must be true or false"
+                )
         if self.gate_m is not None and not _is_length(self.gate_m):
             raise RelmapError(
                 f"setting gate_m is {self.gate_m!r}; it must be a length above 0, in metres"
             )
+        if self.gate_m is not None and self.registration != "nearest-previous":
+            raise RelmapError(
+                f"setting gate_m is only for registration nearest-previous, and registration is "
+                f"{self.registration}"
+            )
+
+    def refuse(self, unused: Mapping[str, str]) -> None:
+        """Make sure that settings that would be ignored are as they are by default.
+
+        Parameters
+        ----------
+        unused : mapping
+            Their names, and why they would.
+
+        Raises
+        ------
+        RelmapError
+            Names the first that is not.
+        """
+        default = {field.name: field.default for field in fields(self)}
+        refuse([name for name in default if getattr(self, name) != default[name]], unused)
+
+    def in_use(self, unused: Mapping[str, str]) -> dict[str, Any]:
+        """Return the settings by name, but for those that are ignored."""
+        used = {key: value for key, value in asdict(self).items() if key not in unused}
+        if used.get("registration") != "nearest-previous":
+            used.pop("gate_m", None)
+        return used
 
     @classmethod
     def from_mapping(cls, settings: Mapping[str, Any]) -> MapperConfig:
@@ -87,6 +130,19 @@ class MapperConfig:
                 hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
                 raise RelmapError(f"unknown setting {key!r}; {hint}")
         return cls(**settings)
+
+
+def refuse(given: Iterable[str], unused: Mapping[str, str]) -> None:
+    """Make sure that no setting that is given would be ignored.
+
+    Raises
+    ------
+    RelmapError
+        Names the first that would.
+    """
+    for name in given:
+        if name in unused:
+            raise RelmapError(f"setting {name} would be ignored: {unused[name]}")
 
 
 def _is_length(value: object) -> bool:

@@ -13,10 +13,7 @@ from numpy.typing import NDArray
 from relmap.core.alignment import sums_each
 from relmap.core.condensing import LENGTH
 from relmap.core.jointrows import JointRows
-from relmap.core.tridiagonal import Levels
-
-LOOSE = 1e-9
-"""What holds a placement that hangs by too little, as a share of what holds it otherwise."""
+from relmap.core.tridiagonal import BARELY, Levels
 
 
 class FreePlacements:
@@ -129,6 +126,6 @@ def _taken_away(
     G = seen @ seen.transpose(0, 2, 1)
     hold = np.diagonal(G, axis1=1, axis2=2).copy()
     hold[:, : q - d] = hold[:, : q - d].max(axis=1, keepdims=True)
-    G[:, range(q), range(q)] += LOOSE * hold + 1e-300
+    G[:, range(q), range(q)] += BARELY * hold + 1e-300
     root = np.sqrt(counts)[:, None, None] * np.linalg.inv(np.linalg.cholesky(G))
     return np.asarray((root @ seen).reshape(-1, len(roots)))

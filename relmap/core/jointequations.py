@@ -22,8 +22,6 @@ from relmap.core.tridiagonal import Factor, Levels, at_once
 
 ALL = 2**62
 """More rows than there are."""
-WEAKEST = 1e-6
-"""Least hold of a landmark, in observations: none moves far that hangs by nothing."""
 FLOPS_PER_OBSERVATION = 2e4
 """What may be spent to have one placement for each iteration: half a microsecond or so."""
 
@@ -47,7 +45,7 @@ class Equations(Protocol):
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        with_matrix: bool,
+        hold: tuple[float, float] | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; an empty one where it is not asked for.
 
@@ -58,6 +56,8 @@ class Equations(Protocol):
             The rows, each segment where it fits the positions best.
         weight : (n,) float64
             Of one observation in a row.
+        hold : (share, least), optional
+            What holds unknowns that nothing else does, see `Levels.hold`; no matrix without it.
         """
         ...
 
@@ -136,13 +136,13 @@ class LandmarkEquations:
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        with_matrix: bool,
+        hold: tuple[float, float] | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; see `Equations`."""
-        buffer = np.zeros(self.levels.size if with_matrix else 0)
+        buffer = np.zeros(self.levels.size if hold else 0)
         right, self.cost = self._free.equations(positions, placed, weight, self.levels, buffer)
-        if with_matrix:
-            self.levels.hold(buffer, WEAKEST)
+        if hold:
+            self.levels.hold(buffer, *hold)
         return right, buffer
 
     def moved(
@@ -190,14 +190,14 @@ class PlacementEquations:
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        with_matrix: bool,
+        hold: tuple[float, float] | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return right side and matrix; see `Equations`."""
         from relmap.core.kernels.joint import placement_equations
 
         levels, omega = self.levels, self._seen * weight[self._row]
         gradient = np.zeros((len(levels.level), levels.q))
-        buffer = np.zeros(levels.size if with_matrix else 0)
+        buffer = np.zeros(levels.size if hold else 0)
         residual = (placed - self._means(placed, weight)[self._rows.landmark])[self._row]
         squares = omega * np.sum(residual**2, axis=1)
         self.cost = np.bincount(self._rows.segment[self._row], weights=squares).astype(np.float64)
@@ -216,8 +216,8 @@ class PlacementEquations:
         # The anchor only makes the frame: what pulls at it pulls at its segment.
         gradient[self._anchor[0]] += gradient[fixed]
         gradient[fixed] = 0.0
-        if with_matrix:
-            levels.hold(buffer)
+        if hold:
+            levels.hold(buffer, *hold)
             levels.fix(buffer, fixed)
         return -gradient, buffer
 

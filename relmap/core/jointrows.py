@@ -107,7 +107,8 @@ def searched(
     graph = begin, landmark, *by_landmark, segment
     while not breadth_first(*graph, *found, queue, state, budget):
         yield
-    return found
+    # Where one component ends, its last landmarks may stand a level beyond its last segments.
+    return found[0], numbered(found[1])[1]
 
 
 def numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -14,12 +14,14 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import SEEN, CondensedSegments, SegmentRows
 from relmap.core.globalmap import GlobalMap
+from relmap.core.robust import fit_robust_each
 from relmap.core.slices import SLICE, StepInSlices
 from relmap.core.table import NONE, LandmarkState
 
+SLICE_EVERY = 8
+"""Iterations for each slice."""
 GROWTH = 1.15
 """How many times as long a run must be as when the last step was begun."""
 SOUND = 0.1
@@ -89,10 +91,11 @@ class StepUnderWay:
         seen = SEEN[rows.visible[first:end][kept]].astype(np.float64)
         base = segments[first]
         there = table.position[landmark]
-        R, t, fixed = fit_rigid_each(points, there, seen, segment - base, int(last - base) + 1)
-        placed = np.einsum("nij,nj->ni", R[segment - base], points) + t[segment - base]
-        on = fixed[segment - base]
-        self.step.add(placed[on], landmark[on], segment[on], seen[on])
+        at, n = segment - base, int(last - base) + 1
+        R, t, fixed, weight = fit_robust_each(points, there, seen, at, n)
+        placed = np.einsum("nij,nj->ni", R[at], points) + t[at]
+        on = fixed[at]
+        self.step.add(placed[on], landmark[on], segment[on], (weight * seen)[on])
         self._first = end
 
 
@@ -121,17 +124,30 @@ class LiveRefinement:
             n = self._segments.rows.n_segments
             if self._back <= BACK or GROWTH * self._begun >= n:
                 return False
-            self._begun, self._back = n, 0
             self._step = self._begin()
             if self._step is None:
                 return True
         # The slices of a short run are small.
         for _ in range(np.clip(SMALL // len(self._segments.rows.segment), 1, MOST)):
-            if self._step.go_on(self._segments, self._table):
-                self._apply(self._step)
-                self._step = None
+            if self._go_on():
                 return True
         return False
+
+    def complete(self) -> None:
+        """Take a whole step over all there is, as no more is to come."""
+        self._note()
+        if self._segments.rows.n_segments > LEAST:
+            self._step = self._begin()
+        while self._step is not None:
+            self._go_on()
+
+    def _go_on(self) -> bool:
+        """Do a slice of the step under way; tell whether it was the last and has moved the map."""
+        if self._step is None or not self._step.go_on(self._segments, self._table):
+            return False
+        self._apply(self._step)
+        self._step = None
+        return True
 
     @property
     def is_busy(self) -> bool:
@@ -153,6 +169,7 @@ class LiveRefinement:
     def _begin(self) -> StepUnderWay | None:
         """Begin a Gauss-Newton step for the submap that is in view, if there is one."""
         rows = self._segments.rows
+        self._begun, self._back = rows.n_segments, 0
         submap = self._submap_in_view(rows)
         if submap == NONE:
             return None

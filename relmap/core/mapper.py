@@ -10,7 +10,7 @@ from relmap.core.averaging import Averaging
 from relmap.core.chart import PointChart
 from relmap.core.completion import RelativeMap
 from relmap.core.condensing import CondensedSegments, SegmentRows
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.globalmap import GlobalMap
 from relmap.core.grouping import grow_group
@@ -219,6 +219,8 @@ class RelativeMapper:
 
     def _association_for(self, ids: NDArray[np.int64] | None) -> Registration:
         if self.association is None:
+            if ids is not None:
+                self.config.refuse(WITH_IDS)
             self.first_scan = self.store.n_iterations
             known = ids is not None
             self.association = KnownAssociation() if known else self.model.association(self.config)

@@ -71,9 +71,10 @@ class Merger:
         self._entered = 0
 
     def doubles(self) -> NDArray[np.int64]:
-        """Return the landmarks (k,) that lie near older ones that they may be, to be asked again.
+        """Return the landmarks (k,) that lie near older ones that they may be, to be merged next.
 
-        Wherever they are now, as the map has moved or a submap has joined another.
+        Wherever they are now, as the map has moved or a submap has joined another, and however
+        seldom they were seen: the whole map has been brought into place.
         """
         mapped = np.flatnonzero(self._table.weight > 0)
         if self._index is None or not len(mapped):
@@ -82,10 +83,12 @@ class Merger:
         near = cKDTree(self._table.position[mapped]).query_pairs(
             self._index.cell_m, output_type="ndarray"
         )
-        pairs = mapped[np.vstack([near, near[:, ::-1]])].tolist()
-        new = np.unique([new for new, old in pairs if self._may_be(new, old)]).astype(np.int64)
-        self._table.asked_level[new] = 0
-        return new
+        found: dict[int, list[int]] = {}
+        for new, old in sorted(mapped[np.vstack([near, near[:, ::-1]])].tolist()):
+            if self._may_be(new, old):
+                found.setdefault(new, []).append(old)
+        self._old_near.update(found)
+        return np.array(list(found), dtype=np.int64)
 
     def go_on(self) -> None:
         """Enter some more landmarks where they are now."""

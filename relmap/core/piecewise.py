@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from relmap.core.condensing import SegmentRows
@@ -10,6 +12,8 @@ from relmap.core.observations import KeptObservations
 from relmap.core.powers import refine_by_powers
 from relmap.core.refinement import Refined, refine
 from relmap.core.table import NONE
+
+logger = logging.getLogger(__name__)
 
 
 def refine_submaps(
@@ -36,4 +40,10 @@ def refine_submaps(
         if refined is not None:
             global_map.move(refined.landmarks, refined.positions)
             found.append(refined)
+            if not refined.converged:
+                logger.warning(
+                    "refinement of %d landmarks did not converge: the map is the best that was "
+                    "found, and what its sd says may be wrong",
+                    len(refined.landmarks),
+                )
     return found

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid_each
 from relmap.core.condensing import LENGTH, NOWHERE, SegmentRows
+from relmap.core.robust import fit_robust_each
 
 
 def trajectory(
@@ -16,7 +16,8 @@ def trajectory(
 
     Each is the least-squares fit of what was seen to where it is mapped.  The observations are
     condensed: those of an iteration, as it lies in its segment, differ from the segment's points
-    by what no small motion would mend.  So the points it saw are fitted in their stead.
+    by what no small motion would mend.  So the points it saw are fitted in their stead; a few
+    that were taken for others do not count.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ def trajectory(
     row, bit = np.nonzero(seen)
     row = np.flatnonzero(mapped)[row]
     at = rows.first_iteration[rows.segment[row]] + bit
-    R, t, fixed = fit_rigid_each(rows.points[row], there[row], np.ones(len(row)), at, n)
+    R, t, fixed, _ = fit_robust_each(rows.points[row], there[row], np.ones(len(row)), at, n)
     fixed &= rows.iteration_segment != NOWHERE
     poses[fixed] = np.eye(4)
     poses[fixed, :d, :d] = R[fixed] @ rows.R[fixed]

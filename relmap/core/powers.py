@@ -27,6 +27,8 @@ SHARES = (1.0, 0.5, 0.25)
 """Parts of Newton's step that are tried: where little is seen the whole of it is too long."""
 FAINT = 1e-4
 """Least weight, as a share of the largest: what was seen a few times leaves no residual."""
+LOOSE = 1e-9
+"""What holds a landmark that hangs by too little, as a share of what holds others."""
 EXACT = 1e-9
 """Residual, as a share of the map's size, that is taken for rounding."""
 SPARSE = 20
@@ -120,7 +122,7 @@ class _Solution:
         right, buffer = np.zeros_like(self.positions), np.zeros(self.levels.size)
         rows = self.seen.begin, of, turned, residual, weight, self.R
         power_equations(*rows, right, buffer, *self.levels.layout)
-        self.levels.hold(buffer, 0.0)
+        self.levels.hold(buffer, LOOSE)
         move = factor(self.levels, buffer).solve(right)
         steps = placement_steps(self.seen.begin, turned, residual - move[of], weight, self.R)
         tried = [self._moved(share / (power - 1), move, steps, power) for share in SHARES]

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid, fit_rigid_each, fixes_rotation, sums_each
+from relmap.core.alignment import fit_rigid, fixes_rotation
 from relmap.core.condensing import LENGTH, SegmentRows
 from relmap.core.jointequations import Equations, equations
 from relmap.core.jointrows import JointRows
@@ -23,8 +23,9 @@ from relmap.core.residuals import (
     merge_residuals,
     segment_residuals,
 )
+from relmap.core.robust import fit_robust_each
 from relmap.core.settling import lay_on, norm, settle
-from relmap.core.tridiagonal import Factor
+from relmap.core.tridiagonal import BARELY, factor
 
 STEADY = 3.0
 """Median deviation up to which a landmark keeps its place, in units of what is usual."""
@@ -37,16 +38,22 @@ class Spread:
     """Works out the covariances of some landmarks, turned and scaled (d, d)."""
 
     system: Equations
-    solved: Factor
+    positions: NDArray[np.float64]
     placed: NDArray[np.float64]
     weight: NDArray[np.float64]
     chosen: NDArray[np.bool_]
     scale: NDArray[np.float64]
 
     def __call__(self) -> NDArray[np.float64]:
-        """Return the covariances, square metres."""
-        of_unit_noise = self.system.covariances(self.solved, self.placed, self.weight)
-        return np.asarray(self.scale.T @ of_unit_noise[self.chosen] @ self.scale)
+        """Return the covariances, square metres; NaN of what the observations do not fix."""
+        at, levels = (self.positions, self.placed, self.weight), self.system.levels
+        matrix = self.system.normal(*at, (BARELY, 0.0))[1]
+        found = self.system.covariances(factor(levels, matrix), self.placed, self.weight)
+        found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
+        # No linear theory tells of errors as large as the map.
+        extent = np.ptp(self.positions[self.chosen], axis=0).max()
+        found[np.trace(found, axis1=1, axis2=2) > found.shape[1] * extent**2] = np.nan
+        return found
 
     def scaled(self, factor: float) -> Spread:
         """Return the same for standard deviations that are larger by a factor."""
@@ -71,6 +78,9 @@ class Refined:
     spread : Spread
     power : float
         Of what is left of the observations, whose sum is least; 2 is least squares.
+    converged : bool
+        Whether the least squares came to an end.  Where not, the positions are the best that was
+        found, no worse than those to start from.
     """
 
     landmarks: NDArray[np.int64]
@@ -81,6 +91,7 @@ class Refined:
     merges: MergeResiduals
     spread: Spread
     power: float = 2
+    converged: bool = True
 
     def __getstate__(self) -> dict[str, object]:
         """Copy the covariances, not what they are worked out from."""
@@ -146,20 +157,25 @@ def _solved(
     if anchor is None:
         return None
     system = equations(joint, anchor)
-    refined, weight, solved = settle(system, joint, start[joint.landmarks])
+    settled = settle(system, joint, start[joint.landmarks])
+    refined, weight = settled.positions, settled.weight
     placed = lay_on(joint, refined, weight)
-    noise_m = _noise(rows, joint, system)
+    system.normal(refined, placed, weight, None)
+    noise_m = _noise(rows, joint, system.cost, weight)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
     R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
     R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
     mapped = chosen[joint.landmarks]
 
-    spread = Spread(system, solved, placed, weight, mapped, noise_m * R)
+    spread = Spread(system, refined, placed, weight, mapped, noise_m * R)
     segments = segment_residuals(rows, joint, (placed - t) @ R, system.cost, noise_m)
     merges = merge_residuals(rows, joint, placed, refined, noise_m)
     landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R
-    return Refined(landmarks, refined, iteration, noise_m, segments, merges, spread)
+    residuals = segments, merges
+    return Refined(
+        landmarks, refined, iteration, noise_m, *residuals, spread, converged=settled.converged
+    )
 
 
 def _cleared(
@@ -191,7 +207,7 @@ def _laid_on(
     """Return all rows (n, d) with their segments fitted to some; and whether these fix it (n,)."""
     at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
     there = positions[landmark[kept]]
-    R, t, fixed = fit_rigid_each(rows.points[kept], there, n_seen, at, rows.n_segments)
+    R, t, fixed, _ = fit_robust_each(rows.points[kept], there, n_seen, at, rows.n_segments)
     placed = np.einsum("nij,nj->ni", R[rows.segment], rows.points) + t[rows.segment]
     return placed, fixed[rows.segment]
 
@@ -212,11 +228,12 @@ def _joint_rows(
     known = fixed & (mapped | others[landmark])
     n_seen = np.bincount(landmark[known], weights=rows.n_seen[known], minlength=len(positions))
     known &= n_seen[landmark] > 1
-    loose = known & ~mapped
-    count = np.bincount(landmark[loose], minlength=len(positions))
-    start = sums_each(placed[loose], landmark[loose], len(positions))
-    start /= np.maximum(count, 1)[:, None]
-    start[chosen] = positions[chosen]
+    start = positions.copy()
+    loose = np.flatnonzero(known & ~mapped)
+    loose = loose[np.argsort(landmark[loose], kind="stable")]
+    numbers, first = np.unique(landmark[loose], return_index=True)
+    for number, of in zip(numbers, np.split(loose, first[1:]), strict=False):
+        start[number] = np.median(placed[of], axis=0)
     return JointRows.of_landmarks(rows, landmark, np.flatnonzero(known)), start
 
 
@@ -230,17 +247,19 @@ def _anchor(rows: JointRows) -> tuple[int, int] | None:
     return None
 
 
-def _noise(rows: SegmentRows, joint: JointRows, system: Equations) -> float:
+def _noise(
+    rows: SegmentRows, joint: JointRows, costs: NDArray[np.float64], weight: NDArray[np.float64]
+) -> float:
     """Return the standard deviation of an observed coordinate that explains what is left.
 
-    Within segments and between them alike; but where segments surely agree less with one another
-    than within, what is between them counts.
+    Within segments and between them (s,) alike; but where segments surely agree less with one
+    another than within, what is between them counts.  A row of no weight is not there.
     """
     d = joint.points.shape[1]
     q = 3 * d - 3
     within = rows.freedoms[joint.segments].sum()
-    between = d * (len(joint.points) - len(joint.landmarks)) - q * (len(joint.segments) - 1)
-    squares, cost = rows.squares[joint.segments].sum(), system.cost.sum()
+    between = d * (weight.sum() - len(joint.landmarks)) - q * (len(joint.segments) - 1)
+    squares, cost = rows.squares[joint.segments].sum(), costs.sum()
     variance = (squares + cost) / max(within + between, 1)
     if between > 0 and cost / between > (1 + SURELY * np.sqrt(2 / between)) * variance:
         variance = cost / between

@@ -97,3 +97,23 @@ def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
             f"ids holds {known[counts > 1][0]} twice; a landmark is seen once in a scan"
         )
     return array
+
+
+def checked_labels(labels: ArrayLike, handed_out: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return labels (n,) as int64 where all are among those handed out (k,).
+
+    Raises
+    ------
+    RelmapError
+        Names the first that is not.
+    """
+    try:
+        array = np.asarray(labels)
+    except ValueError as error:
+        raise RelmapError(f"labels must be (n,) whole numbers: {error}") from error
+    if array.dtype.kind not in "iu" and array.size:
+        raise RelmapError(f"labels has type {array.dtype}; labels are whole numbers")
+    strange = array[~np.isin(array, handed_out)]
+    if len(strange):
+        raise RelmapError(f"labels holds {strange[0]}, which no update has returned")
+    return array.astype(np.int64)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 from relmap.core.alignment import fit_rigid_each
 from relmap.core.jointequations import Equations
 from relmap.core.jointrows import JointRows
+from relmap.core.robust import EXACT, fit_robust_each, lenient, limit_of, robust_cost, strict
 from relmap.core.tridiagonal import Factor, factor
 
-logger = logging.getLogger(__name__)
+Weights = Callable[[NDArray[np.float64], float], NDArray[np.float64]]
 
 ROUNDS = 30
 SETTLED = 1e-3
@@ -26,27 +28,44 @@ DAMPED, MORE = 1e-5, 10.0
 (Levenberg, 1944; Marquardt, 1963)."""
 UNSURE = 1e-4
 """A step has settled too that gains no more, in squared standard deviations of the whole map."""
+HOLD = 1e-9, 1e-6
+"""What holds an unknown in a step, as a share of others and in observations: none moves far that
+hangs by nothing."""
 SLOW = 0.1
 """A step that leaves a larger share of the one before asks for a new factor."""
-HUBER = 5.0
-"""Standard deviations beyond which a landmark in a segment counts less: it is no noise."""
-CHI_MEDIAN = {2: 1.177, 3: 1.538}
-"""Median length of a standard normal vector."""
-EXACT = 1e-9
-"""Residual, as a share of the map's size, that is taken for rounding."""
 WORTH_SAYING = 0.1
 """Last step, as a share of the residuals, above which it is said that it did not settle."""
-REWEIGHTED = 5
+REWEIGHTED = 20
 SAME = 0.05
 """Change of a weight that makes no difference."""
 ALIKE = 0.01
 """Mean change of the weights that asks for no new factor."""
 
 
-def settle(
-    system: Equations, rows: JointRows, positions: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Factor]:
-    """Return positions of the least weighted sum of squares, weights, and the matrix's factor.
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """What the robust joint least squares came to.
+
+    Attributes
+    ----------
+    positions : (m, d) float64, metres
+    weight : (n,) float64
+        Of an observation of each row.
+    converged : bool
+        Where not, the positions are the best that was found, which may be those to start from.
+    """
+
+    positions: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    converged: bool
+
+
+def settle(system: Equations, rows: JointRows, positions: NDArray[np.float64]) -> Settled:
+    """Return positions of the least robust cost, no worse than those to start from.
+
+    The first weights are those of the start: a few wrong matches would drag a map that is solved
+    for without weights to where no weights bring it back from.  Lenient weights spread a drift over
+    a loop; then what still fits nowhere is let go.
 
     Parameters
     ----------
@@ -54,24 +73,34 @@ def settle(
     rows : JointRows
     positions : (m, d) float64, metres
         To start from.
-
-    Returns
-    -------
-    positions : (m, d) float64, metres
-    weight : (n,) float64
-        Of an observation of each row.
-    factor : Factor
     """
-    weight = np.ones(len(rows.points))
-    settled, solved = _settled(system, rows, positions, weight)
-    for _ in range(REWEIGHTED):
-        before, weight = weight, _weights(rows, settled, weight)
-        change = np.abs(weight - before)
-        if change.max() < SAME:
-            break
-        kept = solved if change.mean() < ALIKE else None
-        settled, solved = _settled(system, rows, settled, weight, kept)
-    return settled, weight, solved
+    start = positions
+    residual = _residuals_at(rows, start)
+    limit = limit_of(residual, start.shape[1], _size(start))
+    weight = lenient(residual, limit)
+    positions, found, converged = _settled(system, rows, start, weight)
+    for function in (lenient, strict):
+        for _ in range(REWEIGHTED):
+            before = weight
+            weight, limit = _weights(rows, positions, weight, function, limit)
+            change = np.abs(weight - before)
+            if change.max() < SAME:
+                break
+            kept = found if change.mean() < ALIKE else None
+            positions, found, converged = _settled(system, rows, positions, weight, kept)
+    rounding = len(rows.points) * (EXACT * _size(start)) ** 2
+    cost = robust_cost(_residuals_at(rows, positions), limit)
+    if not cost <= WORSE * robust_cost(residual, limit) + rounding:
+        return Settled(start, strict(residual, limit), converged=False)
+    return Settled(positions, weight, converged)
+
+
+def _residuals_at(rows: JointRows, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what is left of the rows (n,), each segment laid on as most of its rows say."""
+    there, n_seen, at = positions[rows.landmark], rows.n_seen.astype(np.float64), rows.segment
+    R, t, _, _ = fit_robust_each(rows.points, there, n_seen, at, len(rows.segments))
+    placed = np.einsum("nij,nj->ni", R[at], rows.points) + t[at]
+    return norm(placed - there) * np.sqrt(n_seen)
 
 
 def lay_on(
@@ -91,17 +120,17 @@ def _settled(
     positions: NDArray[np.float64],
     weight: NDArray[np.float64],
     found: Factor | None = None,
-) -> tuple[NDArray[np.float64], Factor]:
-    """Return the positions of the least sum of squares, and the factor of the last matrix.
+) -> tuple[NDArray[np.float64], Factor | None, bool]:
+    """Return the positions of the least sum of squares, the last factor, and if it converged.
 
     Begins with the factor of a matrix that is nearly the same, where there is one.
     """
-    size = np.abs(positions - positions.mean(axis=0)).max()
+    size = _size(positions)
     rounding = len(rows.points) * (ROUNDING * size) ** 2
     before, least, damping, best, length, residual = np.inf, np.inf, 0.0, positions, np.inf, 0.0
     for _ in range(ROUNDS):
         placed = lay_on(rows, positions, weight)
-        right, matrix = system.normal(positions, placed, weight, with_matrix=found is None)
+        right, matrix = system.normal(positions, placed, weight, None if found else HOLD)
         cost = system.cost.sum()
         if not cost <= WORSE * least + rounding:
             damping = max(DAMPED, MORE * damping)
@@ -119,17 +148,12 @@ def _settled(
         near = length * (shrinks or 1.0) <= max(SETTLED * residual, ROUNDING * size)
         unsure = np.sum(right * step) <= UNSURE * cost / _freedoms(rows)
         if not damping and (near or unsure):
-            return positions, found
+            return positions, found, True
         before = length
         if damping or (shrinks is not None and shrinks > SLOW):
             found, before = None, np.inf
         damping = damping / MORE if damping > DAMPED else 0.0
-    if length > WORTH_SAYING * residual:
-        logger.warning(
-            "refinement did not settle in %d rounds: the last step was %.3g m", ROUNDS, length
-        )
-    placed = lay_on(rows, best, weight)
-    return best, factor(system.levels, system.normal(best, placed, weight, True)[1])
+    return best, found, length <= WORTH_SAYING * residual
 
 
 def _freedoms(rows: JointRows) -> int:
@@ -140,19 +164,25 @@ def _freedoms(rows: JointRows) -> int:
 
 
 def _weights(
-    rows: JointRows, positions: NDArray[np.float64], weight: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return Huber's weights (n,) of the rows (Huber, 1964); all 1 where noise explains them.
+    rows: JointRows,
+    positions: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    function: Weights,
+    at_most: float,
+) -> tuple[NDArray[np.float64], float]:
+    """Return the weights (n,) of the rows, all 1 where noise explains them, and their limit.
 
-    The scale is the median of the residuals, each in units of what the number of its observations
-    makes it.
+    The limit never grows: many wrong matches that count a little raise the noise, and so each
+    other's weights.
     """
     residual = norm(lay_on(rows, positions, weight) - positions[rows.landmark])
     residual *= np.sqrt(rows.n_seen)
-    scale = np.median(residual) / CHI_MEDIAN[rows.points.shape[1]]
-    size = np.abs(positions - positions.mean(axis=0)).max()
-    limit = max(HUBER * scale, EXACT * size)
-    return np.asarray(limit / np.maximum(residual, limit))
+    limit = min(limit_of(residual, positions.shape[1], _size(positions)), at_most)
+    return function(residual, limit), limit
+
+
+def _size(positions: NDArray[np.float64]) -> float:
+    return float(np.abs(positions - positions.mean(axis=0)).max())
 
 
 def norm(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,6 +17,8 @@ LIGHT = 6
 """Times as many where little is done with each."""
 MOST_FLOPS = 3e7
 """What a slice of the solution may cost: a millisecond.  Where it would more, bodies are joined."""
+LOOSE = 1e-9
+"""What holds a placement that hangs by too little, as a share of others and in observations."""
 BODIES = 1000
 """Placements at most.  Of a longer run, consecutive ones are joined to one rigid body."""
 Points = NDArray[np.float64]
@@ -111,7 +113,7 @@ class StepInSlices:
         means = self._sums[: len(self.members)] / self._total[: len(self.members), None]
         levels = yield from self._levels(begin, entry)
         right, matrix = yield from self._equations(begin, entry, levels, means)
-        levels.hold(matrix)
+        levels.hold(matrix, LOOSE, LOOSE)
         levels.fix(matrix, 0)
         right[0] = 0.0
         factor = yield from factored(levels, matrix)

@@ -19,11 +19,11 @@ from scipy.linalg.lapack import dpotri
 
 Result = TypeVar("Result")
 
-LOOSE = 1e-9
-"""What holds an unknown that hangs by too little, as a share of what holds others."""
+BARELY = 1e-13
+"""What keeps rounding from making a matrix indefinite, as a share of its entries."""
 STIFF = 1e9
 """What holds an unknown that is not free, as a multiple of what holds others."""
-HOLDS = (0.0, 1e-8, 1e-6, 1e-4)
+HOLDS = (0.0, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4)
 """What is added where a matrix is not positive definite, as a share of its largest entry."""
 
 
@@ -95,19 +95,24 @@ class Levels:
         row, column = np.mgrid[: self.q, : self.q]
         return np.asarray(buffer[start[:, None, None] + row * width[:, None, None] + column])
 
-    def hold(self, buffer: NDArray[np.float64], least: float = LOOSE) -> None:
+    def hold(self, buffer: NDArray[np.float64], share: float, least: float = 0.0) -> None:
         """Give unknowns that hang by too little, or by nothing, a little hold where they are.
+
+        It damps a step, and belongs in no covariance but for `BARELY`: many weak holds along a
+        chain add up to a strong one.
 
         Parameters
         ----------
         buffer : (size,) float64
+        share : float
+            Of what holds others.
         least : float
             In weights of an observation.
         """
         diagonals = [np.einsum("ii->i", diagonal) for diagonal, _ in self.blocks(buffer)]
         largest = max(float(diagonal.max()) for diagonal in diagonals)
         for diagonal in diagonals:
-            diagonal += LOOSE * (np.abs(diagonal) + largest) + least
+            diagonal += share * (np.abs(diagonal) + largest) + least
 
     def damp(self, buffer: NDArray[np.float64], share: float) -> None:
         """Add a share of itself to the diagonal."""

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.live import SLICE_EVERY
+
 if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
-
-REFINE_EVERY = 8
-"""Iterations for each slice of live refinement."""
 
 
 def take_turns(engine: RelativeMapper, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
@@ -72,7 +71,7 @@ def _refine_next(engine: RelativeMapper) -> bool:
 
     Not in every iteration, so that a typical one takes no longer.
     """
-    if engine.store.n_iterations % REFINE_EVERY:
+    if not engine.config.refine_live or engine.store.n_iterations % SLICE_EVERY:
         return False
     if engine.live.advance():
         engine.merger.look_again()

@@ -13,6 +13,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.base import LandmarkDataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
+from relmap.datasets.foreign import foreign_at
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
@@ -121,8 +122,12 @@ def _choose(path: Path, format: str | None, datasets: tuple[Dataset, ...], what:
         )
     known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in datasets)
     _refuse_other(path, what)
+    foreign = foreign_at(path)
     if path.is_dir():
-        raise RelmapError(f"{shown(path)}: the folder holds no {what}, expected {known}")
+        instead = f" but {foreign}" if foreign else ""
+        raise RelmapError(f"{shown(path)}: the folder holds no {what}{instead}, expected {known}")
+    if foreign:
+        raise RelmapError(f"{shown(path)}: is {foreign} and no {what}, expected {known}")
     with open_text(path) as stream:
         head = read_head(path, stream)
     first = quoted(",".join(head.columns))

@@ -30,7 +30,7 @@ from relmap.datasets.scans import (
     MAX_BEAMS,
     MAX_SCANS,
     ScanLog,
-    checked_stamps,
+    in_time_order,
     laser_scans,
     planar_poses,
 )
@@ -59,7 +59,6 @@ class _Scan:
     T_robot_laser: list[float]
     stamp_s: float
     limit_m: float
-    line: int
 
 
 class CarmenLog:
@@ -110,20 +109,18 @@ class CarmenLog:
 
 
 def _log(path: Path, scans: list[_Scan], vertices: NDArray[np.float64]) -> ScanLog:
-    stamps_s = checked_stamps(
-        path,
-        np.array([scan.stamp_s for scan in scans]),
-        lambda index: f"line {scans[index].line}, field t",
-    )
     given = len(vertices) == len(scans)
     x, y, yaw = (vertices if given else np.array([scan.pose for scan in scans])).T
+    order, stamps_s = in_time_order(path, np.array([scan.stamp_s for scan in scans]))
+    scans = [scans[index] for index in order]
     return laser_scans(
+        path,
         [scan.ranges_m for scan in scans],
         [scan.bearings_rad for scan in scans],
         _limit(scans),
         np.array([scan.T_robot_laser for scan in scans]),
         stamps_s,
-        planar_poses(x, y, yaw),
+        planar_poses(x, y, yaw)[order],
     )
 
 
@@ -158,7 +155,6 @@ def _flaser(path: Path, number: int, cells: list[str]) -> _Scan:
         [0.0, 0.0, 0.0],
         values[-1],
         math.inf,
-        number,
     )
 
 
@@ -176,18 +172,17 @@ def _robotlaser(path: Path, number: int, cells: list[str]) -> _Scan:
         _in_frame(laser, robot),
         values[-1],
         values[4],
-        number,
     )
 
 
 def _ranges(path: Path, number: int, values: list[float]) -> NDArray[np.float64]:
     ranges = np.array(values)
-    wrong = (ranges < 0) | (ranges > MAX_COORDINATE_M)
+    wrong = ranges > MAX_COORDINATE_M
     if wrong.any():
         beam = int(np.argmax(wrong))
         raise RelmapError(
             f"{shown(path)}: line {number}: the range of beam {beam} is {values[beam]:.10g}, "
-            "expected metres, 0 or more"
+            f"expected metres up to {MAX_COORDINATE_M:g}"
         )
     return ranges
 

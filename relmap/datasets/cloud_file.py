@@ -1,4 +1,4 @@
-"""One point cloud: PCD or PLY, as text or binary, plain or packed by xz.
+"""One point cloud: PCD or PLY, as text or binary, plain or packed by xz; PCD packed by LZF, too.
 
 Only the points' x, y and z are read. They are read here and not by open3d because that makes up
 what a damaged file lacks: of a PLY text cut short it returns as many points as the header says,
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import lzma
 import re
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.foreign import HEAD_BYTES, foreign_format
 from relmap.datasets.textfile import quoted, shown, unreadable
 
 MAX_BYTES, MAX_POINTS = 1 << 28, 1 << 23
@@ -39,6 +41,9 @@ _PCD_TYPES = {
     for kind, sizes in (("F", "48"), ("I", "1248"), ("U", "1248"))
     for size in sizes
 }
+_PCD_FORMS = ("ascii", "binary", "binary_compressed")
+_LZF_SIZES = struct.Struct("<II")
+"""Bytes packed and unpacked, before the packed ones."""
 _PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -64,12 +69,16 @@ class _Layout:
     types : sequence of str
         As numpy writes them; without the order of bytes where the numbers are text.
     text : bool
+    fields : sequence of int
+        How many numbers each field has, where all points of a field stand together, packed by LZF;
+        else empty.
     """
 
     count: int
     names: Sequence[str]
     types: Sequence[str]
     text: bool
+    fields: Sequence[int] = ()
 
 
 def is_cloud(file: Path) -> bool:
@@ -96,7 +105,9 @@ def read_cloud(file: Path) -> NDArray[np.float64]:
     data = _unpacked(file, MAX_BYTES)
     end = _header_end(data)
     if end is None:
-        raise RelmapError(f"{shown(file)}: no header of a cloud, expected a PCD or PLY file")
+        found = foreign_format(data[:HEAD_BYTES])
+        what = f"is {found} and no cloud" if found else "no header of a cloud"
+        raise RelmapError(f"{shown(file)}: {what}, expected a PCD or PLY file")
     try:
         header = [line.split() for line in data[:end].decode("ascii").splitlines()]
         layout = (_ply if header[0] == ["ply"] else _pcd)([line for line in header if line])
@@ -160,9 +171,10 @@ def _pcd(header: list[list[str]]) -> _Layout:
         names += [name] * count
         types += [_PCD_TYPES[f"{kind} {size}"]] * count
     form = entries["DATA"][0]
-    if form not in ("ascii", "binary"):
-        raise ValueError(f"DATA {form} cannot be read, only ascii and binary")
-    return _Layout(int(entries["POINTS"][0]), names, types, form == "ascii")
+    if form not in _PCD_FORMS:
+        raise ValueError(f"DATA {form} cannot be read, only {', '.join(_PCD_FORMS)}")
+    packed = counts if form == "binary_compressed" else []
+    return _Layout(int(entries["POINTS"][0]), names, types, form == "ascii", packed)
 
 
 def _ply(header: list[list[str]]) -> _Layout:
@@ -195,12 +207,30 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
         if table.shape != (layout.count, len(layout.names)):
             raise ValueError(f"{len(table)} of {layout.count} points")
         return np.asarray(table[:, axes])
+    if layout.fields:
+        return _packed_columns(layout, data[begin:], axes)
     row = np.dtype([(f"f{k}", kind) for k, kind in enumerate(layout.types)])
     whole = (len(data) - begin) // row.itemsize
     if whole < layout.count:
         raise ValueError(f"{whole} of {layout.count} points")
     points = np.frombuffer(data, row, layout.count, begin)
     return np.column_stack([points[f"f{k}"] for k in axes]).astype(np.float64)
+
+
+def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> NDArray[np.float64]:
+    """Return some numbers (n, len(axes)) of all points; ValueError where data do not fit."""
+    from relmap.datasets.lzf import unpacked_lzf
+
+    n, types = layout.count, [np.dtype(kind) for kind in layout.types]
+    field_of = np.repeat(np.arange(len(layout.fields)), layout.fields)
+    width = np.bincount(field_of, [kind.itemsize for kind in types]).astype(np.int64)
+    packed, size = _LZF_SIZES.unpack_from(data.ljust(_LZF_SIZES.size, b"\0"))
+    if size != n * width.sum() or size > MAX_BYTES or len(data) < _LZF_SIZES.size + packed:
+        raise ValueError(f"{size // width.sum()} of {n} points, packed to {packed} bytes")
+    unpacked = unpacked_lzf(data[_LZF_SIZES.size :][:packed], size)
+    parts = np.split(unpacked, n * np.cumsum(width)[:-1])
+    columns = [parts[field_of[k]].view(types[k]).reshape(n, -1)[:, 0] for k in axes]
+    return np.column_stack(columns).astype(np.float64)
 
 
 def _text_rows(data: bytes, begin: int, count: int) -> list[str]:

@@ -22,7 +22,7 @@ from relmap.datasets.scans import (
     MAX_BEAMS,
     MAX_SCANS,
     ScanLog,
-    checked_stamps,
+    in_time_order,
     laser_scans,
     planar_poses,
 )
@@ -62,16 +62,15 @@ class MrptLaser:
         if len(table.lines) > MAX_SCANS or len(table.lines) * beams > MAX_BEAMS:
             problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
             raise RelmapError(f"{shown(file)}: {problem}")
-        stamps_s = checked_stamps(
-            file, table.columns["t_s"], lambda row: f"line {table.lines[row]}, field t_s"
-        )
+        order, stamps_s = in_time_order(file, table.columns["t_s"])
         sensor, limit_m = _sensor(table)
-        ranges = np.column_stack([table.columns[f"r{k}"] for k in range(beams)])
+        ranges = np.column_stack([table.columns[f"r{k}"] for k in range(beams)])[order]
         bearing = np.linspace(-math.pi / 2, math.pi / 2, beams)
         poses = planar_poses(*(table.columns[name] for name in ("gt_x", "gt_y", "gt_theta")))
         k = len(ranges)
+        mounted = np.tile(sensor, (k, 1))
         return laser_scans(
-            list(ranges), [bearing] * k, limit_m, np.tile(sensor, (k, 1)), stamps_s, poses
+            file, list(ranges), [bearing] * k, limit_m, mounted, stamps_s, poses[order]
         )
 
 
@@ -81,7 +80,7 @@ def _columns(beams: int) -> list[Column]:
     return [
         Column("t_s", 0.0, 1e12, "seconds"),
         *(Column(name, -far, far, "metres or radians") for name in names),
-        *(Column(f"r{k}", 0.0, far, "metres") for k in range(beams)),
+        *(Column(f"r{k}", -far, far, "metres") for k in range(beams)),
     ]
 
 

@@ -2,7 +2,7 @@
 
 The scans come in the order of the numbers in their names. ``alidarPose.csv`` beside them (as BALM,
 Z. Liu and F. Zhang, RA-L 2021, writes it) gives the reference poses: rows 4N to 4N + 3 are the
-matrix T_reference_robot of file number N, with the time in its last cell.
+matrix T_reference_robot of file number N, with the time, which then is the order, in its last cell.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.number_rows import NumberRows
-from relmap.datasets.scans import ScanLog, checked_stamps
+from relmap.datasets.scans import ScanLog, in_time_order
 from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import (
     open_text,
@@ -65,6 +65,8 @@ class PointClouds:
         poses_file = files[0].with_name(POSES_FILE)
         if poses_file.is_file():
             stamps_s, poses = _read_poses(poses_file, files)
+            order, stamps_s = in_time_order(poses_file, stamps_s)
+            files, poses = [files[index] for index in order], poses[order]
         return ScanLog(3, stamps_s, lambda index: read_cloud(files[index]), poses)
 
 
@@ -93,7 +95,7 @@ def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], ND
     matrices = rows[first + np.arange(4)]
     stamps_s = matrices[:, 3, 3].copy()
     matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
-    return checked_stamps(file, stamps_s, lambda k: f"line {first[k, 0] + 4}"), matrices
+    return stamps_s, matrices
 
 
 def _matrix_rows(file: Path) -> NDArray[np.float64]:

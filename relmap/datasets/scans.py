@@ -187,6 +187,7 @@ def stored_scans(
 
 
 def laser_scans(
+    path: Path,
     ranges_m: list[NDArray[np.float64]],
     bearings_rad: list[NDArray[np.float64]],
     limit_m: float,
@@ -198,8 +199,11 @@ def laser_scans(
 
     Parameters
     ----------
+    path : Path
+        The log, for messages.
     ranges_m, bearings_rad : list of k (b,) float64
-        Beams in order, right to left; a range of 0, or of `limit_m` or more, is no return.
+        Beams in order, right to left; a range of 0 or less, as some lasers write errors, or of
+        `limit_m` or more is no return.
     limit_m : float
     T_robot_laser : (k, 3) float64
         x, y (metres) and yaw (radians) of the laser on the robot.
@@ -207,6 +211,9 @@ def laser_scans(
     poses : (k, 4, 4) float64
         T_reference_robot.
     """
+    below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
+    if below:
+        _LOG.warning("%s: %d ranges below 0 are taken for no return", shown(path), below)
     returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
     counts = [int(beams.sum()) for beams in returned]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -248,34 +255,26 @@ def planar_poses(
     return poses
 
 
-def checked_stamps(
-    path: Path, stamps_s: NDArray[np.float64], place: Callable[[int], str]
-) -> NDArray[np.float64]:
-    """Return the stamps, or the numbers of the scans where the clock is too coarse to tell them.
+def in_time_order(
+    path: Path, stamps_s: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the order of scans in time, and their stamps (seconds) in this order.
+
+    Where the clock is too coarse to tell them apart, the scans are counted instead.
 
     Parameters
     ----------
     path : Path
         The log, for messages.
-    stamps_s : (k,) float64, seconds
-    place : callable
-        Says of an index where in the log that stamp stands.
-
-    Raises
-    ------
-    RelmapError
-        Where a stamp is not finite or the time goes back.
+    stamps_s : (k,) float64, finite, seconds
+        In the order of the log.
     """
-    wrong = ~np.isfinite(stamps_s)
-    wrong[1:] |= np.diff(stamps_s) < 0
-    if wrong.any():
-        index = int(np.argmax(wrong))
-        before = f" after {float(stamps_s[index - 1])!r}" if index else ""
-        raise RelmapError(
-            f"{shown(path)}: {place(index)}: time {float(stamps_s[index])!r}{before}, "
-            "expected seconds in ascending order"
-        )
-    if (np.diff(stamps_s) > 0).all():
-        return stamps_s
+    late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
+    if late:
+        _LOG.warning("%s: %d scans out of order: all are sorted by time", shown(path), late)
+    order = np.argsort(stamps_s, kind="stable")
+    ascending = stamps_s[order]
+    if (np.diff(ascending) > 0).all():
+        return order, ascending
     _LOG.warning("%s: times repeat: the scans are counted instead", shown(path))
-    return np.arange(len(stamps_s), dtype=np.float64)
+    return order, np.arange(len(stamps_s), dtype=np.float64)

@@ -2,8 +2,8 @@
 
 ``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
 each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
-time of every scan, seconds, ascending; a scan without a point is an empty one. ``view_rad`` and
-``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
+time of every scan, seconds, which is their order; a scan without a point is an empty one.
+``view_rad`` and ``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.foreign import ZIP, foreign_at
+from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown, unreadable
 
 FILE_NAME = "scans.npz"
@@ -65,11 +66,11 @@ class ScansNpz:
     description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a zip file, as .npz files are."""
+        """Tell whether it is a zip file with arrays, as .npz files are, or a damaged one."""
         file = _file_of(path)
         try:
             with file.open("rb") as stream:
-                return stream.read(len(_MAGIC)) == _MAGIC
+                return stream.read(len(_MAGIC)) == _MAGIC and not _without_arrays(file)
         except (OSError, ValueError):
             return False
 
@@ -88,13 +89,15 @@ class ScansNpz:
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
         _check_shapes(file, points, iteration, stamps_s)
         _check_values(file, points, iteration, stamps_s)
+        in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
+        iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
         offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
         points_robot = points[order].astype(np.float64, copy=False)
         return stored_scans(
             points_robot,
             offsets.astype(np.int64),
-            stamps_s.astype(np.float64),
+            stamps_s,
             sensor=SensorView(**limits),
         )
 
@@ -149,6 +152,9 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(file) as archive:
             there = {member.filename for member in archive.infolist()}
             names = [*_KINDS, *(name for name in _LIMITS if f"{name}.npy" in there)]
+            missing = [f"{name}.npy" for name in names if f"{name}.npy" not in there]
+            if missing:
+                raise ValueError(f"a zip archive without {' and '.join(missing)}")
             members = {name: archive.getinfo(f"{name}.npy") for name in names}
             size = sum(member.file_size for member in members.values())
             if size > MAX_BYTES:
@@ -157,10 +163,22 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise unreadable(file, error) from error
     except _DAMAGE as error:
-        reason = quoted(str(error) or type(error).__name__)
+        found = foreign_at(file)
+        other = found if found != ZIP else None
+        reason = quoted(other or str(error) or type(error).__name__)
         raise RelmapError(
             f"{shown(file)}: cannot be read: {reason}, expected {ScansNpz.description}"
         ) from error
+
+
+def _without_arrays(file: Path) -> bool:
+    """Tell whether a zip file is whole and holds no array."""
+    try:
+        _check_directory(file)
+        with zipfile.ZipFile(file) as archive:
+            return not any(name.endswith(".npy") for name in archive.namelist())
+    except _DAMAGE:
+        return False
 
 
 def _check_directory(file: Path) -> None:
@@ -240,9 +258,10 @@ def _check_values(
     _require(file, "points", good, "is not finite or out of range, expected metres")
     inside = (iteration >= 0) & (iteration < len(stamps_s))
     _require(file, "iteration", inside, f"is no scan, expected 0 to {len(stamps_s) - 1}")
-    ascending = np.isfinite(stamps_s)
-    ascending[1:] &= np.diff(stamps_s) > 0
-    _require(file, "stamps_s", ascending, "is no later time, expected seconds in ascending order")
+    told_apart = np.isfinite(stamps_s)
+    order = np.argsort(stamps_s, kind="stable")
+    told_apart[order[1:]] &= np.diff(stamps_s[order]) > 0
+    _require(file, "stamps_s", told_apart, "is no later time, expected seconds, each scan its own")
 
 
 def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.foreign import HEAD_BYTES, foreign_format
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -104,6 +105,7 @@ class _GuardedBytes(io.RawIOBase):
         self._path = path
         self._file = file
         self._source: io.BufferedReader | gzip.GzipFile | None = None
+        self._head = b""
         self._bytes = 0
         self._lines = 0
         self._open_line = 0
@@ -129,13 +131,16 @@ class _GuardedBytes(io.RawIOBase):
             raise unreadable(self._path, error) from error
 
     def _check(self, data: bytes) -> None:
+        if self._bytes < HEAD_BYTES:
+            self._head += data[: HEAD_BYTES - self._bytes]
         self._bytes += len(data)
         if self._bytes > MAX_BYTES:
             raise self._fail(f"more than {MAX_BYTES} bytes of text, expected a log of at most that")
         nul = data.find(b"\0")
         if nul >= 0:
             self._lines += data.count(b"\n", 0, nul)
-            raise self._fail("a NUL byte: a binary file or UTF-16, expected UTF-8 text")
+            found = foreign_format(self._head) or "a binary file or UTF-16"
+            raise self._fail(f"a NUL byte: {found}, expected UTF-8 text")
         self._lines += data.count(b"\n")
         if self._lines > MAX_LINES:
             raise self._fail(f"more than {MAX_LINES} lines, expected a log of at most that")

@@ -19,11 +19,12 @@ from relmap.evaluation import metrics
 from relmap.evaluation.evaluate import Overlay, overlay
 from relmap.evaluation.methods.base import Association, LogKind, Method, MethodInfo
 from relmap.evaluation.methods.registry import check_method, find_method, fitting_methods
-from relmap.evaluation.methods.running import ACCURACY, COST, MethodRun, run_method
+from relmap.evaluation.methods.running import ACCURACY, COST, PATH, MethodRun, run_method
 from relmap.evaluation.sources import Data, Landmarks, Source, require_ids
 from relmap.evaluation.truth import Truth
 
-CSV_COLUMNS = ("method", "association", *ACCURACY, *COST, "note")
+FIGURES = (*ACCURACY, *PATH, *COST)
+CSV_COLUMNS = ("method", "association", *FIGURES, "note")
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class Compared:
     def row(self, association: Association) -> list[object]:
         """Return the cells of `CSV_COLUMNS`; NaN where there is no figure."""
         figures = self.run.figures if self.run else {}
-        values = [figures.get(name) for name in (*ACCURACY, *COST)]
+        values = [figures.get(name) for name in FIGURES]
         cells = [float("nan") if value is None else value for value in values]
         return [self.method, association, *cells, self.note.replace(",", ";")]
 

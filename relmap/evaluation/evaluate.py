@@ -36,6 +36,8 @@ class Evaluation:
         Relative pose error from one iteration to the next: RMSE of its shift.
     counts : dict
         What the figures rest on.
+    notes : tuple of str
+        Why figures are missing that this truth could give.
     """
 
     landmark_rmse_m: float | None
@@ -45,6 +47,7 @@ class Evaluation:
     ate_m: float | None
     rpe_m: float | None
     counts: dict[str, int]
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name, ready for JSON."""
@@ -142,7 +145,13 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         counts["matched_landmarks"] = len(matched.position)
         counts["identified_observations"] = int((identified.true_id >= 0).sum())
         figures = _landmark_figures(result, truth, identified, matched)
-    return Evaluation(**figures, ate_m=ate_m, rpe_m=rpe_m, counts=counts)
+    notes = []
+    placed = np.isfinite(truth.landmarks_map).all(axis=1).any()
+    if placed and matched is not None and not len(matched.position):
+        notes.append("no landmark RMSE: no mapped landmark is one of the true ones")
+    if len(truth.stamps_s) and not poses:
+        notes.append(metrics.NO_COMMON_TIMES)
+    return Evaluation(**figures, ate_m=ate_m, rpe_m=rpe_m, counts=counts, notes=tuple(notes))
 
 
 def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:

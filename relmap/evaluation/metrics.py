@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid
 
+NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01
 """Two stamps this close belong to one instant (the tolerance of the TUM benchmark's tools)."""
 

@@ -25,6 +25,7 @@ TURN = np.cos(np.deg2rad(20.0))
 APART_M = 0.5
 """A mapped corner farther than this from every true one like it is none of them."""
 ROUNDS = 4
+CORNER_FIGURES = ("corner_rmse_m", "coverage", "landmarks_per_true")
 OFTEN = 10
 """Scans that must have seen a corner before it counts as missing."""
 
@@ -74,6 +75,8 @@ class PlaneEvaluation:
         Mean error against checked relations between poses.
     counts : dict
         What the figures rest on: `false_corners` are mapped where no true corner is.
+    notes : tuple of str
+        Why figures are missing that this truth could give.
     """
 
     corner_rmse_m: float | None
@@ -85,6 +88,7 @@ class PlaneEvaluation:
     relation_m: float | None
     relation_rad: float | None
     counts: dict[str, int]
+    notes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name, ready for JSON."""
@@ -152,32 +156,62 @@ def evaluate_planes(result: Result, planes: PlaneTable, truth: WallTruth) -> Pla
         "true_planes": len(truth.ends),
         "matched_poses": len(mine),
     }
-    rmse = coverage = per_true = None
-    matched = match_corners(planes, truth, poses, true_poses)
-    if matched is not None:
-        off = matched.position @ matched.R.T + matched.t - matched.truth
-        rmse = metrics.rms(off)
-        corner = 2 * matched.wall + matched.end
-        due = np.flatnonzero(truth.corner_scans.ravel() >= OFTEN)
-        coverage = float(np.isin(due, corner).mean()) if len(due) else None
-        per_true = len(corner) / len(np.unique(corner))
-        counts |= {
-            "matched_corners": len(corner),
-            "false_corners": matched.n_false,
-            "due_corners": len(due),
-        }
+    notes = []
+    corners: dict[str, float | None] = dict.fromkeys(CORNER_FIGURES)
+    if len(truth.ends):
+        matched = match_corners(planes, truth, poses, true_poses)
+        corners, corner_counts = _corner_figures(planes, truth, matched, len(mine) > 0)
+        counts |= corner_counts
+        if matched is None:
+            notes.append(f"no corner RMSE: {_why_unmatched(planes, true_poses)}")
+    if len(truth.stamps_s) and not len(mine):
+        notes.append(metrics.NO_COMMON_TIMES)
     relation = relation_errors(result.stamps_s, result.poses, truth.relations)
+    if truth.relations and relation is None:
+        notes.append("no checked relation lies within the times of the result")
     return PlaneEvaluation(
-        corner_rmse_m=rmse,
-        coverage=coverage,
-        landmarks_per_true=per_true,
+        **corners,
         purity=None,
         ate_m=metrics.ate(poses, true_poses, planar=True),
         rpe_m=metrics.rpe(poses, true_poses, other),
         relation_m=None if relation is None else relation[0],
         relation_rad=None if relation is None else relation[1],
         counts=counts,
+        notes=tuple(notes),
     )
+
+
+def _corner_figures(
+    planes: PlaneTable, truth: WallTruth, matched: MatchedCorners | None, comparable: bool
+) -> tuple[dict[str, float | None], dict[str, int]]:
+    """Return `CORNER_FIGURES` and what they rest on, also where no corner could be matched."""
+    due = np.flatnonzero(truth.corner_scans.ravel() >= OFTEN)
+    counts = {"matched_corners": 0, "false_corners": len(_corners(planes)[0])}
+    rmse = per_true = None
+    coverage = 0.0 if len(due) and comparable else None
+    if matched is not None:
+        rmse = metrics.rms(matched.position @ matched.R.T + matched.t - matched.truth)
+        corner = 2 * matched.wall + matched.end
+        coverage = float(np.isin(due, corner).mean()) if len(due) else None
+        per_true = len(corner) / len(np.unique(corner))
+        counts = {"matched_corners": len(corner), "false_corners": matched.n_false}
+    figures = dict(zip(CORNER_FIGURES, (rmse, coverage, per_true), strict=True))
+    return figures, counts | {"due_corners": len(due)}
+
+
+def _corners(planes: PlaneTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return row and end of each mapped corner."""
+    row, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
+    return row, end
+
+
+def _why_unmatched(planes: PlaneTable, true_poses: NDArray[np.float64]) -> str:
+    """Say why `match_corners` found nothing."""
+    if not len(_corners(planes)[0]):
+        return "no corner is mapped"
+    if not fixes_rotation(true_poses[:, :2, 3]):
+        return "corners are matched by the path, and no two poses of it can be compared"
+    return "the map is too far off: where its corners lie there are no true ones"
 
 
 def match_corners(
@@ -195,7 +229,7 @@ def match_corners(
     MatchedCorners or None
         None where there is no path to begin with, or nothing can be paired.
     """
-    row, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
+    row, end = _corners(planes)
     position, normal = planes.ends[row, end], planes.normal[row]
     if not fixes_rotation(true_poses[:, :2, 3]) or not len(row) or not len(truth.ends):
         return None

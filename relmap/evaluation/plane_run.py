@@ -15,12 +15,33 @@ from relmap.core.landmarks import Piece
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation.run import interruption, timing, versions
 from relmap.planes import PlaneMapper
+from relmap.planes.submaps import Submap
 from relmap.planes.table import PlaneTable
 from relmap.results import Result, Tracks, shifted
 from relmap.segmentation import PlaneSegmenter
 
+SHOWN = 10
+"""Scans without which a submap beside the map is listed only."""
 Progress = Callable[[Iterable[PointScan]], Iterable[PointScan]]
 """Wraps the scans of a run, to show how far it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSubmap:
+    """A submap as files and pictures show it.
+
+    Attributes
+    ----------
+    stamps_s : (k,) float64
+    poses : (k, 4, 4) float64
+        ``T_submap_robot``.
+    planes : PlaneTable
+        Mapped in its frame.
+    """
+
+    stamps_s: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    planes: PlaneTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +55,13 @@ class PlaneRun:
         walls of a scan, `landmark` is the number of the wall.
     planes : PlaneTable
         Iterations are the log's own numbers.
+    submaps : tuple of DrawnSubmap
+        Parts of the run that nothing ties to one another, the map itself first.
     """
 
     result: Result
     planes: PlaneTable
+    submaps: tuple[DrawnSubmap, ...]
 
 
 def run_plane_mapper(
@@ -76,7 +100,7 @@ def run_plane_mapper(
     scans: Iterable[PointScan] = ()
     if len(seen) < n_input:
         scans = log.between(first + len(seen), first + n_input).scans()
-    segmenter = segmenter or PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+    segmenter = segmenter or segmenter_for(view)
     scans = progress(scans) if progress else scans
     new, durations_s = _mapped(mapper, segmenter, scans, view)
     walls = [*seen, *new]
@@ -98,20 +122,47 @@ def run_plane_mapper(
         "counts": _counts(mapper, planes, poses, walls),
         "pieces": [_summary_of(piece, first) for piece in pieces],
         **interruption(len(log), n_input),
+        "submaps": [_submap(submap, first) for submap in mapper.submaps],
         "weak_links": (mapper.weak_links + first).tolist(),
         "refined": refine,
-        "timing": timing(durations_s[:, 1])
-        | {"segmentation_median_ms": _median_ms(durations_s[:, 0]), "refine_ms": 1e3 * refine_s},
+        "timing": _timing(durations_s, refine_s),
     }
     result = Result(
-        shifted(table, first), tracks, log.stamps_s[there], poses[there], summary, pieces[:1]
+        shifted(table, first), tracks, log.stamps_s[there], poses[there], summary, pieces
     )
     planes = replace(
         planes,
         first_iteration=planes.first_iteration + first,
         last_iteration=planes.last_iteration + first,
     )
-    return PlaneRun(result, planes)
+    submaps = tuple(
+        DrawnSubmap(log.stamps_s[slice(*submap.span)], submap.poses, mapper.planes_of(number))
+        for number, submap in enumerate(mapper.submaps)
+        if number == 0 or len(submap.poses) >= SHOWN
+    )
+    return PlaneRun(result, planes, submaps)
+
+
+def _submap(submap: Submap, first: int) -> dict[str, Any]:
+    begin, end = submap.span
+    return {
+        "scans": end - begin,
+        "iterations": [first + begin, first + end - 1],
+        "metres": submap.length_m,
+        "refined": submap.refined,
+    }
+
+
+def _timing(durations_s: NDArray[np.float64], refine_s: float) -> dict[str, float | None]:
+    """Return what segmenting and mapping (k, 2) took, seconds, as the summary tells it."""
+    segmentation_s, total_s = durations_s[:, 0], durations_s.sum(axis=1)
+    share = float(segmentation_s.sum() / total_s.sum()) if len(total_s) else None
+    return timing(durations_s[:, 1]) | {
+        "segmentation_median_ms": _median_ms(segmentation_s),
+        "segmentation_share": share,
+        "scan_median_ms": _median_ms(total_s),
+        "refine_ms": 1e3 * refine_s,
+    }
 
 
 def _mapped(
@@ -121,14 +172,19 @@ def _mapped(
     walls, durations_s = [], []
     for scan in scans:
         began = perf_counter()
-        planes = _segmented(segmenter, scan.points_robot, view)
-        segmented = perf_counter()
+        planes = segment_scan(segmenter, scan.points_robot, view)
+        between = perf_counter()
         walls.append(mapper.update(planes))
-        durations_s.append([segmented - began, perf_counter() - segmented])
+        durations_s.append([between - began, perf_counter() - between])
     return walls, np.array(durations_s).reshape(-1, 2)
 
 
-def _segmented(
+def segmenter_for(view: SensorView) -> PlaneSegmenter:
+    """Return a segmenter that knows what is known of the sensor."""
+    return PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+
+
+def segment_scan(
     segmenter: PlaneSegmenter, points_robot: NDArray[np.float64], view: SensorView
 ) -> SimpleNamespace:
     """Return the planes of a scan as the mapper takes them, seen from where the sensor is.

@@ -12,6 +12,7 @@ from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import require_path, shown
 from relmap.evaluation.plane_evaluate import WallTruth, read_wall_truth
 from relmap.evaluation.plane_relations import RELATIONS, relations_by_clocks
+from relmap.evaluation.truth import refuse_result
 
 
 def read_plane_truth(path: Path) -> WallTruth:
@@ -35,7 +36,10 @@ def read_plane_truth(path: Path) -> WallTruth:
     require_path(path)
     if path.name.endswith(RELATIONS):
         return path_truth(relations=relations_by_clocks(path))
-    if path.is_dir() and any((path / name).exists() for name in ("truth", "planes.csv")):
+    if (path / "truth").is_dir():
+        return read_wall_truth(path)
+    refuse_result(path)
+    if (path / "planes.csv").is_file():
         return read_wall_truth(path)
     try:
         log = open_scans(path)

@@ -10,8 +10,10 @@ import numpy as np
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.scans import ScanLog, stored_scans
-from relmap.evaluation.plane_evaluate import WallTruth, read_wall_truth
+from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.datasets.textfile import quoted, require_path, shown
+from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.evaluation.plane_truth import read_plane_truth
 from relmap.evaluation.run import stamps_of
 from relmap.evaluation.truth import Truth, read_truth
 from relmap.simulation import FigureEight, simulate_building, simulate_figure_eight
@@ -102,7 +104,8 @@ class BuildingSource:
             building.stamps_s,
             building.trajectory,
         )
-        return Scans(stored_scans(points, offsets, building.stamps_s), truth)
+        view = SensorView(building.sensor.view_rad, building.sensor.range_m)
+        return Scans(stored_scans(points, offsets, building.stamps_s, sensor=view), truth)
 
     @property
     def about(self) -> str:
@@ -139,18 +142,35 @@ class FileSource:
         RelmapError
             Where the log or the truth cannot be used.
         """
-        from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, open_log, open_scans
+        from relmap.datasets import open_log, open_scans
 
-        landmarks = self.format in FORMATS or any(d.recognises(self.path) for d in DATASETS)
-        scans = any(dataset.recognises(self.path) for dataset in SCAN_DATASETS)
         truth = self.truth or self._beside()
-        if landmarks or not scans:
-            log = open_log(self.path, self.format)
-            part = log.between(*self.scans) if self.scans else log
-            return Landmarks(part, read_truth(truth) if truth else None)
-        clouds = open_scans(self.path, self.format)
-        clouds = clouds.between(*self.scans) if self.scans else clouds
-        return Scans(clouds, read_wall_truth(truth) if truth else None)
+        if self._holds_scans():
+            clouds = open_scans(self.path, self.format)
+            clouds = clouds.between(*self.scans) if self.scans else clouds
+            return Scans(clouds, read_plane_truth(truth) if truth else None)
+        log = open_log(self.path, self.format)
+        part = log.between(*self.scans) if self.scans else log
+        return Landmarks(part, read_truth(truth) if truth else None)
+
+    def _holds_scans(self) -> bool:
+        """Tell whether the log is one of point scans."""
+        from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS
+
+        if self.format is not None:
+            if self.format not in (*FORMATS, *SCAN_FORMATS):
+                known = ", ".join((*FORMATS, *SCAN_FORMATS))
+                raise RelmapError(f"format {quoted(self.format)} is not known, expected {known}")
+            return self.format in SCAN_FORMATS
+        require_path(self.path)
+        scans = any(dataset.recognises(self.path) for dataset in SCAN_DATASETS)
+        landmarks = any(dataset.recognises(self.path) for dataset in DATASETS)
+        if not (scans or landmarks) and self.path.is_dir():
+            raise RelmapError(
+                f"{shown(self.path)}: the folder holds neither a landmark log nor a log of point "
+                "scans, expected a format that 'relmap map --help' lists"
+            )
+        return scans and not landmarks
 
     def _beside(self) -> Path | None:
         folder = self.path if self.path.is_dir() else self.path.parent

@@ -116,9 +116,20 @@ def _landmark_folder(path: Path) -> Path | None:
     """Return the folder that holds the landmarks; None where it may hold a data set's truth."""
     if (path / "truth" / LANDMARKS).is_file():
         return path / "truth"
+    refuse_result(path)
+    return path if (path / LANDMARKS).is_file() else None
+
+
+def refuse_result(path: Path) -> None:
+    """Make sure that a folder is not what `relmap map` wrote.
+
+    Raises
+    ------
+    RelmapError
+        Where it is.
+    """
     if (path / SUMMARY).exists():
         raise RelmapError(f"{shown(path)}: is a result folder without a truth, expected a truth")
-    return path if (path / LANDMARKS).is_file() else None
 
 
 def _read_data_set(path: Path) -> Truth:

@@ -36,6 +36,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     piece = max(refined, key=lambda piece: len(piece.landmarks))
     segments, merges = piece.segments, piece.merges
     return {
+        "converged": all(each.converged for each in refined),
         "noise_m": piece.noise_m,
         "power": piece.power,
         "anchor_iteration": first_iteration + piece.anchor_iteration,

@@ -10,9 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.datasets.scans import PointScan, SensorView
+from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.evaluation.plane_run import segment_scan
 from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.segmentation import PlaneSegmenter
@@ -125,6 +126,13 @@ class BenchRecorder:
             self._stamps_s.append(scan.stamp_s)
             if self._every and len(self._stamps_s) % self._every == 0:
                 self.frames.append(self._frame(scan))
+
+    def see_again(self, log: ScanLog) -> None:
+        """Segment the last scan of a log whose scans the mapper had all taken in already."""
+        last = log.first_iteration + len(log) - 1
+        for scan in log.between(last, last + 1).scans():
+            segment_scan(self._segmenter, scan.points_robot, self._view)
+            self._scan = scan
 
     def last(self) -> BenchFrame | None:
         """Return the last scan with the map as it is now; None where there was no scan."""

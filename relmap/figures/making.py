@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, unwatched
 from relmap.figures.figure17 import victoria_park
@@ -21,11 +23,16 @@ NO_DATA = "needs the Victoria Park data: give their folder with --data PATH"
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A figure with what came out, or None where it was skipped for the reason in `note`."""
+    """A figure with what came out, or None where there is nothing, for the reason in `note`.
+
+    `files` are what was written, by name; the picture is one of them.
+    """
 
     figure: PaperFigure
     outcome: Outcome | None
     note: str = ""
+    files: tuple[str, ...] = ()
+    picture: bytes = b""
 
 
 def stem(figure: PaperFigure) -> str:
@@ -51,25 +58,30 @@ def check_data(figures: Sequence[PaperFigure], data: Path | None) -> None:
 def make_figure(
     figure: PaperFigure, folder: Path, quick: bool, data: Path | None, watch: Watch = unwatched
 ) -> Made:
-    """Run a figure and write its picture and its data.
+    """Run a figure and write its picture and its data; where the run fails, its note says so.
 
     Raises
     ------
     RelmapError
-        Where the data cannot be used or a file cannot be written.
+        Where a file cannot be written.
     """
     if data is None and figure.name == NEEDS_DATA:
         return Made(figure, None, NO_DATA)
-    outcome = figure.run(quick, data, watch)
-    write_png(folder / f"{stem(figure)}.png", outcome.draw)
-    outcome.table.write(folder / f"{stem(figure)}.csv")
+    try:
+        outcome = figure.run(quick, data, watch)
+    except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
+        return Made(figure, None, "failed: " + " ".join(str(error).split())[:200])
+    picture = folder / f"{stem(figure)}.png"
+    write_png(picture, outcome.draw)
+    outcome.table.write(picture.with_suffix(".csv"))
     for ending, write in outcome.more.items():
         write(folder / f"{stem(figure)}{ending}")
-    return Made(figure, outcome)
+    files = sorted(path.name for path in folder.glob(f"{stem(figure)}*"))
+    return Made(figure, outcome, files=tuple(files), picture=picture.read_bytes())
 
 
 def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
-    """Write the page and the table of verdicts on figures that `make_figure` wrote to a folder.
+    """Write the page and the table of verdicts on figures that `make_figure` made.
 
     Raises
     ------
@@ -79,12 +91,7 @@ def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
     done = [(each.figure, each.outcome) for each in made if each.outcome is not None]
     rows = [(figure.name, found.value, found.verdict) for figure, found in done]
     Table(("figure", "value", "verdict"), rows).write(folder / VERDICTS)
-    entries = []
-    for each in made:
-        name = stem(each.figure)
-        files = sorted(path for path in folder.glob(f"{name}*") if path.stem.startswith(name))
-        picture = (folder / f"{name}.png").read_bytes() if each.outcome is not None else b""
-        entries.append(
-            Entry(each.figure, each.outcome, each.note, picture, [path.name for path in files])
-        )
+    entries = [
+        Entry(each.figure, each.outcome, each.note, each.picture, [*each.files]) for each in made
+    ]
     atomic_write(folder / PAGE, page(entries, quick))

@@ -19,14 +19,11 @@ from relmap.evaluation import metrics
 from relmap.evaluation.plane_run import Progress, run_plane_mapper
 from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
-from relmap.planes.history import PlaneHistory
 from relmap.planes.table import PlaneTable
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.sensor import DEPTH_SENSOR
 
-PARALLEL = np.deg2rad(1.5)
-"""Walls that differ in direction by less fix no motion along them."""
 BESIDE = 60
 """So many scans more are mapped on either side."""
 
@@ -133,35 +130,12 @@ def run_partial_wall(
     segmenter = PlaneSegmenter(view_rad=DEPTH_SENSOR.view_rad, range_m=DEPTH_SENSOR.range_m)
     mapper = PlaneMapper()
     run = run_plane_mapper(mapper, log, segmenter, progress=progress)
-    weak = weak_links(mapper.history)
+    weak = np.isin(np.arange(len(part)), mapper.weak_links)
     before = slice(0, longest(weak)[0])
     R, t = fit_poses(mapper.trajectory[before], true_poses[before])
     seen = np.unique(np.concatenate([building.scans[k].seen.wall for k in part]))
     walls = building.walls[seen, :4].reshape(-1, 2, 2)
     return PartialWall(run.planes, mapper.trajectory, true_poses, weak, walls, R, t)
-
-
-def weak_links(history: PlaneHistory) -> NDArray[np.bool_]:
-    """Return which scans hang on the one before by nearly parallel walls alone, (k,).
-
-    A corner that both scans saw static ties them, and so do two walls that are not parallel.
-    """
-    weak = np.zeros(history.n_iterations, dtype=bool)
-    bounds = np.searchsorted(history.iteration, np.arange(history.n_iterations + 1))
-    for k in range(1, history.n_iterations):
-        before, now = slice(*bounds[k - 1 : k + 1]), slice(*bounds[k : k + 2])
-        corners = np.intersect1d(history.corner[before], history.corner[now])
-        shared = np.isin(history.plane[now], history.plane[before])
-        weak[k] = not (corners >= 0).any() and _parallel(history.ends[now][shared])
-    return weak
-
-
-def _parallel(ends: NDArray[np.float64]) -> bool:
-    """Tell whether walls (m, 2, 2) are nearly parallel, as one is and none are."""
-    along = ends[:, 1] - ends[:, 0]
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    cross = along[:, None, 0] * along[:, 1] - along[:, None, 1] * along[:, 0]
-    return bool(np.abs(cross).max(initial=0.0) < np.sin(PARALLEL))
 
 
 def longest(held: NDArray[np.bool_]) -> tuple[int, int]:

@@ -79,6 +79,8 @@ class Assembled:
         Rows of the history.
     all_corners : (m,) int64
         Every corner ever numbered.
+    settled : bool
+        Whether the last solution came to rest.
     """
 
     given: WallEquations
@@ -89,6 +91,7 @@ class Assembled:
     corners: NDArray[np.int64]
     rows: NDArray[np.int64]
     all_corners: NDArray[np.int64]
+    settled: bool = True
 
     @property
     def corner_wall(self) -> NDArray[np.int64]:

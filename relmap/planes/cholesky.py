@@ -74,3 +74,25 @@ class CliquePattern:
 
         factorise(self._layout, values)
         return solve(self._layout, values, right)
+
+    def inverse(
+        self, values: NDArray[np.float64], chosen: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return blocks (k, m, m) of the inverse: those of chosen unknowns (k, m).
+
+        `values` (size,) is the matrix, as for `solve`; overwritten by its factor.
+        """
+        from relmap.planes.kernels.cholesky import factorise, solve
+
+        factorise(self._layout, values)
+        unknowns, at = np.unique(chosen, return_inverse=True)
+        row, place = np.divmod(np.argsort(at.ravel(), kind="stable"), chosen.shape[1])
+        end = np.cumsum(np.bincount(at.ravel()))
+        blocks, unit = np.empty((*chosen.shape, chosen.shape[1])), np.zeros(len(self._diagonal))
+        for k, unknown in enumerate(unknowns.tolist()):
+            unit[unknown] = 1.0
+            column = solve(self._layout, values, unit)
+            unit[unknown] = 0.0
+            own = slice(end[k - 1] if k else 0, end[k])
+            blocks[row[own], :, place[own]] = column[chosen[row[own]]]
+        return blocks

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +28,7 @@ class PlaneHistory:
         self._z_extent: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._motion: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
         self._corner: GrowingArray[np.int64] = GrowingArray(np.int64, (2,))
+        self._submap: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     @property
     def iteration(self) -> NDArray[np.int64]:
@@ -62,15 +65,34 @@ class PlaneHistory:
         """From the robot frame before into that of each iteration: yaw, x, y; (i, 3), rough."""
         return self._motion.values
 
+    @property
+    def submap(self) -> NDArray[np.int64]:
+        """Submap of each iteration; (i,), -1 where nothing ties it to any."""
+        return self._submap.values
+
+    @property
+    def spans(self) -> list[tuple[int, int]]:
+        """First iteration of each submap and one after its last, those of most iterations first."""
+        edges = np.flatnonzero(np.diff(self.submap, prepend=-1, append=-1)).tolist()
+        spans = [(a, b) for a, b in pairwise(edges) if self.submap[a] >= 0]
+        return sorted(spans, key=lambda span: span[0] - span[1])
+
+    def within(self, span: tuple[int, int]) -> slice:
+        """Return the rows of the iterations from the first of a span up to its end."""
+        begin, end = np.searchsorted(self.iteration, span).tolist()
+        return slice(begin, end)
+
     def append(
         self,
         planes: NDArray[np.int64],
         corners: NDArray[np.int64],
         seen: PlaneObservation,
         motion: NDArray[np.float64],
+        submap: int = 0,
     ) -> None:
         """Store one iteration: walls `planes` (m,) with corners (m, 2), and the motion (3,)."""
         self._motion.extend(motion[None])
+        self._submap.extend(np.array([submap]))
         self._iteration.extend(np.full(len(seen), self.n_iterations))
         self._plane.extend(planes)
         self._ends.extend(seen.ends)

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relmap.core.config import MapperConfig
+from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, Piece
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.pose import trajectory
+from relmap.core.refinement import Refined
+from relmap.core.scan import checked_labels
 from relmap.core.table import NONE
 from relmap.mapper import Mapper
-from relmap.planes.assembly import Assembled, WallNumbers, assemble
+from relmap.planes.assembly import WallNumbers, assemble
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
 from relmap.planes.observation import checked_planes, journaled, of_journal
-from relmap.planes.refined_map import path_of, refined_map
+from relmap.planes.refined_map import refined_map
 from relmap.planes.registration import PlaneRegistration
+from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.solving import tracks_astray
-from relmap.planes.stitching import stitched, weak_links
-from relmap.planes.table import PlaneTable, corner_map, corner_table, plane_table
+from relmap.planes.stitching import weak_links
+from relmap.planes.submaps import Submap, among_all, chained_poses
+from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
     from relmap.journal import RecordedScan
@@ -66,6 +71,7 @@ class PlaneMapper(Mapper):
     [[3.0, 2.0, 0.0], [3.0, 2.0, 0.0]]
     """
 
+    _unused = WITH_WALLS
     _variant = "planes"
     _passing = ("_journal", "_segmenter")
 
@@ -78,7 +84,8 @@ class PlaneMapper(Mapper):
     ) -> None:
         super().__init__(config, journal, run)
         self._segmenter = segmenter
-        self._refined_walls: tuple[Assembled, WallNumbers] | None = None
+        self._refined_walls: tuple[list[Submap], WallNumbers] | None = None
+        self._spread: NDArray[np.float64] | None = None
         self._astray = np.empty(0, dtype=np.int64)
 
     def update(self, points: Any, ids: ArrayLike | None = None) -> NDArray[np.int64]:
@@ -126,18 +133,48 @@ class PlaneMapper(Mapper):
         self._note_call("refine")
         # Who is who is found out anew, where the walls come to lie.
         self._astray = np.empty(0, dtype=np.int64)
-        numbers = WallNumbers.apart(self._planes.n_planes, len(self._planes.wall_end))
-        found = refined_map(self._planes.history, numbers, self._path, self._moving)
-        if found is None:
-            return
-        best, numbers = found
-        self._astray = tracks_astray(best, self._planes.history)
-        track = self._planes.history.plane[best.rows]
-        self._refined_walls = best.only(~np.isin(track, self._astray)), numbers
+        history, moving, submaps = self._planes.history, self._moving, self._chained
+        chained = self._numbers
+        numbers = WallNumbers.apart(len(chained.wall_of), len(chained.corner_of))
+        for k, submap in enumerate(submaps):
+            found = refined_map(history, numbers, submap, moving)
+            if found is None:
+                numbers = self._with(numbers, chained, submap.span)
+            else:
+                submaps[k], numbers = found
+        astray = [tracks_astray(s.assembled, history) for s in submaps if s.refined and s.assembled]
+        self._astray = np.concatenate([self._astray, *astray])
+        self._spread = None
+        self._refined_walls = [self._at_rest(submap) for submap in submaps], numbers
+
+    def _with(
+        self, numbers: WallNumbers, chained: WallNumbers, span: tuple[int, int]
+    ) -> WallNumbers:
+        """Return who is who, in one submap as the chained map has it."""
+        history = self._planes.history
+        own = np.isin(np.arange(len(numbers.wall_of)), history.plane[history.within(span)])
+        corner = own[self._planes.wall_end // 2]
+        return WallNumbers(
+            np.where(own, chained.wall_of, numbers.wall_of),
+            np.where(corner, chained.corner_of, numbers.corner_of),
+        )
+
+    def _at_rest(self, submap: Submap) -> Submap:
+        """Return a submap without the tracks that went astray."""
+        if submap.assembled is None or not submap.refined:
+            return submap
+        track = self._planes.history.plane[submap.assembled.rows]
+        return replace(submap, assembled=submap.assembled.only(~np.isin(track, self._astray)))
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
-        """Return the numbers (n,) that walls, numbered by earlier updates, have now."""
-        labels = np.asarray(labels, dtype=np.int64)
+        """Return the numbers (n,) that walls, numbered by earlier updates, have now.
+
+        Raises
+        ------
+        RelmapError
+            Where no update has returned such a number.
+        """
+        labels = checked_labels(labels, np.arange(self._planes.n_planes))
         return np.asarray(self._state[1].wall_of[labels])
 
     @property
@@ -146,46 +183,88 @@ class PlaneMapper(Mapper):
         return self._planes.history
 
     @property
+    def submaps(self) -> list[Submap]:
+        """The parts of the run that nothing ties to one another, those of most scans first."""
+        return self._state[0]
+
+    @property
     def planes(self) -> PlaneTable:
-        """Every wall ever seen."""
-        assembled, numbers = self._state
+        """Every wall ever seen; mapped are those of the first submap."""
+        return self.planes_of(0)
+
+    def planes_of(self, number: int) -> PlaneTable:
+        """Every wall ever seen; mapped, in its frame, are those of one of `submaps`."""
+        submaps, numbers = self._state
+        assembled = submaps[number].assembled if submaps else None
         return plane_table(self._planes.history, numbers, assembled, self._moving)
 
     @property
     def map(self) -> LandmarkMap:
-        """The mapped corners, in ascending order of their numbers."""
-        return corner_map(self._state[0])
+        """The mapped corners of the first submap, in ascending order of their numbers.
+
+        Their covariances are known once the map is refined, until the next update; (0, 3, 3) else.
+        """
+        submaps = self.submaps
+        return corner_map(submaps[0].assembled if submaps else None, self._covariances)
 
     @property
     def landmarks(self) -> LandmarkTable:
-        """Every corner ever seen, mapped or not."""
-        assembled, numbers = self._state
+        """Every corner ever seen, mapped or not; mapped are those of the first submap.
+
+        Before refinement `sd` is that of the average behind a corner alone, along its wall.
+        """
+        submaps, numbers = self._state
         chosen, dynamic = self._planes.chosen, self._engine.table.dynamic[::2]
-        return corner_table(self._planes.history, numbers, assembled, chosen[dynamic])
+        assembled = [submap.assembled for submap in submaps]
+        moving, spread = chosen[dynamic], self._covariances
+        return corner_table(self._planes.history, numbers, assembled, moving, spread)
 
     @property
     def pieces(self) -> list[Piece]:
-        """The mapped corners: one piece, as motions carry the map over where nothing ties it."""
-        table = self.landmarks
-        mapped = np.isfinite(table.position[:, 0])
-        if not mapped.any():
-            return []
-        first, last = table.first_iteration[mapped].min(), table.last_iteration[mapped].max()
-        return [Piece(table.landmark[mapped], table.position[mapped], int(first), int(last))]
+        """The mapped corners of each submap, in its frame."""
+        table, found = self.landmarks, []
+        for submap in self.submaps:
+            corners = corner_map(submap.assembled, None)
+            rows = np.searchsorted(table.landmark, corners.landmark_ids)
+            first = table.first_iteration[rows].min(initial=submap.span[1] - 1)
+            last = table.last_iteration[rows].max(initial=submap.span[0])
+            found.append(Piece(corners.landmark_ids, corners.positions, int(first), int(last)))
+        return found if any(len(piece.landmark_ids) for piece in found) else []
+
+    @property
+    def groups(self) -> list[MappedGroup]:
+        """The groups behind the chained map, in the order in which they were placed.
+
+        Their landmarks are corners, numbered as in `landmarks`; the midpoints beside them, which
+        have no number, are left out.  Several that turned out to be one corner have one number.
+        """
+        corner = self._own_numbers.corner_of[self._planes.chosen]
+        return [corner_group(group, corner) for group in super().groups]
 
     @property
     def group_walls(self) -> list[NDArray[np.int64]]:
         """Numbers of the walls that each group ties to one another, in the order of mapping."""
-        own = self._numbers if self._refined_walls is None else self._refined_walls[1]
-        wall = own.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
-        return [np.unique(wall[group.landmarks // 2]) for group in self.groups]
+        wall = self._own_numbers.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
+        return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
+
+    @property
+    def refined(self) -> list[Refined]:
+        """The submaps as refined, in order; none before, and after a later update.
+
+        They tell how well each eight iterations, and each corner that was joined to another, fit
+        the map, and how sure the corners are, which are its landmarks.
+        """
+        submaps = [] if self._refined_walls is None else self._refined_walls[0]
+        history = self._planes.history
+        return [refined_walls(s.assembled, history) for s in submaps if s.refined and s.assembled]
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
-        if self._refined_walls is None:
-            return self._path
-        return path_of(self._refined_walls[0], self._planes.history)
+        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN beyond the map."""
+        history, submaps = self._planes.history, self.submaps
+        if not submaps:
+            return np.full((history.n_iterations, 4, 4), np.nan)
+        return among_all(submaps[0].poses, submaps[0].span, history)
 
     @property
     def weak_links(self) -> NDArray[np.int64]:
@@ -208,23 +287,48 @@ class PlaneMapper(Mapper):
         return self._segmenter.planes_
 
     @property
-    def _path(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration by the chained map, weak links included."""
+    def _chained(self) -> list[Submap]:
+        """The submaps as the chained map has them, weak links included."""
+        history, numbers, moving = self._planes.history, self._numbers, self._moving
+        paths, found = self._paths, []
+        for span in history.spans:
+            poses = chained_poses(paths, span, history)
+            there = among_all(poses, span, history)
+            found.append(Submap(span, poses, assemble(history, numbers, there, moving)))
+        return found
+
+    @property
+    def _paths(self) -> list[NDArray[np.float64]]:
+        """The poses (i, 4, 4) that each piece of the chained map tells, the largest first."""
         table, rows = self._engine.table, self._engine.rows
         submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
         paths = []
         for submap in submaps[np.argsort(-counts, kind="stable")]:
             positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
             paths.append(trajectory(rows, positions, table.landmark_of))
-        return stitched(paths, self._planes.history.motion)
+        return paths
 
     @property
-    def _state(self) -> tuple[Assembled | None, WallNumbers]:
+    def _state(self) -> tuple[list[Submap], WallNumbers]:
         """What the map is now, and who is who in it."""
         if self._refined_walls is not None:
             return self._refined_walls
-        numbers = self._numbers
-        return assemble(self._planes.history, numbers, self._path, self._moving), numbers
+        return self._chained, self._numbers
+
+    @property
+    def _own_numbers(self) -> WallNumbers:
+        """Who is who in the map as it is."""
+        return self._numbers if self._refined_walls is None else self._refined_walls[1]
+
+    @property
+    def _covariances(self) -> NDArray[np.float64] | None:
+        """Of the corners of the first submap (c, 2, 2), if refined; worked out when first asked."""
+        first = next(iter(self._refined_walls[0]), None) if self._refined_walls else None
+        if first is None or first.assembled is None or not first.refined:
+            return None
+        if self._spread is None:
+            self._spread = corner_covariances(first.assembled)
+        return self._spread
 
     @property
     def _numbers(self) -> WallNumbers:

@@ -53,8 +53,9 @@ class WallModel:
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
         """Tell whether a corner may be an older one: the same end of a wall with its direction."""
-        ends = self._walls.wall_end[self._walls.chosen]
-        if ends[new // 2] % 2 != ends[old // 2] % 2:
+        corners = self._walls.chosen[[new // 2, old // 2]]
+        ends, submaps = self._walls.wall_end[corners], self._walls.submap_of[corners]
+        if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
             return False
         positions = table.position
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]

@@ -35,6 +35,8 @@ walls look alike."""
 SUDDEN_M = 0.75
 LEVER_M = 3.0
 """A turn is as sudden as the way that it takes a wall at this distance."""
+MANY = 7
+"""Walls that must agree on a motion farther than a robot goes: fewer look alike elsewhere."""
 LEAST_M = 0.02
 """Noise of a corner that its weight is reckoned with at least."""
 
@@ -57,7 +59,10 @@ STILL = PlanarMotion(0.0, np.zeros(2))
 
 
 def place(
-    tracks: PlaneTracks, seen: PlaneObservation, before: PlanarMotion
+    tracks: PlaneTracks,
+    seen: PlaneObservation,
+    before: PlanarMotion,
+    farthest_m: float = np.inf,
 ) -> tuple[PlanarMotion, Match] | None:
     """Find the motion of the tracks' frame into the scan's, and who is who by it.
 
@@ -71,11 +76,13 @@ def place(
     before : PlanarMotion
         The motion between the two scans before.  Where walls seen leave a direction open, as along
         a single partial one, the robot is taken to go on like that (motion model).
+    farthest_m : float
+        A motion longer than this is a jump, which many walls must agree on.
 
     Returns
     -------
     (motion, match) or None
-        None where no wall agrees.
+        None where no wall agrees, or too few on a jump.
     """
     from relmap.planes.kernels.matching import guesses
 
@@ -89,9 +96,14 @@ def place(
         motions, scores = guesses(*arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
         for motion in motions[scores > best[1].score]:
             found = _settled(*arrays, PlanarMotion(float(motion[0]), motion[1:]))
-            if found[1].score > best[1].score + _doubt(found[0], before):
+            doubt = _doubt(found[0], before)
+            if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found
-    return best if len(best[1].tracks) else None
+    return best if len(best[1].tracks) and not _jumps(*best, farthest_m) else None
+
+
+def _jumps(motion: PlanarMotion, match: Match, farthest_m: float) -> bool:
+    return len(match.tracks) < MANY and float(np.hypot(*motion.t)) > farthest_m
 
 
 def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:

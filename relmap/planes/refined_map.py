@@ -6,6 +6,8 @@ that are one wall are one.
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,8 +15,12 @@ from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
+from relmap.planes.links import disagreement
 from relmap.planes.solving import refined, refined_to_the_noise
 from relmap.planes.stitching import stitched, without_strays
+from relmap.planes.submaps import Submap, among_all
+
+_LOG = logging.getLogger(__name__)
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
@@ -22,6 +28,8 @@ CLOSED = 3
 """How often loops are looked for, each time with less drift left."""
 ROUGHLY = ((1, 20.0), (1, 8.0), (2, 5.0))
 """Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
+WORSE_M = 0.1
+"""How much farther off the links a refined map may be than the chained one: they are rough."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
 
@@ -29,10 +37,10 @@ JOINED = 4
 def refined_map(
     history: PlaneHistory,
     numbers: WallNumbers,
-    path: NDArray[np.float64],
+    chained: Submap,
     moving: NDArray[np.bool_],
-) -> tuple[Assembled, WallNumbers] | None:
-    """Bring walls, corners and poses to where all observations agree best.
+) -> tuple[Submap, WallNumbers] | None:
+    """Bring walls, corners and poses of a submap to where all observations agree best.
 
     Walls that come to lie on one another are joined, which closes loops.
 
@@ -41,17 +49,18 @@ def refined_map(
     history : PlaneHistory
     numbers : WallNumbers
         Who is who to begin with.
-    path : (i, 4, 4) float64
-        ``T_map_robot`` to begin with; NaN where there is none.
+    chained : Submap
+        What to begin with.
     moving : (p,) bool
         Plane tracks that say nothing, for they move.
 
     Returns
     -------
-    (assembled, numbers) or None
-        None where no iteration has a pose.
+    (submap, numbers) or None
+        None where nothing is mapped, or refining does not settle or makes it worse.
     """
-    first = assemble(history, numbers, path, moving)
+    span = chained.span
+    first = assemble(history, numbers, among_all(chained.poses, span, history), moving)
     if first is None:
         return None
     best = refined(first, WIDELY)
@@ -64,12 +73,32 @@ def refined_map(
             if joined.same_as(numbers):
                 break
             numbers = joined
-            again = assemble(history, numbers, path_of(best, history), moving)
+            path = among_all(poses_of(best, span, history), span, history)
+            again = assemble(history, numbers, path, moving)
             best = best if again is None else refined(again, rounds)
-    return refined_to_the_noise(best), numbers
+    best = refined_to_the_noise(best)
+    found = Submap(span, poses_of(best, span, history), best, refined=True)
+    return (found, numbers) if _better(found, chained, history.motion[slice(*span)]) else None
 
 
-def path_of(assembled: Assembled, history: PlaneHistory) -> NDArray[np.float64]:
-    """Return ``T_map_robot`` (i, 4, 4) by a refined map, else by the motion since."""
-    poses = assembled.poses(len(history.motion))
-    return stitched([without_strays(poses, history.motion)], history.motion)
+def _better(found: Submap, chained: Submap, motions: NDArray[np.float64]) -> bool:
+    """Tell whether a refined map settled and agrees with the links between its scans."""
+    assert found.assembled is not None
+    torn, off_m = disagreement(found.poses, motions)
+    torn_before, off_before_m = disagreement(chained.poses, motions)
+    if not found.assembled.settled:
+        _LOG.warning("scans %d:%d: refining does not settle; they stay as chained", *found.span)
+    elif torn > torn_before or off_m > off_before_m + WORSE_M:
+        _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *found.span)
+    else:
+        return True
+    return False
+
+
+def poses_of(
+    assembled: Assembled, span: tuple[int, int], history: PlaneHistory
+) -> NDArray[np.float64]:
+    """Return the poses (k, 4, 4) of a submap by its refined map, else by the motion since."""
+    rows = slice(*span)
+    poses, motion = assembled.poses(history.n_iterations)[rows], history.motion[rows]
+    return stitched([without_strays(poses, motion)], motion)

@@ -35,6 +35,14 @@ MUCH = 0.25
 LOOSE, LEAST = 1e-12, 1e-9
 """What holds an unknown that hangs by too little, as a share of what holds it otherwise, and in
 weights of an observation."""
+FIRMER, FIRMEST = 1e3, 1.0
+"""By how much it is held more firmly where a step is not taken, and when no more."""
+FARTHEST, FARTHEST_RAD = 1.0, np.pi / 2
+"""No step moves a pose farther than so many sizes of the map, nor turns it by more."""
+REST = 0.03
+"""Steps longer than this, metres and radians, are those of a solution that does not settle."""
+
+Weights = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class WallSystem:
@@ -44,10 +52,16 @@ class WallSystem:
     ----------
     given : WallEquations
         In the order of iterations.
+
+    Attributes
+    ----------
+    settled : bool
+        Whether the last steps that `refine` took were short.
     """
 
     def __init__(self, given: WallEquations) -> None:
         self._given = given
+        self.settled = False
         self._seen = _seen(given)
         self._open_along = open_along(given)
         every = np.arange(given.iteration[-1] + 2)
@@ -63,7 +77,7 @@ class WallSystem:
         by_scan: bool = True,
         settled: bool = True,
     ) -> Walls:
-        """Return the state on which all observations agree best, by Gauss-Newton.
+        """Return the state on which all observations agree best, by damped Gauss-Newton.
 
         The first iteration stays where it is.
 
@@ -84,18 +98,15 @@ class WallSystem:
         from relmap.core.kernels.ordering import smallest
 
         enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
+        self.settled = False
         for _ in range(rounds):
-            poses, lines, corners = self._step(state, doubtful, by_scan)
-            state = Walls(
-                state.yaw + poses[:, 0],
-                state.t + poses[:, 1:],
-                state.centre,
-                state.angle + lines[:, 0],
-                state.across + lines[:, 1],
-                state.along + corners,
-            )
-            step = np.abs(np.concatenate([poses.ravel(), lines.ravel(), corners]))
-            if smallest(step, int(MOST * len(step))) < enough:
+            stepped = self._stepped(state, doubtful, by_scan)
+            if stepped is None:
+                break
+            state, step = stepped
+            typical = smallest(step, int(MOST * len(step)))
+            self.settled = typical < REST
+            if typical < enough:
                 break
         return between_neighbours(state, self._open_along)
 
@@ -111,24 +122,85 @@ class WallSystem:
 
         return residuals(self._seen, _arrays(state))
 
-    def _step(
+    def _stepped(
         self, state: Walls, doubtful: float, by_scan: bool
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the next step of poses (i, 3), lines (w, 2) and corners (c,)."""
-        from relmap.planes.kernels.refinement import observation_weights, pose_steps, wall_equations
+    ) -> tuple[Walls, NDArray[np.float64]] | None:
+        """Return the next state and the step to it; None where none is short enough.
 
-        arrays, begins = _arrays(state), (self._begin, self._corner_begin)
-        off = self.residuals(state)
+        All unknowns are held the more firmly until one is (Levenberg-Marquardt).
+        """
+        weights = self._weights(state, doubtful, by_scan)
+        everywhere = np.concatenate([state.t, state.centre])
+        farthest_m, firmer = FARTHEST * float(np.ptp(everywhere, axis=0).max()), 1.0
+        while LOOSE * firmer <= FIRMEST:
+            poses, lines, corners = self._step(state, weights, firmer)
+            after = Walls(
+                state.yaw + poses[:, 0],
+                state.t + poses[:, 1:],
+                state.centre,
+                state.angle + lines[:, 0],
+                state.across + lines[:, 1],
+                state.along + corners,
+            )
+            step = np.abs(np.concatenate([poses.ravel(), lines.ravel(), corners]))
+            if (
+                np.abs(poses[:, 1:]).max() <= farthest_m
+                and np.abs(poses[:, 0]).max() <= FARTHEST_RAD
+            ):
+                return after, step
+            firmer *= FIRMER
+        return None
+
+    def corner_covariances(self, state: Walls, doubtful: float) -> NDArray[np.float64]:
+        """Return how sure each corner's wall and place are; (c, 3, 3).
+
+        Of the direction of the normal, radians, the distance across and the place along, metres,
+        with the first iteration where it is.
+        """
+        values = self._equations(state, self._weights(state, doubtful, by_scan=False), 1.0)[0]
+        wall = np.zeros(len(state.along), dtype=np.int64)
+        wall[self._given.corner] = self._given.wall[self._given.corner_row]
+        line = self._line[wall]
+        return self._pattern.inverse(values, np.column_stack([line, line + 1, self._corner]))
+
+    def _weights(self, state: Walls, doubtful: float, by_scan: bool) -> Weights:
+        """Return the weights of walls and corners where their residuals put them in doubt."""
+        from relmap.planes.kernels.refinement import observation_weights
+
         sd = np.sqrt(2) * self._given.sd, self._given.corner_sd
-        weights = observation_weights(off, sd, begins, doubtful, by_scan)
-        values = np.zeros(self._pattern.size)
-        right, away, alone = wall_equations(
-            self._seen, arrays, weights, begins, self._open_along, self._stretches, values
-        )
-        self._pattern.hold(values, LOOSE, LEAST)
+        begins = self._begin, self._corner_begin
+        return observation_weights(self.residuals(state), sd, begins, doubtful, by_scan)
+
+    def _step(
+        self, state: Walls, weights: Weights, firmer: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the step of poses (i, 3), lines (w, 2) and corners (c,), held so much firmer."""
+        from relmap.planes.kernels.refinement import pose_steps
+
+        values, right, away, alone = self._equations(state, weights, firmer)
         step = self._pattern.solve(values, right)
         poses = pose_steps(self._stretches, away, alone, step)
         return poses, step[self._line[:, None] + [0, 1]], step[self._corner]
+
+    def _equations(
+        self, state: Walls, weights: Weights, firmer: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the matrix and what else `wall_equations` gives."""
+        from relmap.planes.kernels.refinement import wall_equations
+
+        begins, values = (self._begin, self._corner_begin), np.zeros(self._pattern.size)
+        right, away, alone = wall_equations(
+            self._seen,
+            _arrays(state),
+            weights,
+            begins,
+            self._open_along,
+            self._stretches,
+            values,
+            firmer,
+        )
+        self._pattern.hold(values, LOOSE * firmer, LEAST)
+        return values, right, away, alone
 
     def _prepare(self) -> None:
         """Find out which unknowns stand together in the equations, and where.

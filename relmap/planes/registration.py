@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from relmap.core.growing import GrowingArray
 from relmap.planes.history import PlaneHistory
+from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
@@ -28,10 +29,6 @@ LONG_M = 4.0
 """Walls longer than this are as good as any."""
 FAMILIAR = 8
 """Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
-
-
-STEADY = 5
-"""Scans whose typical motion the robot is expected to go on with."""
 
 
 class PlaneRegistration:
@@ -58,8 +55,11 @@ class PlaneRegistration:
         self._tracks: PlaneTracks | None = None
         self._motion = STILL
         self._n_planes = 0
+        self._n_submaps = 0
+        self._unsure_m, self._unsure_each_m = 0.0, 0.0
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._place: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._chosen: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.planes = np.empty(0, dtype=np.int64)
@@ -80,6 +80,11 @@ class PlaneRegistration:
     def wall_end(self) -> NDArray[np.int64]:
         """Wall end of each corner: twice the number of the wall, and 1 more for its left end."""
         return self._wall_end.values
+
+    @property
+    def submap_of(self) -> NDArray[np.int64]:
+        """Submap of each corner."""
+        return self._submap_of.values
 
     @property
     def chosen(self) -> NDArray[np.int64]:
@@ -110,26 +115,44 @@ class PlaneRegistration:
         return self._landmarks
 
     def see(self, seen: PlaneObservation) -> None:
-        """Take in the walls of one scan."""
+        """Take in the walls of one scan; where no link to those before is believed, begin anew."""
         self.planes = np.full(len(seen), -1)
-        tracks = self._tracks
-        found = place(tracks, seen, self._usual) if tracks is not None and len(seen) else None
-        if tracks is not None and found is not None:
-            self._motion, match = found
-            tracks = tracks.carried(self._motion.yaw, self._motion.t)
-            tracks.see(match.tracks, seen, match.walls)
-            self.planes[match.walls] = tracks.plane[match.tracks]
+        self._motion, tracks = self._usual, self._tracks  # on as before
+        if tracks is not None and len(seen):
+            tracks = self._followed(tracks, seen)
         elif tracks is not None:
-            self._motion = self._usual  # on as before
             tracks = tracks.carried(self._motion.yaw, self._motion.t)
             tracks.missed += 1
+        self._n_submaps += int(tracks is None and len(seen) > 0)
         new = self.planes < 0
         self.planes[new] = self._n_planes + np.arange(new.sum())
         self._n_planes += int(new.sum())
         begun = PlaneTracks.begun(self.planes[new], seen.only(new))
         tracks = begun if tracks is None else tracks.joined(begun)
-        self._tracks = tracks.kept(tracks.missed <= self._max_missed)
-        self._see_corners(self._tracks, seen)
+        tracks = tracks.kept(tracks.missed <= self._max_missed)
+        self._tracks = tracks if len(tracks) else None
+        self._see_corners(tracks, seen)
+
+    def _followed(self, tracks: PlaneTracks, seen: PlaneObservation) -> PlaneTracks | None:
+        """Return the tracks where a scan sees them; None where it is tied to them by too little."""
+        found = place(tracks, seen, self._usual, farthest_m(self.history.motion))
+        if found is None or not believed(tracks, seen, found[1]):
+            return None
+        motion, match = found
+        if measured_along(tracks, seen, match):
+            self._unsure_m = 0.0
+        else:
+            if not self._unsure_m:
+                self._unsure_each_m = unsure_m(self.history.motion)
+            self._unsure_m += self._unsure_each_m
+        if self._unsure_m > ASTRAY_M:
+            self._unsure_m = 0.0
+            return None
+        self._motion = motion
+        tracks = tracks.carried(motion.yaw, motion.t)
+        tracks.see(match.tracks, seen, match.walls)
+        self.planes[match.walls] = tracks.plane[match.tracks]
+        return tracks
 
     def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation) -> None:
         """Tell which corner every static end is; begin new ones where none is expected there."""
@@ -142,6 +165,7 @@ class PlaneRegistration:
         corners = tracks.corner[row, end]
         corners[fresh] = len(self._half) + np.arange(fresh.sum())
         self._half.extend(seen.size[wall[fresh]] / 2)
+        self._submap_of.extend(np.full(fresh.sum(), self._n_submaps - 1))
         self._wall_end.extend(2 * self.planes[wall[fresh]] + end[fresh])
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]
@@ -153,7 +177,8 @@ class PlaneRegistration:
         corner = np.full((len(seen), 2), NO_CORNER)
         corner[wall, end] = corners
         motion = np.array([self._motion.yaw, *self._motion.t])
-        self.history.append(self.planes, corner, seen, motion)
+        submap = -1 if self._tracks is None else self._n_submaps - 1
+        self.history.append(self.planes, corner, seen, motion, submap)
 
     def _choose(
         self,

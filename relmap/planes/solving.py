@@ -71,12 +71,13 @@ def _solved(
     by_scan: bool = True,
 ) -> Assembled:
     """Solve in rounds, with a system of the same observations; see `WallSystem.refine`."""
-    given, state = assembled.given, assembled.state
+    given, state, settled = assembled.given, assembled.state, True
     for k, (most, doubtful) in enumerate(rounds):
         last = k == len(rounds) - 1
-        state = system.reweighted(given).refine(state, most, doubtful, by_scan, settled=last)
-        given = _reweighted(assembled.given, *system.residuals(state))
-    return replace(assembled, given=given, state=state)
+        own = system.reweighted(given)
+        state = own.refine(state, most, doubtful, by_scan, settled=last)
+        given, settled = _reweighted(assembled.given, *system.residuals(state)), own.settled
+    return replace(assembled, given=given, state=state, settled=settled)
 
 
 def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:

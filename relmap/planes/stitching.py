@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.history import PlaneHistory
+from relmap.planes.links import CROSSING, spread
 
-CROSSING = np.sin(np.deg2rad(10.0)) ** 2
-"""Walls whose directions spread less than by this hold no motion along themselves."""
 STRAY_M, STRAY_RAD = 1.0, np.deg2rad(30.0)
 FEW = 5
 """So few scans in a row, so far off the others, are misplaced."""
@@ -104,7 +103,8 @@ def weak_links(history: PlaneHistory) -> NDArray[np.int64]:
     """Return the iterations (k,) whose motion since the one before rests on the motion model.
 
     Both saw no static corner in common, and no two walls in common that cross: along what they
-    saw, if anything, the robot is taken to have gone on as before.
+    saw, if anything, the robot is taken to have gone on as before.  Where a submap begins there is
+    no link.
     """
     n = history.n_iterations
     n_planes = int(history.plane.max(initial=-1)) + 1
@@ -117,9 +117,7 @@ def weak_links(history: PlaneHistory) -> NDArray[np.int64]:
     both = ((corner >= 0) & (corner == history.corner[other])).any(axis=1)
     held = np.bincount(iteration[both], minlength=n) > 0
     along = history.ends[row, 1] - history.ends[row, 0]
-    x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
-    xx, xy, yy = (np.bincount(iteration, v, minlength=n) for v in (x * x, x * y, y * y))
-    # The smaller eigenvalue of the sum of the directions' outer products.
-    spread = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
-    weak = ~held & (spread < CROSSING)
-    return np.flatnonzero(weak[1:]) + 1
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    weak = ~held & (spread(along, iteration, n) < CROSSING)
+    same = np.diff(history.submap) == 0
+    return np.flatnonzero(weak[1:] & same & (history.submap[1:] >= 0)) + 1

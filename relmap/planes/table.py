@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, in_space
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, in_space
 from relmap.planes.assembly import OFTEN, Assembled, WallNumbers, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import wall_extents
@@ -75,11 +75,10 @@ def plane_table(
     corner = np.full((n, 2), -1)
     status = np.where(np.isin(plane, numbers.wall_of[moving]), "dynamic", "unmapped")
     if assembled is not None:
-        at = np.searchsorted(plane, assembled.walls)
-        ends[at], normal[at], corner[at] = _mapped(assembled)
-        seen_often = count[at] >= OFTEN
-        status[at[seen_often]] = "static"
-        ends[at[~seen_often]] = np.nan
+        often = _often(assembled)
+        at = np.searchsorted(plane, assembled.walls[often])
+        ends[at], normal[at], corner[at] = (part[often] for part in _mapped(assembled))
+        status[at] = "static"
     return PlaneTable(plane, ends, z, normal, corner, count, first, last, status)
 
 
@@ -90,29 +89,66 @@ def _mapped(
     state = assembled.state
     normal, along = directions(state.angle)
     reach = np.column_stack(wall_extents(assembled))
+    at_end = _at_ends(assembled)
+    wall, end = np.nonzero(at_end >= 0)
+    compact = at_end[wall, end]
     corner = np.full(reach.shape, -1)
-    end = np.zeros(len(assembled.corners), dtype=np.int64)
-    end[assembled.given.corner] = assembled.given.corner_end
-    seen = np.bincount(assembled.given.corner, minlength=len(assembled.corners))
-    for k in np.argsort(seen, kind="stable"):  # of several the one seen most often is last
-        wall = assembled.corner_wall[k]
-        reach[wall, end[k]], corner[wall, end[k]] = state.along[k], assembled.corners[k]
+    reach[wall, end], corner[wall, end] = state.along[compact], assembled.corners[compact]
     base = state.centre + state.across[:, None] * normal
     return base[:, None] + reach[:, :, None] * along[:, None], normal, corner
 
 
-def corner_map(assembled: Assembled | None) -> LandmarkMap:
-    """Return the mapped corners, in ascending order of their numbers."""
+def _often(assembled: Assembled) -> NDArray[np.bool_]:
+    """Tell which walls (w,) were seen often enough to be mapped."""
+    given = assembled.given
+    return np.asarray(np.bincount(given.wall, minlength=len(assembled.walls)) >= OFTEN)
+
+
+def _at_ends(assembled: Assembled) -> NDArray[np.int64]:
+    """Return the corner (w, 2) at either end of each wall, in compact numbers; -1 for none."""
+    given = assembled.given
+    corner = np.full((len(assembled.walls), 2), -1)
+    end = np.zeros(len(assembled.corners), dtype=np.int64)
+    end[given.corner] = given.corner_end
+    seen = np.bincount(given.corner, minlength=len(assembled.corners))
+    wall = assembled.corner_wall
+    for k in np.argsort(seen, kind="stable").tolist():  # of several the one seen most often is last
+        corner[wall[k], end[k]] = k
+    return corner
+
+
+def _mapped_corners(assembled: Assembled) -> NDArray[np.int64]:
+    """Return the corners (k,), compact and ascending, that are an end of a mapped wall."""
+    at_end = _at_ends(assembled)[_often(assembled)]
+    return np.unique(at_end[at_end >= 0])
+
+
+def corner_map(assembled: Assembled | None, spread: NDArray[np.float64] | None) -> LandmarkMap:
+    """Return the mapped corners, in ascending order of their numbers.
+
+    Parameters
+    ----------
+    assembled : Assembled or None
+    spread : (c, 2, 2) float64 or None
+        Covariances of all corners, square metres, where they are known.
+    """
     if assembled is None:
         return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
-    return LandmarkMap(assembled.corners, in_space(assembled.corner_at))
+    mapped = _mapped_corners(assembled)
+    covariances = np.zeros((0 if spread is None else len(mapped), 3, 3))
+    if spread is not None:
+        covariances[:, :2, :2] = spread[mapped]
+    return LandmarkMap(
+        assembled.corners[mapped], in_space(assembled.corner_at[mapped]), covariances
+    )
 
 
 def corner_table(
     history: PlaneHistory,
     numbers: WallNumbers,
-    assembled: Assembled | None,
+    submaps: list[Assembled | None],
     moving: NDArray[np.int64],
+    spread: NDArray[np.float64] | None,
 ) -> LandmarkTable:
     """Return the table of all corners but those that turned out to be none.
 
@@ -120,10 +156,12 @@ def corner_table(
     ----------
     history : PlaneHistory
     numbers : WallNumbers
-    assembled : Assembled or None
-        Where the mapped ones are.
+    submaps : list of Assembled or None
+        Where those of each submap are; mapped are those of the first.
     moving : (k,) int64
         Corners that were seen moving.
+    spread : (c, 2, 2) float64 or None
+        Covariances of all corners of the first submap, square metres, where they are known.
     """
     row, end = np.nonzero(history.corner >= 0)
     corner = numbers.corner_of[history.corner[row, end]]
@@ -135,10 +173,19 @@ def corner_table(
     np.maximum.at(last, at, history.iteration[row])
     position, sd = np.full((n, 3), np.nan), np.full(n, np.nan)
     status = np.where(np.isin(label, moving), "dynamic", "unmapped")
-    level = np.zeros(n, dtype=np.int64)
-    if assembled is not None:
-        there = np.searchsorted(label, assembled.corners)
-        position[there], sd[there] = in_space(assembled.corner_at), assembled.corner_sd
+    level, piece = np.zeros(n, dtype=np.int64), np.full(n, -1)
+    for number, assembled in enumerate(submaps):
+        if assembled is None:
+            continue
+        mapped = _mapped_corners(assembled)
+        there = np.searchsorted(label, assembled.corners[mapped])
+        piece[there] = number
+        if number > 0:
+            continue
+        position[there] = in_space(assembled.corner_at[mapped])
+        sd[there] = assembled.corner_sd[mapped]
+        if spread is not None:
+            sd[there] = np.sqrt(np.trace(spread[mapped], axis1=1, axis2=2) / 2)
         status[there], level[there] = "static", 3
     return LandmarkTable(
         landmark=label,
@@ -149,6 +196,23 @@ def corner_table(
         last_iteration=last,
         level=level,
         status=status,
-        piece=np.where(status == "static", 0, -1),
+        piece=piece,
         moving_bin=np.full(n, -1),
+    )
+
+
+def corner_group(group: MappedGroup, corner: NDArray[np.int64]) -> MappedGroup:
+    """Return a group of corners and midpoints without these, by the numbers of corners.
+
+    Parameters
+    ----------
+    group : MappedGroup
+        Of landmarks numbered as by `PlaneRegistration`.
+    corner : (k,) int64
+        Number of the corner at each place; -1 for what turned out to be none.
+    """
+    number = np.where(group.landmarks % 2 == 0, corner[group.landmarks // 2], -1)
+    own = number >= 0
+    return MappedGroup(
+        number[own], group.relative_map[own], group.n_observations[own], group.iterations
     )

@@ -48,9 +48,10 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     panels = [
         (of_map[0], f"RMSE of {of_map[1]} [m]"),
         ("ate_m", "error of the path (ATE) [m]"),
+        ("relation_m", "error of checked relations [m]"),
         ("total_s", "processor time of the whole log [s]"),
     ]
-    shown = [(key, name) for key, name in panels if any(f.get(key) for _, f in rows)] or panels[2:]
+    shown = [(key, name) for key, name in panels if any(f.get(key) for _, f in rows)] or panels[-1:]
     figure = blank(2.0 + 3.3 * len(shown), 1.5 + ROW_IN * len(rows))
     figure.suptitle(title, fontsize=10)
     all_axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]

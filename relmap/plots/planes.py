@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 WALL = "#1f4e9e"
 CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
+PANEL_IN = 3.4
 TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
 
@@ -39,6 +41,71 @@ def write_planes_png(
         Where the file cannot be written.
     """
     write_png(path, lambda: plot_planes(planes, poses, truth, title))
+
+
+def write_submaps_png(
+    path: Path, submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
+) -> None:
+    """Draw the walls and paths of submaps into a PNG file, each in a panel of its own.
+
+    Parameters
+    ----------
+    path : Path
+    submaps : sequence of (PlaneTable, (k, 4, 4) float64)
+        Those to be drawn, the map itself first.
+    n_submaps : int
+        How many there are.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    if len(submaps) < 2:
+        title = None if n_submaps < 2 else f"the largest of {n_submaps} submaps"
+        planes, poses = submaps[0]
+        return write_planes_png(path, planes, poses, title=title)
+    return write_png(path, lambda: plot_submaps(submaps, n_submaps))
+
+
+def plot_submaps(
+    submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
+) -> Figure:
+    """Draw submaps side by side, each in its own frame; see `write_submaps_png`."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = int(np.ceil(np.sqrt(len(submaps))))
+    rows = -(-len(submaps) // columns)
+    figure = Figure(figsize=(PANEL_IN * columns, PANEL_IN * rows + 0.8), dpi=110)
+    FigureCanvasAgg(figure)
+    for number, (planes, poses) in enumerate(submaps):
+        axes = figure.add_subplot(rows, columns, number + 1, aspect="equal", adjustable="datalim")
+        n_walls, n_corners = draw_map(axes, planes, poses)
+        name = "map" if number == 0 else f"submap {number}"
+        axes.set_title(
+            f"{name}: {len(poses)} scans, {n_walls} walls, {n_corners} corners", fontsize=8
+        )
+        axes.grid(color="#e4e4e4", linewidth=0.5)
+        axes.tick_params(labelsize=6)
+    left = n_submaps - len(submaps)
+    also = f", {left} of a few scans not drawn" if left else ""
+    figure.suptitle(f"{n_submaps} submaps that nothing ties to one another{also}", fontsize=11)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=3, frameon=False, fontsize=8)
+    height = figure.get_figheight()
+    figure.tight_layout(rect=(0.0, 0.3 / height, 1.0, 1.0 - 0.1 / height))
+    return figure
+
+
+def draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
+    """Draw mapped walls, their corners and the path; return how many walls and corners."""
+    mapped = planes.status == "static"
+    draw_walls(axes, planes.ends[mapped], WALL, 1.0, "wall")
+    at = planes.ends[mapped][planes.corner[mapped] >= 0]
+    axes.plot(*at.T, "o", color=CORNER, markersize=2.2, zorder=6, label="corner", linestyle="")
+    axes.plot(*poses[:, :2, 3].T, color=PATH, linewidth=0.8, zorder=2, label="path of the robot")
+    return int(mapped.sum()), len(at)
 
 
 def plot_planes(
@@ -74,11 +141,8 @@ def plot_planes(
     axes = sheet.views[0][0]
     if truth is not None:
         draw_walls(axes, true_ends, TRUE_WALL, 3.0, "true wall")
-    draw_walls(axes, planes.ends[mapped], WALL, 1.0, "wall")
-    at = planes.ends[mapped][planes.corner[mapped] >= 0]
-    axes.plot(*at.T, "o", color=CORNER, markersize=2.2, zorder=6, label="corner", linestyle="")
-    axes.plot(*poses[:, :2, 3].T, color=PATH, linewidth=0.8, zorder=2, label="path of the robot")
-    sheet.finish(title or f"{mapped.sum()} walls, {len(at)} corners, {len(poses)} poses")
+    n_walls, n_corners = draw_map(axes, planes, poses)
+    sheet.finish(title or f"{n_walls} walls, {n_corners} corners, {len(poses)} poses")
     return sheet.figure
 
 

@@ -105,12 +105,16 @@ class PointMapper(Mapper):
         self._engine.refine()
 
     def finish(self) -> None:
-        """Map what is left, and without ids tie pieces that show the same place.
+        """Map what is left, spread what has drifted since, and without ids tie pieces.
 
-        Landmarks that turn out to be the same are merged on the way: see `landmarks_of`.
+        Those that show the same place become one.  Landmarks that turn out to be the same are
+        merged on the way: see `landmarks_of`.
         """
         self._finder = None
         super().finish()
+        if self.config.refine_live:
+            self._engine.live.complete()
+            self._engine.merger.look_again()
         if not self._engine.has_ids:
             self._engine.tie_submaps()
 

@@ -187,9 +187,25 @@ def _join(
 
 
 @compiled
-def line_pieces(xy: NDArray[np.float64], sigma: float, least: int) -> NDArray[np.int64]:
-    """Return the straight pieces (m, 2) of a scan: first point, and one after the last."""
-    if len(xy) < least:
+def _by_chance(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> float:
+    """Return how probable it is that points first to last (excluded) form a line by chance.
+
+    The first and the last of them define a line; each of the others lies within the band that they
+    fill, out of a room as wide as the line is long.
+    """
+    wall, worst = _fit(xy, first, last), sigma
+    for i in range(first, last):
+        worst = max(worst, _off(xy, i, wall))
+    return float(min(2 * worst / max(wall[END] - wall[BEGIN], 1e-12), 1.0) ** (last - first - 2))
+
+
+@compiled
+def line_pieces(xy: NDArray[np.float64], sigma: float, chance: float) -> NDArray[np.int64]:
+    """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
+
+    Those that are at least as probable as `chance` to be none are left out.
+    """
+    if len(xy) < 3:
         return np.zeros((0, 2), dtype=np.int64)
     pieces = [(0, 0)][:0]
     turn, start = _turns(xy), 0
@@ -200,7 +216,7 @@ def line_pieces(xy: NDArray[np.float64], sigma: float, least: int) -> NDArray[np
             start = i + 1
     _shift_breaks(xy, broken, pieces)
     _join(xy, turn, pieces, sigma)
-    kept = [(a, b) for a, b in pieces if b - a >= least]
+    kept = [(a, b) for a, b in pieces if _by_chance(xy, a, b, sigma) < chance]
     result = np.zeros((len(kept), 2), dtype=np.int64)
     for k in range(len(kept)):
         result[k, 0], result[k, 1] = kept[k]

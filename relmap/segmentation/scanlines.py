@@ -15,21 +15,34 @@ from numpy.typing import NDArray
 from relmap.segmentation.em import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
 
-LEAST = 8
-"""Points of a wall, at least."""
+CHANCE = 1e-3
+"""Points that form a line by chance with a greater probability are no wall."""
+MEDIAN = 0.6745
+"""Median of the magnitude of normal noise, in standard deviations."""
+INLIER = 5 / MEDIAN
+"""Five standard deviations, in such medians: what lies farther off is no noise."""
+ROUNDS = 10
 NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
 
 
 def beam_noise(xy: NDArray[np.float64]) -> float:
-    """Return the noise (metres) from how far each point lies off the chord of its neighbours."""
+    """Return the noise (metres) from how far each point lies off the chord of its neighbours.
+
+    Corners and ends of walls are left out; the fewer the beams, the more of them there are.
+    """
     if len(xy) < 5:
         return FLOOR_M
     a, b, c = xy[:-2], xy[1:-1], xy[2:]
     chord = c - a
     length = np.maximum(np.hypot(chord[:, 0], chord[:, 1]), 1e-12)
     off = np.abs(chord[:, 0] * (b - a)[:, 1] - chord[:, 1] * (b - a)[:, 0]) / length
-    return max(float(np.median(off)) / (0.6745 * math.sqrt(1.5)), FLOOR_M)
+    middle = np.median(off)
+    for _ in range(ROUNDS):
+        before, middle = middle, np.median(off[off <= INLIER * middle])
+        if middle == before:
+            break
+    return max(float(middle) / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
 def scan_walls(
@@ -48,7 +61,7 @@ def scan_walls(
     from relmap.segmentation.kernels import BEGIN, END
 
     sigma = beam_noise(xy) if noise is None else max(noise, FLOOR_M)
-    pieces = line_pieces(np.ascontiguousarray(xy), max(sigma, NOISE_AT_LEAST_M), LEAST)
+    pieces = line_pieces(np.ascontiguousarray(xy), max(sigma, NOISE_AT_LEAST_M), CHANCE)
     walls = piece_walls(xy, pieces)
     solid = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
     walls, pieces = walls[solid], pieces[solid]

@@ -13,9 +13,16 @@ from relmap.segmentation.corners import Sharpened, meet, sharpen
 from relmap.segmentation.em import WallMixture, scan_area
 from relmap.segmentation.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
+from relmap.segmentation.upright import require_upright
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
+SPATIAL = ("ransac3d", "patches")
+"""Methods that know floors and ceilings from walls."""
 LEAST = 8
+FARTHEST_M = 1e9
+"""No sensor sees farther; squares of much larger numbers overflow."""
+CHECKED = 5
+"""Scans in space, of the first that a segmenter is given, that must show upright surfaces."""
 
 
 class PlaneSegmenter:
@@ -69,9 +76,12 @@ class PlaneSegmenter:
         self.random_state = random_state
         self.view_rad = view_rad
         self.range_m = range_m
+        self._checked = 0
 
     def fit(self, points: ArrayLike) -> Self:
         """Segment one scan.
+
+        The first five in space are checked for surfaces that are not upright.
 
         Parameters
         ----------
@@ -81,10 +91,14 @@ class PlaneSegmenter:
         Raises
         ------
         RelmapError
-            Where a parameter or the shape is wrong, or a coordinate is not finite.
+            Where a parameter or the shape is wrong, a coordinate is not finite, or floors, ceilings
+            and the like would be taken for walls.
         """
         xyz = _as_points(points)
         method = self._validated(xyz.shape[1])
+        if xyz.shape[1] == 3 and len(xyz) and method not in SPATIAL and self._checked < CHECKED:
+            require_upright(xyz)
+            self._checked += 1
         xy = np.ascontiguousarray(xyz[:, :2])
         if len(xy) < 2 or not np.ptp(xy, axis=0).any():
             sharp = meet(_no_walls(xy, self.noise), max(len(xy), 1))
@@ -99,7 +113,7 @@ class PlaneSegmenter:
         method = self.method or ("scanlines" if d == 2 else "em")
         if method not in METHODS:
             raise RelmapError(f"method is {self.method!r}; it must be one of {', '.join(METHODS)}")
-        if d == 2 and method in ("ransac3d", "patches"):
+        if d == 2 and method in SPATIAL:
             raise RelmapError(f"method {method} needs points (n, 3); these are (n, 2)")
         for name, value in (
             ("noise", self.noise),
@@ -169,11 +183,13 @@ class PlaneSegmenter:
         """Return labels without gaps in their numbers, and the planes."""
         from relmap.segmentation.pairs import corners
 
-        kept = np.flatnonzero(np.bincount(labels[labels >= 0], minlength=len(sharp.spread)))
-        number = np.full(len(sharp.spread) + 1, -1)
+        ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
+        count = np.bincount(labels[labels >= 0], minlength=len(ends))
+        long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
+        kept = np.flatnonzero((count > 0) & long)
+        number = np.full(len(ends) + 1, -1)
         number[kept] = np.arange(len(kept))
-        labels = number[labels]
-        ends = np.array([corners(w) for w in sharp.mixture.walls[kept]]).reshape(-1, 2, 2)
+        labels, ends = number[labels], ends[kept]
         spread, joined = sharp.spread[kept], sharp.joined[kept]
         turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
         hidden = None if sharp.hidden is None else sharp.hidden[kept]
@@ -220,8 +236,11 @@ def _as_points(points: ArrayLike) -> NDArray[np.float64]:
         raise RelmapError(f"points are not numbers: {error}") from error
     if xyz.ndim != 2 or xyz.shape[1] not in (2, 3):
         raise RelmapError(f"points have shape {xyz.shape}; it must be (n, 2) or (n, 3)")
-    bad = ~np.isfinite(xyz).all(axis=1)
+    bad = ~(np.abs(xyz) <= FARTHEST_M).all(axis=1)
     if bad.any():
         row = int(bad.argmax())
-        raise RelmapError(f"point {row} is {xyz[row].tolist()}; coordinates must be finite")
+        raise RelmapError(
+            f"point {row} is {xyz[row].tolist()}; coordinates must be finite, and metres up to "
+            f"{FARTHEST_M:g}"
+        )
     return xyz

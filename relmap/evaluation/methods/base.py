@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.landmarks import LandmarkMap
+from relmap.datasets.scans import SensorView
 
 Association = Literal["nearest", "known"]
 LogKind = Literal["landmarks", "scans"]
@@ -30,11 +31,14 @@ class Setup:
         Standard deviation of each observed coordinate, metres.
     range_m : float
         Distance of the farthest observation of the log, metres.
+    sensor : SensorView
+        What a log of point scans tells of its sensor.
     """
 
     dimension: int = 3
     sigma_m: float = 0.05
     range_m: float = 80.0
+    sensor: SensorView = field(default_factory=SensorView)
 
 
 class Method(Protocol):

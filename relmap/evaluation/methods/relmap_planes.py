@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from relmap.core.alignment import fit_rigid, fixes_rotation
 from relmap.core.landmarks import LandmarkMap
+from relmap.datasets.scans import SensorView
 from relmap.evaluation.methods.base import NO_MAP, Method, MethodInfo
+from relmap.evaluation.plane_run import segment_scan, segmenter_for
 from relmap.planes import PlaneMapper
 from relmap.planes.pairwise import pairwise_map
 from relmap.planes.table import PlaneTable
-from relmap.segmentation import PlaneSegmenter
 
 Recipe = Literal["refined", "live", "paper"]
 
@@ -26,17 +27,21 @@ class RelmapPlanes(Method):
     ----------
     recipe : "refined", "live" or "paper"
         ``paper`` takes who is who from the mapper and places the walls by `pairwise_map`.
+    view : SensorView
+        What is known of the sensor.
     """
 
-    def __init__(self, recipe: Recipe) -> None:
-        self._mapper = PlaneMapper(segmenter=PlaneSegmenter())
+    def __init__(self, recipe: Recipe, view: SensorView) -> None:
+        self._mapper = PlaneMapper()
+        self._segmenter = segmenter_for(view)
+        self._view = view
         self._recipe = recipe
 
     def update(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
         """Segment and map one scan; points are of no landmark, so every label is -1."""
-        self._mapper.update(points_robot)
+        self._mapper.update(segment_scan(self._segmenter, points_robot, self._view))
         return np.full(len(points_robot), -1, np.int64)
 
     def finish(self) -> None:
@@ -79,18 +84,18 @@ class RelmapPlanes(Method):
 REFINED = MethodInfo(
     "relmap-planes",
     "relmap, walls, refined at the end",
-    lambda setup: RelmapPlanes("refined"),
+    lambda setup: RelmapPlanes("refined", setup.sensor),
     logs=("scans",),
 )
 LIVE = MethodInfo(
     "relmap-planes-live",
     "relmap, walls, as the map stands when the log is over",
-    lambda setup: RelmapPlanes("live"),
+    lambda setup: RelmapPlanes("live", setup.sensor),
     logs=("scans",),
 )
 LITERAL = MethodInfo(
     "relmap-planes-paper",
     "relmap, walls, placed by the paper's recipe of pairs (Figs 1, 2 and 4)",
-    lambda setup: RelmapPlanes("paper"),
+    lambda setup: RelmapPlanes("paper", setup.sensor),
     logs=("scans",),
 )

@@ -7,18 +7,28 @@ from numpy.typing import NDArray
 
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
+from relmap.core.registration import NearestPrevious, Registration
 from relmap.evaluation.methods.base import Method, MethodInfo
 from relmap.points.mapper import PointMapper
+from relmap.points.model import PointModel
 
-PAPER = MapperConfig(registration="nearest-previous", max_missed=0)
-"""As sections II and III have it: matched to the previous iteration alone, gone once missed."""
+PAPER = MapperConfig(max_missed=0, refine_live=False)
+"""As sections II and III have it: gone once missed, and not refined on the way."""
+
+
+class PaperPointModel(PointModel):
+    """Where no ids are given, scans are matched to the previous iteration alone."""
+
+    def association(self, config: MapperConfig) -> Registration:
+        """Return the paper's matching."""
+        return NearestPrevious(None)
 
 
 class PaperPointMapper(PointMapper):
-    """Takes no step of refinement on the way: the paper has none."""
+    """Maps points as the paper does."""
 
-    def _refine_next(self) -> bool:
-        return False
+    def _model(self) -> PointModel:
+        return PaperPointModel()
 
 
 class RelmapPoints(Method):

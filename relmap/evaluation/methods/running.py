@@ -41,6 +41,9 @@ ACCURACY = (
 `matched` landmarks or corners are behind the RMSE; `often_rmse_m` is of the landmarks seen in ten
 iterations alone, as coverage is: methods that map what they saw once are compared by it.
 """
+PATH = ("path_coverage", "relation_m", "relation_rad")
+"""Further figures of the path: the share of the iterations that have a pose in the map, which of a
+map in pieces are those of the largest, and the error of checked relations between poses."""
 COST = ("median_ms", "mean_ms", "last_100_median_ms", "total_s", "memory_mb")
 """Figures that depend on the machine: processor time of one core, and what the process grew by."""
 WARM_UP = {"landmarks": 30, "scans": 4}
@@ -61,7 +64,7 @@ class MethodRun:
     planes : PlaneTable or None
         The walls, where it maps walls.
     figures : dict
-        `ACCURACY` and `COST`, None where one cannot be had.
+        `ACCURACY`, `PATH` and `COST`, None where one cannot be had.
     """
 
     result: Result
@@ -107,7 +110,7 @@ def setup_for(data: Data, sigma_m: float | None = None) -> Setup:
     """Return what methods are told beforehand of a log."""
     if isinstance(data, Scans):
         points = data.log.points_of(0) if len(data.log) else np.empty((0, data.log.dimension))
-        return Setup(data.log.dimension, sigma_m or FEW_M, _reach(points))
+        return Setup(data.log.dimension, sigma_m or FEW_M, _reach(points), data.log.sensor)
     log = data.log
     sigma = sigma_m or _noise_of(log)
     return Setup(log.points_robot.shape[1], sigma, _reach(log.points_robot))
@@ -177,13 +180,13 @@ def _of_landmarks(
     poses = method.trajectory
     there = np.isfinite(poses).all(axis=(1, 2))
     result = Result(table, tracks, stamps_of(log)[there], poses[there], summary)
-    figures: dict[str, float | None] = dict.fromkeys(ACCURACY)
+    figures: dict[str, float | None] = dict.fromkeys((*ACCURACY, *PATH))
     if data.truth is not None:
         figures |= _known(evaluate(result, data.truth, log).as_dict())
         figures["often_rmse_m"] = _rmse_of_often_seen(result, data.truth, log)
     if not len(method.map.landmark_ids):
         figures |= dict.fromkeys(("matched", "coverage", "landmarks_per_true", "purity"))
-    return MethodRun(result, None, figures | cost)
+    return MethodRun(result, None, figures | _path_coverage(len(result.poses), len(log)) | cost)
 
 
 def _rmse_of_often_seen(result: Result, truth: Truth, log: ObservationLog) -> float | None:
@@ -217,17 +220,24 @@ def _of_scans(method: Method, data: Scans, cost: dict[str, float | None]) -> Met
         {"association": "nearest", "dimensions": 2},
     )
     planes = method.planes if isinstance(method, RelmapPlanes) else None
-    figures: dict[str, float | None] = dict.fromkeys(ACCURACY)
+    figures: dict[str, float | None] = dict.fromkeys((*ACCURACY, *PATH))
     if data.truth is not None:
         walls = planes if planes is not None else _no_planes()
         figures |= _known(evaluate_planes(result, walls, data.truth).as_dict())
-    return MethodRun(result, planes, figures | cost)
+    if planes is None:
+        figures |= dict.fromkeys(("matched", "coverage"))
+    return MethodRun(result, planes, figures | _path_coverage(len(result.poses), len(log)) | cost)
+
+
+def _path_coverage(poses: int, iterations: int) -> dict[str, float | None]:
+    return {"path_coverage": poses / iterations if iterations else None}
 
 
 def _known(figures: dict[str, Any]) -> dict[str, float | None]:
     counts = figures["counts"]
     matched = counts.get("matched_landmarks", counts.get("matched_corners"))
-    return {name: figures[name] for name in ACCURACY if name in figures} | {"matched": matched}
+    names = (*ACCURACY, *PATH)
+    return {name: figures[name] for name in names if name in figures} | {"matched": matched}
 
 
 def table_of(found: LandmarkMap, labels: NDArray[np.int64], log: ObservationLog) -> LandmarkTable:

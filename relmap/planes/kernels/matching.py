@@ -186,9 +186,10 @@ def correction(
     """Return the small motion that brings tracks onto the walls that they match (least squares).
 
     Both ends of a wall seen lie on the line of its track, and a corner seen again at its place
-    along the wall; `held` is the weight of not moving, `least_m` the noise of a corner.
+    along the wall; `held` is the weight of not moving, `least_m` the noise of a corner.  The line
+    of a short track is the less sure the farther it is extended.
     """
-    angle, offset, _, sd, corner_at = tracks
+    angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, _, _, _, static = seen
     A, b = np.zeros((3, 3)), np.zeros(3)
     for j in range(len(track_of)):
@@ -196,9 +197,12 @@ def correction(
         if i < 0:
             continue
         nx, ny = math.cos(angle[i]), math.sin(angle[i])
-        w = 1 / (1 + (sd[i] / least_m) ** 2)
+        own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
+        mid_x, mid_y = (ends[i, 0, 0] + ends[i, 1, 0]) / 2, (ends[i, 0, 1] + ends[i, 1, 1]) / 2
         for e in range(2):
             x, y = wall_ends[j, e]
+            beyond = max(abs(ny * (x - mid_x) - nx * (y - mid_y)) / own - 0.5, 0.0)
+            w = 1 / (1 + (1 + 12 * beyond**2) * (sd[i] / least_m) ** 2)
             _pull(A, b, nx, ny, x, y, nx * x + ny * y - offset[i], w)
             if static[j, e]:
                 ux, uy = along[j]

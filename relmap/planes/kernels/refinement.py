@@ -171,14 +171,14 @@ def _one_scan(
 
 
 @compiled
-def _held(pose: Array, turn: Array, open_along: Array) -> None:
+def _held(pose: Array, turn: Array, open_along: Array, firmer: float) -> None:
     """Hold a pose where nothing tells of it, and a little where it hangs by too little."""
     (c, s), (x, y), shift = turn, open_along, pose[1, 1] + pose[2, 2]
     way = (0.0, c * x - s * y, s * x + c * y)
     for p in range(3):
         for o in range(3):
             pose[p, o] += STIFF * shift * way[p] * way[o]
-        pose[p, p] += LOOSE * (pose[0, 0] if p == 0 else shift) + 1e-300
+        pose[p, p] += LOOSE * firmer * (pose[0, 0] if p == 0 else shift) + 1e-300
 
 
 @compiled
@@ -209,11 +209,12 @@ def wall_equations(
     open_along: Array,
     stretches: Stretches,
     matrix: Array,
+    firmer: float,
 ) -> tuple[Array, Array, Array]:
     """Add the normal equations of walls and corners to a matrix, poses eliminated.
 
     The first iteration stays where it is.  `open_along` (i, 2) is the direction, if any, in which
-    an iteration saw nothing that tells where it was.
+    an iteration saw nothing that tells where it was.  Poses are held `firmer` than by `LOOSE`.
 
     Returns
     -------
@@ -235,7 +236,7 @@ def wall_equations(
             coupling, pose = np.zeros((3, u)), np.zeros((4, 3))
             sums = own, right, coupling, pose
             _one_scan(seen, state, view, weights, i, begins, (line, corner), sums)
-            _held(pose, state[0][i], open_along[i])
+            _held(pose, state[0][i], open_along[i], firmer)
             inverse, positive = inverse3(pose[:3])
             if i > 0 and positive:
                 back = away[gone : gone + 3 * u].reshape(3, u)

@@ -1,0 +1,104 @@
+"""Files of other formats, known by their first bytes, so that messages can name them."""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import zlib
+from pathlib import Path
+
+HEAD_BYTES = 512
+"""Bytes at the beginning of a file that tell its format."""
+ZIP = "a zip archive"
+_MOST_FILES = 20
+"""Files of a folder that are looked at."""
+_GZIP_MAGIC, _GZIP_WINDOW = b"\x1f\x8b", 31
+_MAGIC = (
+    (0, b"#ROSBAG V2", "a ROS 1 bag"),
+    (0, b"SQLite format 3\0", "an SQLite database, as ROS 2 bags are (.db3)"),
+    (0, b"\x89MCAP0\r\n", "an MCAP file, as ROS 2 bags are"),
+    (0, b"LASF", "a LAS or LAZ file"),
+    (0, b"ASTM-E57", "an E57 file"),
+    (0, b"\x93NUMPY", "a NumPy array (.npy)"),
+    (0, b"PK\x03\x04", ZIP),
+    (0, b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+    (0, b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+    (0, b"PAR1", "a Parquet file"),
+    (0, b"glTF", "a glTF file"),
+    (0, b"\x89PNG\r\n\x1a\n", "a PNG image"),
+    (0, b"\xff\xd8\xff", "a JPEG image"),
+    (0, b"GIF8", "a GIF image"),
+    (0, b"II*\0", "a TIFF image"),
+    (0, b"MM\0*", "a TIFF image"),
+    (0, b"%PDF-", "a PDF document"),
+    (0, b"BZh", "a bzip2 file"),
+    (0, b"\xfd7zXZ\0", "an xz file"),
+    (0, b"\x28\xb5\x2f\xfd", "a Zstandard file"),
+    (0, b"7z\xbc\xaf\x27\x1c", "a 7-Zip archive"),
+    (257, b"ustar", "a tar archive"),
+    (1, b"CSensoryFrame", "an MRPT rawlog"),
+    (1, b"CActionCollection", "an MRPT rawlog"),
+    (1, b"CObservation", "an MRPT rawlog"),
+    (1, b"CRawlog", "an MRPT rawlog"),
+)
+"""Where in a file which bytes stand, and what it then is."""
+_ROS2_FOLDER = "metadata.yaml", b"rosbag2_bagfile_information"
+_KITTI = struct.Struct("<16f")
+"""Four points: x, y, z and the reflectance."""
+_KITTI_FAR_M = 500.0
+
+
+def foreign_format(head: bytes) -> str | None:
+    """Return what a file of another format is, from its first bytes; None where it is unknown."""
+    if head.startswith(_GZIP_MAGIC):
+        try:
+            inner = zlib.decompressobj(_GZIP_WINDOW).decompress(head, HEAD_BYTES)
+        except zlib.error:
+            return None
+        found = foreign_format(inner)
+        return f"{found}, packed by gzip" if found else None
+    return next((name for at, magic, name in _MAGIC if head.startswith(magic, at)), None)
+
+
+def foreign_at(path: Path) -> str | None:
+    """Return what a file of another format is, or a folder holds; None where that is unknown."""
+    if not os.path.isdir(path):
+        return _foreign_file(path)
+    name, hallmark = _ROS2_FOLDER
+    if hallmark in _head(path / name):
+        return "a ROS 2 bag"
+    try:
+        files = sorted(file for file in path.iterdir() if file.is_file())[:_MOST_FILES]
+    except OSError:
+        return None
+    for file in files:
+        found = _foreign_file(file)
+        if found:
+            return f"{file.name!a}, {found}"
+    return None
+
+
+def _foreign_file(file: Path) -> str | None:
+    head = _head(file)
+    if file.suffix.lower() == ".bin" and _is_kitti(file, head):
+        return "a KITTI cloud (.bin)"
+    return foreign_format(head)
+
+
+def _is_kitti(file: Path, head: bytes) -> bool:
+    """Tell whether a file may hold points of KITTI's laser: that format has no magic number."""
+    if len(head) < _KITTI.size or file.stat().st_size % 16:
+        return False
+    numbers = _KITTI.unpack_from(head)
+    near = all(math.isfinite(n) and abs(n) < _KITTI_FAR_M for n in numbers)
+    return near and all(0 <= n <= 1 for n in numbers[3::4])
+
+
+def _head(file: Path) -> bytes:
+    """Return the first bytes of a file; none where it cannot be read."""
+    try:
+        with file.open("rb") as stream:
+            return stream.read(HEAD_BYTES)
+    except (OSError, ValueError):
+        return b""

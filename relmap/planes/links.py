@@ -1,0 +1,109 @@
+"""Which links between a scan and those before are believed; where none is, a submap ends.
+
+A motion that nothing measured would be invented, and one that few walls tell may be wrong: from
+there on the whole map would lie elsewhere.  So the run breaks, and goes on in a frame of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.matching import Match
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.placement import LEVER_M, worth
+from relmap.planes.tracks import PlaneTracks
+
+SUPPORTED = 0.375
+"""Share of the walls and corners of the poorer side that must agree on a motion."""
+JUMP_M, JUMP = 0.5, 3.0
+"""A step longer than this and so many usual ones is a jump."""
+USUAL, KNOWN = 200, 5
+"""Last steps that tell which are usual, and how few do not."""
+CROSSING = np.sin(np.deg2rad(10.0)) ** 2
+"""Walls whose directions spread less than by this hold no motion along themselves."""
+STEADY = 5
+"""Scans whose typical motion the robot is expected to go on with."""
+VARYING = 20
+"""So many steps tell how much the speed varies."""
+UNSURE = 0.05
+"""Share of a step that is not known at least, where the robot is taken to go on as before."""
+TORN_M = 1.0
+"""A map is torn where it disagrees with a link by more."""
+ASTRAY_M = 1.0
+"""What is not known along a wall in a row ends the submap where it may add up to this."""
+
+
+def believed(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+    """Tell whether enough of the walls expected and of those seen agree on a motion.
+
+    One that does not is nothing: it may be a speck, or just have come into view.
+    """
+    recent = tracks.missed == tracks.missed.min(initial=0)
+    return match.score >= SUPPORTED * (min(worth(tracks, seen, recent)) - 1)
+
+
+def farthest_m(before: NDArray[np.float64]) -> float:
+    """Return how far a robot goes at most from one scan to the next, metres.
+
+    Parameters
+    ----------
+    before : (n, 3) float64
+        yaw, x, y of all motions so far.
+    """
+    if len(before) < KNOWN:
+        return np.inf
+    last = np.sort(_lengths(before[-USUAL:]))
+    return JUMP_M + JUMP * float(last[len(last) // 2])
+
+
+def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+    """Tell whether matched walls tell the whole motion: by a corner, or as they cross."""
+    known = np.isfinite(tracks.corner_at[match.tracks, :, 0])
+    if (known & seen.static[match.walls]).any():
+        return True
+    of = np.zeros(len(match.walls), dtype=np.int64)
+    return bool(spread(seen.along[match.walls], of, 1)[0] >= CROSSING)
+
+
+def unsure_m(before: NDArray[np.float64]) -> float:
+    """Return by how much the length of a step may be off where nothing measures it, metres.
+
+    It is taken for the median of the last motions that were measured, of those (n, 3) so far: that
+    is the less sure the more they differ.
+    """
+    low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
+    return float(max((high - low) / 2 / np.sqrt(STEADY), UNSURE * middle))
+
+
+def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.hypot(motions[:, 1], motions[:, 2])
+
+
+def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[int, float]:
+    """Return at how many links a path is torn, and how far off it is at the others on average.
+
+    As the motions that were measured from scan to scan have it; metres.
+
+    Parameters
+    ----------
+    poses : (k, 4, 4) float64
+    motions : (k, 3) float64
+        yaw, x, y from the robot frame before into that of each iteration.
+    """
+    relative = np.linalg.inv(poses[1:]) @ poses[:-1]
+    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
+    off_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
+    off_m += LEVER_M * np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    torn = off_m > TORN_M
+    return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
+
+
+def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+    """Return how much the directions (k, 2) of the walls of each of n scans spread, (n,).
+
+    The smaller eigenvalue of the sum of the directions' outer products.
+    """
+    x, y = along.T
+    xx, xy, yy = (np.bincount(of, v, minlength=n) for v in (x * x, x * y, y * y))
+    return np.asarray((xx + yy) / 2 - np.hypot((xx - yy) / 2, xy))

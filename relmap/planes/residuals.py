@@ -1,0 +1,97 @@
+"""How sure a refined map of walls is, and what stretches and joined corners are apart from it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.refinement import Refined
+from relmap.core.residuals import MergeResiduals, SegmentResiduals
+from relmap.planes.assembly import Assembled, directions
+from relmap.planes.history import PlaneHistory
+from relmap.planes.refinement import WallSystem, wall_residuals
+from relmap.planes.solving import LAST
+
+STRETCH = 8
+"""Iterations whose residuals are told of together."""
+
+
+def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:
+    """Return those of the errors of the corners (c, 2, 2), map frame, square metres.
+
+    As if it were known for sure where the robot was in the first iteration, but for what it saw.
+    What only the motion model ties to that has variances of square kilometres.
+    """
+    given, state = assembled.given, assembled.state
+    if not len(given.corner):
+        return np.empty((0, 2, 2))
+    seen, iteration = np.unique(given.iteration, return_inverse=True)
+    state = replace(state, yaw=state.yaw[seen], t=state.t[seen])
+    system = WallSystem(replace(given, iteration=iteration))
+    spread = system.corner_covariances(state, LAST[1])
+    wall = assembled.corner_wall
+    normal, along = directions(state.angle[wall])
+    by_angle = state.along[:, None] * normal - state.across[wall][:, None] * along
+    J = np.stack([by_angle, normal, along], axis=2)
+    return np.asarray(J @ spread @ J.transpose(0, 2, 1))
+
+
+def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
+    """Return what a refined map of walls tells as one of points does; its landmarks are corners."""
+    across, along = wall_residuals(assembled.given, assembled.state)
+    spread: Any = lambda: corner_covariances(assembled)  # noqa: E731
+    return Refined(
+        landmarks=assembled.corners,
+        positions=assembled.corner_at,
+        anchor_iteration=int(assembled.iterations[0]),
+        noise_m=assembled.typical_m,
+        segments=_stretches(assembled, across, along),
+        merges=_joined(assembled, history, along),
+        spread=spread,
+    )
+
+
+def _stretches(
+    assembled: Assembled, across: NDArray[np.float64], along: NDArray[np.float64]
+) -> SegmentResiduals:
+    """Compare the squares of each stretch's residuals with what noise alone would leave."""
+    given, state = assembled.given, assembled.state
+    stretch = assembled.iterations // STRETCH
+    stretches, of = np.unique(stretch[given.iteration], return_inverse=True)
+    s, at_corner = len(stretches), of[given.corner_row]
+    squares = np.bincount(of, ((across / given.sd[:, None]) ** 2).sum(axis=1) / 2, minlength=s)
+    squares += np.bincount(at_corner, (along / given.corner_sd) ** 2, minlength=s)
+    seen = np.unique(given.iteration)
+    poses = np.bincount(np.searchsorted(stretches, stretch[seen]), minlength=s)
+    n = 2 * np.bincount(of, minlength=s) + np.bincount(at_corner, minlength=s)
+    middle = state.centre[given.wall]
+    centre = np.column_stack([np.bincount(of, axis, minlength=s) for axis in middle.T])
+    return SegmentResiduals(
+        first_iteration=STRETCH * stretches,
+        middle=centre / np.bincount(of, minlength=s)[:, None],
+        residual=np.sqrt(squares / np.maximum(n - 3 * poses, 1)),
+    )
+
+
+def _joined(
+    assembled: Assembled, history: PlaneHistory, along: NDArray[np.float64]
+) -> MergeResiduals:
+    """Compare where corners were seen under each number that was joined to another."""
+    given = assembled.given
+    rows = assembled.rows[given.corner_row]
+    number = history.corner[rows, given.corner_end]
+    tracks, own = np.unique(number, return_inverse=True)
+    of = np.zeros(len(tracks), dtype=np.int64)
+    of[own] = given.corner
+    seen, off = np.bincount(own), np.bincount(own, along)
+    variance = np.bincount(own, given.corner_sd**2) / np.maximum(seen, 1)
+    others = np.bincount(given.corner, minlength=len(assembled.corners))[of] - seen
+    others_off = np.bincount(given.corner, along, minlength=len(assembled.corners))[of] - off
+    merged = (tracks != assembled.corners[of]) & (others > 0)
+    seen, off, others, others_off = (v[merged] for v in (seen, off, others, others_off))
+    apart_m = np.abs(off / seen - others_off / others)
+    usual_m = np.sqrt(variance[merged] * (1 / seen + 1 / others))
+    return MergeResiduals(assembled.corners[of[merged]], tracks[merged], apart_m, apart_m / usual_m)

@@ -1,0 +1,58 @@
+"""Submaps: parts of a run that nothing ties to one another, each in a frame of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.assembly import Assembled
+from relmap.planes.history import PlaneHistory
+from relmap.planes.stitching import stitched
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """Where the scans of one submap were made, and what is mapped in it.
+
+    Attributes
+    ----------
+    span : (int, int)
+        Its first iteration, and one after its last.
+    poses : (k, 4, 4) float64
+        ``T_submap_robot`` of its iterations.
+    assembled : Assembled or None
+        None where no wall was seen often enough.
+    refined : bool
+        Whether its walls and poses are where all observations agree best.
+    """
+
+    span: tuple[int, int]
+    poses: NDArray[np.float64]
+    assembled: Assembled | None
+    refined: bool = False
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path, metres."""
+        steps = np.diff(self.poses[:, :2, 3], axis=0)
+        return float(np.linalg.norm(steps, axis=1).sum())
+
+
+def among_all(
+    poses: NDArray[np.float64], span: tuple[int, int], history: PlaneHistory
+) -> NDArray[np.float64]:
+    """Return the poses of a submap among those of all iterations (i, 4, 4), NaN elsewhere."""
+    every = np.full((history.n_iterations, 4, 4), np.nan)
+    every[slice(*span)] = poses
+    return every
+
+
+def chained_poses(
+    paths: list[NDArray[np.float64]], span: tuple[int, int], history: PlaneHistory
+) -> NDArray[np.float64]:
+    """Return the poses of a submap by the paths (i, 4, 4) that pieces of the map tell."""
+    rows = slice(*span)
+    there = [path[rows] for path in paths if np.isfinite(path[rows, 0, 0]).any()]
+    return stitched(there, history.motion[rows])

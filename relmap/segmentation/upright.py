@@ -1,0 +1,56 @@
+"""Whether a cloud shows upright walls, as 2½-D maps need, or floors, ceilings and tilted walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.errors import RelmapError
+
+TILTED = np.sin(np.deg2rad(15.0))
+"""The normal of an upright surface points up or down by no more than this."""
+MOST_SHARE = 0.15
+"""Of the points, at most so many may lie on surfaces that are not upright."""
+POINTS, PATCHES = 10000, 100
+"""So many points are looked at, in so many patches: random ones, since beams repeat."""
+LEAST = 10
+"""Points of a patch, at least."""
+RADIUS = 0.15
+"""Of a patch, in heights of the cloud: patches of a low band would be as high as the band."""
+HEIGHT = (0.05, 0.95)
+"""Quantiles between which the height of a cloud is taken."""
+FLAT, BROAD = 0.1, 0.15
+"""Of a patch that is a surface, the ratio of its least variance to the middle one at most, and of
+that to the greatest at least: edges and lines have no normal."""
+
+
+def require_upright(xyz: NDArray[np.float64]) -> None:
+    """Check that the surfaces in points (n, 3), metres, are upright.
+
+    Raises
+    ------
+    RelmapError
+        Where too many are not.
+    """
+    share = tilted_share(xyz)
+    if share > MOST_SHARE:
+        raise RelmapError(
+            f"{share:.0%} of a scan's points lie on surfaces that are not upright, as floors, "
+            "ceilings or what a tilted sensor sees; expected walls: level the scan and cut it to a "
+            "band between floor and ceiling"
+        )
+
+
+def tilted_share(xyz: NDArray[np.float64]) -> float:
+    """Return the share of points (n, 3) about which a surface shows that is not upright."""
+    low, high = np.quantile(xyz[:, 2], HEIGHT)
+    some = np.random.default_rng(0).permutation(xyz)[:POINTS]
+    middles = some[:PATCHES]
+    tilted = 0
+    for rows in cKDTree(some).query_ball_point(middles, RADIUS * (high - low)):
+        if len(rows) >= LEAST:
+            variance, axes = np.linalg.eigh(np.cov(some[rows], rowvar=False))
+            surface = variance[0] < FLAT * variance[1] and variance[1] > BROAD * variance[2]
+            tilted += surface and abs(axes[2, 0]) > TILTED
+    return tilted / len(middles)

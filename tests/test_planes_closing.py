@@ -1,0 +1,73 @@
+"""Loops of walls: what is seen again after the map has drifted, and what only looks like it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from relmap import PlaneMapper
+from relmap.planes import closing
+from tests.test_planes import seen_from
+
+STREET = np.array(
+    [
+        [[30.0, 2.0], [-4.0, 2.0]],
+        [[-4.0, -2.0], [2.0, -2.0]],
+        [[-4.0, 2.0], [-4.0, -2.0]],
+        [[1.0, 0.5], [1.6, 1.0]],
+        [[-1.0, -1.0], [-0.4, -1.6]],
+        [[2.6, -1.2], [2.6, -0.4]],
+        [[30.0, -2.0], [30.0, 2.0]],
+        [[24.0, -2.0], [30.0, -2.0]],
+        [[22.0, 0.6], [22.6, 1.1]],
+        [[26.0, -1.2], [26.0, -0.4]],
+    ]
+)
+"""Places full of walls at both ends of one long wall."""
+
+
+def test_a_loop_is_closed_however_far_the_map_has_drifted() -> None:
+    """Slower than before along the long wall, where nothing tells, so that the map drifts."""
+    rng = np.random.default_rng(0)
+    out = np.cumsum(np.concatenate([np.full(55, 0.2), np.full(40, 0.16), np.full(45, 0.2)])) - 2.0
+    x = np.concatenate([out, out[-1] - 0.2 * np.arange(1, 1 + round((out[-1] + 2.0) / 0.2))])
+    mapper = PlaneMapper()
+    for k in range(len(x)):
+        y, yaw = 0.05 * np.sin(k / 9), 0.05 * np.sin(k / 7)
+        seen = seen_from(x[k], y, yaw, STREET, half_view=2.2, range_m=5.0)
+        ends = seen.ends + rng.normal(0.0, 0.002, seen.ends.shape)
+        mapper.update(SimpleNamespace(ends=ends, end_type=seen.end_type))
+    mapper.finish()
+
+    def gap_m() -> float:
+        """Return by how much too far the last pose is from the first."""
+        path = mapper.trajectory[:, 0, 3]
+        return abs(float(path[-1] - path[0] - (x[-1] - x[0])))
+
+    assert gap_m() > 1.0
+    mapper.refine()
+    assert gap_m() < 0.02
+
+
+def test_what_fewer_than_three_scans_vote_for_closes_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drift = np.array([0.0, 2.0, 0.0])
+
+    def seen_again(later: list[int]) -> list[list[int]]:
+        """Let some later scans match scan 10, each by walls 1 and 7, and by 4 and 4."""
+        scans = np.array([[i, 10] for i in later])
+        matched = (drift, np.array([[1, 7], [4, 4]]))
+        monkeypatch.setattr(closing, "_observation", lambda *_: None)
+        monkeypatch.setattr(closing, "_earlier", lambda _: scans)
+        monkeypatch.setattr(closing, "_matched", lambda *_: matched)
+        nothing: Any = None
+        return closing.walls_seen_again(nothing, nothing).tolist()  # type: ignore[no-any-return]
+
+    assert seen_again([500]) == []
+    assert seen_again([500, 504]) == []
+    assert seen_again([500, 504, 508]) == [[1, 7]]
+    assert seen_again([500, 504, 700]) == []

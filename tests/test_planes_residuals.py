@@ -1,0 +1,118 @@
+"""What a plane mapper tells of its groups, of its refinement and of labels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper, PlaneSegmenter, RelmapError
+from relmap.planes.cholesky import CliquePattern
+from relmap.simulation import Building, simulate_building
+
+
+def mapped(seed: int) -> tuple[Building, PlaneMapper]:
+    building = simulate_building(points=800, sigma=0.05, seed=seed, iterations=150)
+    mapper = PlaneMapper(segmenter=PlaneSegmenter())
+    for scan in building.scans:
+        mapper.update(scan.points)
+    mapper.finish()
+    return building, mapper
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[tuple[Building, PlaneMapper]]:
+    found = [mapped(seed) for seed in range(4)]
+    for _, mapper in found[1:]:
+        mapper.refine()
+    return found
+
+
+def errors(building: Building, mapper: PlaneMapper) -> NDArray[np.float64]:
+    """Return how far corners (c, 2) are from the nearest true ones, seen from the first pose."""
+    T = building.trajectory[0] @ np.linalg.inv(mapper.trajectory[0])
+    there = mapper.map.positions[:, :2] @ T[:2, :2].T + T[:2, 3]
+    off = building.walls[:, :4].reshape(-1, 2) - there[:, None]
+    nearest = np.argmin(np.linalg.norm(off, axis=2), axis=1)
+    return np.asarray(off[np.arange(len(there)), nearest] @ T[:2, :2])
+
+
+def test_groups_are_of_landmarks_that_are_handed_out(
+    runs: list[tuple[Building, PlaneMapper]],
+) -> None:
+    for _, mapper in runs:
+        groups, labels = mapper.groups, mapper.landmarks.landmark
+        assert any(len(group.landmarks) >= 3 for group in groups)
+        for group, walls in zip(groups, mapper.group_walls, strict=True):
+            assert np.isin(group.landmarks, labels).all()
+            assert group.relative_map.shape == (len(group.landmarks), 2)
+            assert len(group.n_observations) == len(group.landmarks)
+            assert np.isin(walls, mapper.planes.plane).all()
+
+
+def test_covariances_tell_of_the_errors(runs: list[tuple[Building, PlaneMapper]]) -> None:
+    squares = []
+    for building, mapper in runs[1:]:
+        covariances = mapper.map.covariances
+        assert covariances.shape == (len(mapper.map.landmark_ids), 3, 3)
+        off = errors(building, mapper)
+        weighed = np.linalg.solve(covariances[:, :2, :2], off[..., None])[..., 0]
+        squares.append((weighed * off).sum(axis=1))
+        table = mapper.landmarks
+        at = np.searchsorted(table.landmark, mapper.map.landmark_ids)
+        sd_m = np.sqrt(np.trace(covariances, axis1=1, axis2=2) / 2)
+        np.testing.assert_allclose(table.sd[at], sd_m, rtol=1e-12)
+    assert 0.3 < np.median(np.concatenate(squares)) / 1.386 < 3.0  # chi-square of 2 freedoms
+
+
+def test_residuals_are_what_the_noise_explains(
+    runs: list[tuple[Building, PlaneMapper]],
+) -> None:
+    for _, mapper in runs[1:]:
+        (refined,) = mapper.refined
+        np.testing.assert_array_equal(refined.landmarks, mapper.map.landmark_ids)
+        np.testing.assert_array_equal(refined.covariances, mapper.map.covariances[:, :2, :2])
+        segments = refined.segments
+        assert segments.first_iteration.tolist() == list(range(0, 150, 8))
+        assert 0.7 < np.median(segments.residual) < 1.4
+        assert np.isfinite(segments.middle).all()
+        assert np.isin(refined.merges.landmark, refined.landmarks).all()
+        assert not np.isin(refined.merges.track, refined.landmarks).any()
+
+
+def test_nothing_is_told_of_what_is_not_refined(
+    runs: list[tuple[Building, PlaneMapper]],
+) -> None:
+    mapper = runs[0][1]
+    assert mapper.refined == []
+    assert mapper.map.covariances.shape == (0, 3, 3)
+    assert PlaneMapper().map.covariances.shape == (0, 3, 3)
+    assert PlaneMapper().groups == []
+
+
+@pytest.mark.parametrize("label", [-1, 10**6])
+def test_walls_never_numbered_are_refused(
+    runs: list[tuple[Building, PlaneMapper]], label: int
+) -> None:
+    for _, mapper in runs:
+        with pytest.raises(RelmapError, match=f"labels holds {label}, which no update"):
+            mapper.landmarks_of([0, label])
+    assert PlaneMapper().landmarks_of([]).tolist() == []
+
+
+def test_blocks_of_the_inverse() -> None:
+    width, begin = np.array([2, 3, 1]), np.array([0, 2, 4])
+    pattern = CliquePattern(width, begin, np.array([0, 1, 1, 2]))
+    first, rng = pattern.first, np.random.default_rng(0)
+    matrix, values = np.zeros((6, 6)), np.zeros(pattern.size)
+    for blocks in ([0, 1], [1, 2]):
+        own = np.sort(np.concatenate([first[b] + np.arange(width[b]) for b in blocks]))
+        root = rng.normal(size=(len(own), len(own)))
+        part = root @ root.T
+        matrix[np.ix_(own, own)] += part
+        ends = np.array([0, len(own)])
+        np.add.at(values, pattern.entries(ends, own), part[np.tril_indices(len(own))])
+    chosen = np.array([[0, 3], [5, 3], [1, 4]])
+    found = pattern.inverse(values, chosen)
+    expected = np.linalg.inv(matrix)[chosen[:, :, None], chosen[:, None, :]]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)

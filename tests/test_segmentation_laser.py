@@ -1,0 +1,67 @@
+"""2-D lasers with few beams: how many points make a wall depends on how well they fix it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper, PlaneSegmenter
+from relmap.evaluation.metrics import ate
+from relmap.segmentation.scanlines import beam_noise, scan_walls
+from relmap.simulation import simulate_building
+from relmap.simulation.building import building_scene
+
+ONE_DEGREE = 181
+
+
+def beams(distance_m: float, count: int, step_deg: float = 1.0) -> NDArray[np.float64]:
+    """Return what beams across a wall ahead meet of it, with noise of 5 mm."""
+    bearing = np.deg2rad(step_deg) * (np.arange(count) - 0.5 * (count - 1))
+    reach = distance_m / np.cos(bearing) + np.random.default_rng(0).normal(0, 0.005, count)
+    return np.column_stack([reach * np.cos(bearing), reach * np.sin(bearing)])
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "count", "walls"), [(8.0, 4, 1), (1.0, 5, 0), (1.0, 8, 1), (0.1, 8, 0)]
+)
+def test_a_long_line_needs_fewer_points(distance_m: float, count: int, walls: int) -> None:
+    assert len(scan_walls(beams(distance_m, count), 0.005)[0].walls) == walls
+
+
+@pytest.mark.parametrize("length", [100, 10, 5])
+def test_the_noise_does_not_grow_where_walls_have_few_points(length: int) -> None:
+    """Of the triples of neighbours two in so many lie across the end of a wall."""
+    found = []
+    for seed in range(20):
+        noise = np.random.default_rng(seed).normal(0, 0.01, 200)
+        step = np.arange(200) // length % 2
+        found.append(beam_noise(np.column_stack([step + noise, 0.3 * np.arange(200)])))
+    assert np.mean(found) == pytest.approx(0.01, rel=0.1)
+
+
+def test_most_walls_are_found_with_one_beam_a_degree() -> None:
+    found = []
+    for seed in range(15):
+        scan = building_scene(seed, ONE_DEGREE, 0.01, sampling="laser")
+        labels = PlaneSegmenter(view_rad=np.pi, range_m=8.0).fit(scan.points[:, :2]).labels_
+        for row in np.flatnonzero(np.bincount(scan.stretch) >= 4):
+            own = labels[scan.stretch == row]
+            plane = int(np.bincount(own + 1, minlength=2)[1:].argmax())
+            share = (own == plane).mean() * (scan.stretch[labels == plane] == row).mean()
+            found.append(share > 0.64)
+    assert np.mean(found) > 0.85
+
+
+def test_a_building_is_mapped_with_one_beam_a_degree() -> None:
+    """With eight points a wall at least, this map was torn: its path was off by 8 m."""
+    building = simulate_building(points=ONE_DEGREE, sigma=0.01, seed=0, sampling="laser")
+    mapper = PlaneMapper()
+    segmenter = PlaneSegmenter(view_rad=np.pi, range_m=8.0)
+    for scan in building.scans:
+        mapper.update(segmenter.fit(scan.points[:, :2]).planes_)
+    mapper.finish()
+    mapper.refine()
+    error = ate(mapper.trajectory, building.trajectory, planar=True)
+    assert error is not None
+    assert error < 0.06

@@ -1,0 +1,89 @@
+"""Each verb on what people give it by mistake: one line with advice, and exit code 2."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from relmap.cli import main
+from tests.everyformat import Mapped
+
+VERBS = [
+    (["map", "{}", "-o", "out"], ["csv", "csv/observations.csv"]),
+    (["map", "{}", "-o", "out", "--variant", "planes"], ["npz"]),
+    (["map", "csv", "-o", "out", "--onto", "{}"], ["of-points"]),
+    (["localise", "{}", "--map", "of-points", "-o", "out"], ["csv", "csv/observations.csv"]),
+    (["localise", "csv", "--map", "{}", "-o", "out"], ["of-points"]),
+    (["evaluate", "{}", "--truth", "csv"], ["of-points", "of-walls"]),
+    (["evaluate", "of-points", "--truth", "{}"], ["csv", "csv/truth"]),
+    (["evaluate", "of-points", "--truth", "csv", "--log", "{}"], ["csv", "csv/observations.csv"]),
+    (["evaluate", "of-walls", "--truth", "{}"], ["npz", "npz/truth"]),
+    (["compare", "{}", "-o", "out"], ["csv", "csv/observations.csv", "npz"]),
+    (["compare", "csv", "-o", "out", "--truth", "{}"], ["csv", "csv/truth"]),
+    (["compare", "npz", "-o", "out", "--truth", "{}"], ["npz", "npz/truth"]),
+    (["resume", "{}"], []),
+    (["sweep", "{}", "-o", "out"], []),
+    (["figures", "17", "-o", "out", "--data", "{}"], []),
+]
+KINDS = ["csv", "npz", "of-points", "of-walls", "csv/truth", "npz/truth", "csv/observations.csv"]
+KINDS += ["empty", "gone", "pictures", "pictures/map.png"]
+
+
+@pytest.fixture(scope="module")
+def wrong(logs: Path, mapped: Mapped) -> Path:
+    """Return a folder with what people give by mistake."""
+    (logs / "empty").mkdir()
+    (logs / "pictures").mkdir()
+    shutil.copytree(mapped("csv/observations.csv"), logs / "of-points")
+    shutil.copytree(mapped("npz"), logs / "of-walls")
+    shutil.copy(logs / "of-walls" / "map.png", logs / "pictures")
+    return logs
+
+
+@pytest.mark.parametrize(("command", "right"), VERBS, ids=lambda value: " ".join(value[:3]))
+def test_a_wrong_kind_of_input_is_refused_in_one_line(
+    wrong: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: list[str],
+    right: list[str],
+) -> None:
+    monkeypatch.chdir(wrong)
+    for kind in KINDS:
+        if kind in right:
+            continue
+        assert main([word.format(kind) for word in command]) == 2, kind
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.startswith("relmap: error: ")
+        assert kind in printed.err
+        assert printed.err.count("\n") == 1
+        assert not (wrong / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("evaluate of-walls --truth npz --log npz", "--log is for a map of points"),
+        ("evaluate of-walls --truth csv", "csv: holds no truth/planes.csv"),
+        ("evaluate of-walls --truth of-walls", "is a result folder without a truth"),
+        ("compare npz --truth of-walls -o out", "is a result folder without a truth"),
+        ("compare empty -o out", "neither a landmark log nor a log of point scans"),
+        ("compare csv --format cassette -o out", "observation-csv, mrpt-landmarks"),
+        ("compare csv --format cassette -o out", "scans-npz, carmen-log"),
+        ("compare carmen/a.log.gz --format mrpt-laser2d -o out", "a.log.gz"),
+        ("localise csv --map empty -o out", "expected one that 'relmap map' wrote"),
+    ],
+)
+def test_what_would_be_right_is_said(
+    wrong: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    said: str,
+) -> None:
+    monkeypatch.chdir(wrong)
+    assert main(command.split()) == 2
+    assert said in capsys.readouterr().err

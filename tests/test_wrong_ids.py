@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from relmap import PointMapper
+from relmap.cli import app
+from relmap.core import settling
+from relmap.datasets import ObservationLog
+from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.simulation import FigureEight, simulate_figure_eight
+from tests.worlds import aligned_rmse, mapped, walk
+
+Wrong = Callable[[ObservationLog, int, int], ObservationLog]
+
+
+def misread(log: ObservationLog, n: int, seed: int) -> ObservationLog:
+    """Replace ids of n observations by those of landmarks anywhere that are not in view."""
+    assert log.ids is not None
+    rng, ids = np.random.default_rng(seed), log.ids.copy()
+    for row in rng.choice(len(ids), n, replace=False):
+        in_view = ids[log.iteration == log.iteration[row]]
+        ids[row] = rng.choice(np.setdiff1d(log.ids, in_view))
+    return replace(log, ids=ids)
+
+
+def swapped(log: ObservationLog, n: int, seed: int) -> ObservationLog:
+    """Swap the ids of n observations, two in one iteration at a time."""
+    assert log.ids is not None
+    rng, ids = np.random.default_rng(seed), log.ids.copy()
+    for row in rng.choice(len(ids), n // 2, replace=False):
+        other = rng.choice(np.flatnonzero(log.iteration == log.iteration[row]))
+        ids[[row, other]] = ids[[other, row]]
+    return replace(log, ids=ids)
+
+
+@cache
+def world(seed: int) -> FigureEight:
+    return simulate_figure_eight(seed=seed)
+
+
+@cache
+def limit(seed: int) -> float:
+    """Return the RMSE of least squares with the right ids."""
+    log, truth = world(seed).log, world(seed).landmarks_map
+    assert log.ids is not None
+    return aligned_rmse(
+        batch_least_squares(Batch(log.points_robot, log.iteration, log.ids), truth), truth
+    )
+
+
+def driven(log: ObservationLog) -> PointMapper:
+    mapper = PointMapper()
+    for scan in log.scans():
+        mapper.update(scan.points_robot, scan.ids)
+    mapper.finish()
+    return mapper
+
+
+def error(mapper: PointMapper, truth: NDArray[np.float64]) -> float:
+    return aligned_rmse(mapper.map.positions, truth[mapper.map.landmark_ids])
+
+
+@pytest.mark.parametrize("wrong", [misread, swapped])
+@pytest.mark.parametrize("n", [2, 9, 20])
+def test_a_few_wrong_ids_cost_nothing(wrong: Wrong, n: int) -> None:
+    for seed in (0, 1):
+        mapper = driven(wrong(world(seed).log, n, seed))
+        mapper.refine()
+        assert len(mapper.map.positions) >= 0.98 * len(world(seed).landmarks_map)
+        assert error(mapper, world(seed).landmarks_map) < 1.1 * limit(seed)
+        assert mapper.refined[0].converged
+        assert mapper.refined[0].noise_m == pytest.approx(0.05, rel=0.05)
+
+
+@pytest.mark.parametrize("wrong", [misread, swapped])
+@pytest.mark.parametrize("share", [0.02, 0.05])
+def test_many_wrong_ids_leave_a_map(wrong: Wrong, share: float) -> None:
+    for seed in (0, 1):
+        truth = world(seed).landmarks_map
+        mapper = driven(wrong(world(seed).log, int(share * len(world(seed).log.iteration)), seed))
+        before = error(mapper, truth)
+        mapper.refine()
+        assert error(mapper, truth) < min(1.3 * limit(seed), 1.02 * max(before, limit(seed)))
+        # Some are taken for moving.
+        assert len(mapper.map.positions) > (0.9 if share < 0.05 else 0.85) * len(truth)
+
+
+def test_wrong_ids_leave_the_live_map_as_good() -> None:
+    truth = world(0).landmarks_map
+    right = error(driven(world(0).log), truth)
+    assert error(driven(misread(world(0).log, 9, 0)), truth) < 1.5 * right
+
+
+def test_wrong_ids_do_not_move_the_robot() -> None:
+    right, wrong = driven(world(0).log), driven(misread(world(0).log, 200, 0))
+    right.refine()
+    wrong.refine()
+    apart = np.linalg.norm(right.trajectory[:, :3, 3] - wrong.trajectory[:, :3, 3], axis=1)
+    assert apart.max() < 0.3
+
+
+def ruined(system: object, rows: object, positions: NDArray[np.float64], *_: object) -> object:
+    return positions + np.random.default_rng(0).normal(0, 5.0, positions.shape), None, False
+
+
+def test_a_map_that_least_squares_would_ruin_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    mapper = mapped(walk(3, 5, sigma=0.05).scans)
+    before = mapper.map.positions
+    monkeypatch.setattr(settling, "_settled", ruined)
+    mapper.refine()
+    assert aligned_rmse(mapper.map.positions, before) < 1e-9
+    assert not mapper.refined[0].converged
+
+
+def test_the_command_line_says_that_refinement_did_not_converge(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    log, run = tmp_path / "e", CliRunner()
+    made = run.invoke(app, ["simulate", "figure-eight", "-o", str(log), "--iterations", "100"])
+    assert made.exit_code == 0
+    mapping = ["map", str(log / "observations.csv"), "-o", str(tmp_path / "r")]
+    mapping += ["--association", "known"]
+    assert "converge" not in run.invoke(app, mapping).output
+    assert json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
+    monkeypatch.setattr(settling, "_settled", ruined)
+    assert "WARNING: the refinement did not converge" in run.invoke(app, mapping).stdout
+    assert not json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
