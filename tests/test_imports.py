@@ -62,7 +62,9 @@ KNOWN = {
 
 LIGHT = ("core", "datasets", "journal", "planes", "points", "segmentation", "simulation")
 """Parts whose modules load no heavy library, but for their kernels."""
-COMPILED = {f"relmap.segmentation.{name}" for name in ("beams", "boxes", "emsteps", "windows")}
+COMPILED = {"relmap.datasets.lzf"} | {
+    f"relmap.segmentation.{name}" for name in ("beams", "boxes", "emsteps", "windows")
+}
 """Kernels by other names."""
 
 

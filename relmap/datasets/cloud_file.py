@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import HEAD_BYTES, foreign_format
-from relmap.datasets.lzf import unpacked_lzf
 from relmap.datasets.textfile import quoted, shown, unreadable
 
 MAX_BYTES, MAX_POINTS = 1 << 28, 1 << 23
@@ -220,6 +219,8 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
 
 def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> NDArray[np.float64]:
     """Return some numbers (n, len(axes)) of all points; ValueError where data do not fit."""
+    from relmap.datasets.lzf import unpacked_lzf
+
     n, types = layout.count, [np.dtype(kind) for kind in layout.types]
     field_of = np.repeat(np.arange(len(layout.fields)), layout.fields)
     width = np.bincount(field_of, [kind.itemsize for kind in types]).astype(np.int64)
