@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "simulation": {"core", "datasets"},
     "points": {"core"},
     "planes": {"core", "segmentation"},
-    "files": {"core", "datasets"},
+    "files": {"core", "datasets", "tables"},
     "tables": {"core", "datasets"},
     "saving": {"core", "files"},
     "durable": {"core", "journal", "saving"},
