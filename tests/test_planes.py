@@ -188,8 +188,8 @@ def test_scans_without_walls_are_bridged() -> None:
     assert np.hypot(*(poses[12, :2, 3] - (poses[11, :2, 3] + poses[13, :2, 3]) / 2)) < 2e-3
 
 
-def test_rooms_with_nothing_to_see_between_lie_as_the_motion_leads() -> None:
-    """They have nothing in common; the map of the second is laid where the robot must be."""
+def test_rooms_with_nothing_to_see_between_are_submaps() -> None:
+    """No motion is carried on over so many scans that show nothing."""
     mapper = PlaneMapper()
     nothing = SimpleNamespace(ends=np.empty((0, 2, 2)), end_type=np.empty((0, 2), dtype=str))
     for k in range(70):
@@ -197,9 +197,14 @@ def test_rooms_with_nothing_to_see_between_lie_as_the_motion_leads() -> None:
         mapper.update(nothing if 25 <= k < 45 else seen_from(0.1 * k - 1, 0.0, 0.0, room))
     mapper.finish()
     for _ in range(2):
-        expected = np.column_stack([0.1 * np.arange(70), np.zeros(70)])
-        path = mapper.trajectory[:, :2, 3]
-        np.testing.assert_allclose(path - path[0], expected, atol=1e-6)
+        spans = sorted(submap.span for submap in mapper.submaps if len(submap.poses) > 1)
+        assert [spans[0][0], spans[-1][1]] == [0, 70]
+        for submap in mapper.submaps:
+            begin, end = submap.span
+            assert not (begin < 25 and end > 45)
+            expected = np.column_stack([0.1 * np.arange(end - begin), np.zeros(end - begin)])
+            path = submap.poses[:, :2, 3]
+            np.testing.assert_allclose(path - path[0], expected, atol=1e-6)
         mapper.refine()
 
 

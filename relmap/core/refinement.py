@@ -169,7 +169,7 @@ def _solved(
     mapped = chosen[joint.landmarks]
 
     spread = Spread(system, refined, placed, weight, mapped, noise_m * R)
-    segments = segment_residuals(rows, joint, (placed - t) @ R, system.cost, noise_m)
+    segments = segment_residuals(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m)
     merges = merge_residuals(rows, joint, placed, refined, noise_m)
     landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R
     residuals = segments, merges

@@ -54,17 +54,23 @@ def segment_residuals(
     rows: SegmentRows,
     joint: JointRows,
     placed: NDArray[np.float64],
-    cost: NDArray[np.float64],
+    positions: NDArray[np.float64],
     noise_m: float,
 ) -> SegmentResiduals:
-    """Compare each segment's sum of squares (s,) with what noise alone would leave of it.
+    """Compare each segment's sum of squares with what noise alone would leave of it.
+
+    However little weight the refinement gives to what is far off, it is told here.
 
     Parameters
     ----------
     placed : (n, d) float64, map frame, metres
         The rows, each segment where it fits the map best.
+    positions : (m, d) float64, map frame, metres
+        The landmarks.
     """
     d, s = placed.shape[1], len(joint.segments)
+    squares = joint.n_seen * np.sum((placed - positions[joint.landmark]) ** 2, axis=1)
+    cost = np.bincount(joint.segment, squares, minlength=s)
     each = np.bincount(joint.landmark)
     freedoms = d * np.bincount(joint.segment, weights=1 - 1 / each[joint.landmark], minlength=s)
     expected = noise_m**2 * np.maximum(freedoms - (3 * d - 3), 1)

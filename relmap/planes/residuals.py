@@ -14,6 +14,7 @@ from relmap.planes.assembly import Assembled, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import WallSystem, wall_residuals
 from relmap.planes.solving import LAST
+from relmap.planes.table import mapped_corners
 
 STRETCH = 8
 """Iterations whose residuals are told of together."""
@@ -42,10 +43,11 @@ def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:
 def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
     """Return what a refined map of walls tells as one of points does; its landmarks are corners."""
     across, along = wall_residuals(assembled.given, assembled.state)
-    spread: Any = lambda: corner_covariances(assembled)  # noqa: E731
+    mapped = mapped_corners(assembled)
+    spread: Any = lambda: corner_covariances(assembled)[mapped]  # noqa: E731
     return Refined(
-        landmarks=assembled.corners,
-        positions=assembled.corner_at,
+        landmarks=assembled.corners[mapped],
+        positions=assembled.corner_at[mapped],
         anchor_iteration=int(assembled.iterations[0]),
         noise_m=assembled.typical_m,
         segments=_stretches(assembled, across, along),

@@ -117,7 +117,7 @@ def _at_ends(assembled: Assembled) -> NDArray[np.int64]:
     return corner
 
 
-def _mapped_corners(assembled: Assembled) -> NDArray[np.int64]:
+def mapped_corners(assembled: Assembled) -> NDArray[np.int64]:
     """Return the corners (k,), compact and ascending, that are an end of a mapped wall."""
     at_end = _at_ends(assembled)[_often(assembled)]
     return np.unique(at_end[at_end >= 0])
@@ -134,7 +134,7 @@ def corner_map(assembled: Assembled | None, spread: NDArray[np.float64] | None) 
     """
     if assembled is None:
         return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
-    mapped = _mapped_corners(assembled)
+    mapped = mapped_corners(assembled)
     covariances = np.zeros((0 if spread is None else len(mapped), 3, 3))
     if spread is not None:
         covariances[:, :2, :2] = spread[mapped]
@@ -177,7 +177,7 @@ def corner_table(
     for number, assembled in enumerate(submaps):
         if assembled is None:
             continue
-        mapped = _mapped_corners(assembled)
+        mapped = mapped_corners(assembled)
         there = np.searchsorted(label, assembled.corners[mapped])
         piece[there] = number
         if number > 0:
