@@ -13,7 +13,7 @@ from relmap.cli import main
 from relmap.simulation import building_scene
 from tests.commands import load
 
-COMMON: dict[str, object] = {"group_after": 10, "max_missed": 5}
+COMMON: dict[str, object] = {"group_after": 10, "max_missed": 5, "refine_live": True}
 USED: dict[str, dict[str, object]] = {
     "constellation": COMMON | {"registration": "constellation", "keep_observations": False},
     "nearest-previous": COMMON
@@ -33,6 +33,7 @@ SETTINGS: dict[str, object] = {
     "registration": "constellation",
     "gate_m": 0.5,
     "keep_observations": True,
+    "refine_live": False,
 }
 OPTIONS = {
     "--association nearest": RUNS.keys(),
