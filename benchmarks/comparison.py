@@ -19,9 +19,9 @@ from dataclasses import replace
 import numpy as np
 from speed import on_one_core, table
 
-from relmap.evaluation.methods.registry import METHODS, find_method
-from relmap.evaluation.methods.running import run_method
-from relmap.evaluation.sources import EightSource, Landmarks
+from relmap.comparison.methods.registry import METHODS, find_method
+from relmap.comparison.methods.running import run_method
+from relmap.comparison.sources import EightSource, Landmarks
 
 Errors = dict[str, list[float]]
 MAPPING = [

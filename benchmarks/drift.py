@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from speed import on_one_core, table
 
 from relmap import PointMapper
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.simulation import simulate_figure_eight
 
 BAR_M = 1e-6

@@ -11,7 +11,7 @@ as missed all the same.
 
 Each group sorts the landmarks of its chart into bins; n are those seen often enough to be
 compared, where these are two or more.  The pairs that guessing the noise looks at, of at most
-`PAIRED` landmarks (`relmap.core.noise`), are not among the comparisons.
+`PAIRED` landmarks (`relmap.core.grouping.noise`), are not among the comparisons.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from speed import on_one_core, table
 
 from relmap import PointMapper
-from relmap.core.dynamics import FEWEST
+from relmap.core.grouping.dynamics import FEWEST
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, simulate_figure_eight
 

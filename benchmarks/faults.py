@@ -22,7 +22,7 @@ import numpy as np
 from speed import on_one_core, table
 
 from relmap import PointMapper
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import ObservationLog
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, faults, simulate_figure_eight

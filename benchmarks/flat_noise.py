@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap import MapperConfig, PointMapper
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.simulation import FigureEight, simulate_figure_eight
 
 RUNS = (("uniform", 25, 10), ("uniform", 100, 3), ("gaussian", 25, 10))

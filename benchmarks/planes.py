@@ -15,7 +15,7 @@ from time import process_time
 import numpy as np
 
 from relmap import PlaneMapper
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_scans
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation import metrics

@@ -14,12 +14,12 @@ from time import perf_counter
 import numpy as np
 
 from relmap import PointMapper
-from relmap.core.alignment import fit_rigid
+from relmap.comparison.baselines import FrameToMap
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
-from relmap.evaluation.baselines import FrameToMap
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.evaluation.metrics import majority_ids, purity
 from relmap.simulation import FigureEight, simulate_figure_eight
 

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.alignment import fit_rigid
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.known import least_squares_map
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation import metrics
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
-from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import identify
 from relmap.evaluation.run import run_mapper
 from relmap.simulation import FigureEight, simulate_figure_eight

@@ -20,15 +20,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from relmap import MapperConfig, PointMapper
+from relmap.comparison.baselines.known import least_squares_map
+from relmap.core.association import Constellation
 from relmap.core.landmarks import LandmarkMap
-from relmap.core.registration import Constellation
 from relmap.datasets import ObservationLog, open_log, slsjf
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation import metrics
-from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import Identified, identify
 from relmap.evaluation.run import run_mapper
-from relmap.results import Result
+from relmap.io.results import Result
 from relmap.simulation import FigureEight, simulate_figure_eight
 
 REGISTRATIONS = ("constellation", "nearest-previous")

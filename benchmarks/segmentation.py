@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from relmap import PlaneSegmenter, RelmapError
 from relmap.datasets import open_scans
 from relmap.segmentation import Planes
-from relmap.segmentation.em import WallMixture, scan_area
+from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.simulation.building import BuildingScan, building_scene
 from relmap.simulation.sensor import DEPTH_SENSOR, LASER
 

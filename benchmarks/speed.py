@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.comparison.baselines import FrameToMap
 from relmap.datasets.base import ObservationLog, Scan
-from relmap.evaluation.baselines import FrameToMap
 from relmap.evaluation.metrics import align, rms
 from relmap.simulation import FigureEight, simulate_figure_eight
 

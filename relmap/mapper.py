@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core import readout, turns
+from relmap.core.association import KnownAssociation
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
-from relmap.core.refinement import Refined
-from relmap.core.registration import KnownAssociation
+from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 
 if TYPE_CHECKING:
-    from relmap.journal import Journal, JournalReader, RecordedScan
+    from relmap.io.journal import Journal, JournalReader, RecordedScan
 
 
 class Mapper(ABC):
@@ -33,7 +33,7 @@ class Mapper(ABC):
     ----------
     config : MapperConfig, optional
     journal : path, optional
-        An SQLite file that is begun, see `relmap.journal.layout`.  Every scan is in it with the
+        An SQLite file that is begun, see `relmap.io.journal.layout`.  Every scan is in it with the
         first update after a second, and after `flush`; whatever happens then, `resume` goes on.
     run : dict, optional
         What the journal should tell about the run, fit for JSON.
@@ -61,8 +61,8 @@ class Mapper(ABC):
         self._engine = RelativeMapper(self._model(), self.config)
         self._journal: Journal | None = None
         if journal is not None:
-            from relmap.journal import Journal
-            from relmap.journal.layout import LAYOUTS
+            from relmap.io.journal import Journal
+            from relmap.io.journal.layout import LAYOUTS
 
             meta = {
                 "variant": self._variant,
@@ -162,7 +162,7 @@ class Mapper(ABC):
             Where there is no journal, it is of another variant or a newer relmap, or damaged, or
             where mapping the scans again gives something else than was noted.
         """
-        from relmap.journal import Journal, JournalReader
+        from relmap.io.journal import Journal, JournalReader
 
         with JournalReader(Path(journal)) as reader:
             if reader.layout.variant != cls._variant:
@@ -191,7 +191,7 @@ class Mapper(ABC):
         RelmapError
             Where it cannot be written.
         """
-        from relmap.saving import save_state
+        from relmap.io.saving import save_state
 
         about = {"variant": self._variant, "versions": _versions()}
         save_state(Path(path), self, about, self._passing)
@@ -212,7 +212,7 @@ class Mapper(ABC):
             Where there is no such file, it is damaged, or holds a mapper of another variant or of
             a relmap with other parts.
         """
-        from relmap.saving import load_state
+        from relmap.io.saving import load_state
 
         mapper: Self = load_state(Path(path), cls)
         return mapper

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from relmap.datasets import ObservationLog, write_observation_csv, write_scans_npz
 from relmap.datasets.scans import SensorView, planar_poses
 from relmap.evaluation.truth import Truth, write_truth
-from relmap.files import atomic_write, write_tum
+from relmap.io.files import atomic_write, write_tum
+from relmap.io.tables import csv_text
 from relmap.simulation import simulate_building
-from relmap.tables import csv_text
 from tests.scanlogs import ply
 
 Mapped = Callable[[str], Path]

@@ -21,8 +21,8 @@ from relmap.cli.map_points import map_input
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation.plane_evaluate import evaluate_planes, read_wall_truth
 from relmap.evaluation.truth import read_truth
-from relmap.planefiles import read_planes
-from relmap.results import read_result
+from relmap.io.results import read_result
+from relmap.planes.files import read_planes
 from tests.logs import PLAIN, TREES
 from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
 

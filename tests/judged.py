@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.truth import Truth
-from relmap.results import Result, Tracks
+from relmap.io.results import Result, Tracks
 
 N, K = 5, 12
 TRUE_MAP = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 4], [4, 4, 4]])

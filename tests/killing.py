@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.journal import writing
+from relmap.io.journal import writing
 from tests.worlds import walk
 
 writing.INTERVAL_S = 0.005

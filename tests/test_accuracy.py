@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.comparison.baselines import FrameToMap
+from relmap.comparison.baselines.known import least_squares_map
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
-from relmap.evaluation.baselines import FrameToMap
-from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.metrics import majority_ids
 from relmap.evaluation.metrics import purity as purity_of
 from relmap.simulation import simulate_figure_eight

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
-from relmap.core.alignment import fit_rigid, fixes_rotation
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)

@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
-from relmap.evaluation.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.frame_to_map import FrameToMap
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)

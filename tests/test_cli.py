@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from relmap.cli import main
-from relmap.files import read_tum
+from relmap.io.files import read_tum
 from tests.commands import RESULT_FILES, load, names, table
 
 LANDMARK_COLUMNS = [

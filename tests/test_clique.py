@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.kernels.clique import agreeing, largest_clique
-from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.clique_kernels import agreeing, largest_clique
+from relmap.core.association.placement import agreeing_pairs, trimmed_fit
 from tests.worlds import random_rotation
 
 N, SIGMA = 30, 0.05

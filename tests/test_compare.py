@@ -16,11 +16,11 @@ import pytest
 
 from relmap.cli import main
 from relmap.cli.compare import HELP
-from relmap.evaluation.compare import CSV_COLUMNS, compare
-from relmap.evaluation.methods.base import Association, MethodInfo
-from relmap.evaluation.methods.registry import METHODS, find_method
-from relmap.evaluation.methods.running import run_method
-from relmap.evaluation.sources import EightSource, Landmarks
+from relmap.comparison.compare import CSV_COLUMNS, compare
+from relmap.comparison.methods.base import Association, MethodInfo
+from relmap.comparison.methods.registry import METHODS, find_method
+from relmap.comparison.methods.running import run_method
+from relmap.comparison.sources import EightSource, Landmarks
 from tests.commands import RELMAP, Check, names, table
 
 ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap.core.completion import RelativeMap, complete
+from relmap.core.grouping.completion import RelativeMap, complete
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)

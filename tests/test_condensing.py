@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.condensing import LENGTH, NOWHERE, CondensedSegments, SegmentRows
-from relmap.core.store import ObservationStore
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.refinement.condensing import LENGTH, NOWHERE, CondensedSegments, SegmentRows
+from relmap.core.state.store import ObservationStore
 from tests.worlds import aligned_rmse, walk
 
 seeds = st.integers(0, 2**32 - 1)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap.core.registration import Constellation
-from relmap.core.registration.tracks import LiveTracks
+from relmap.core.association import Constellation
+from relmap.core.association.tracks import LiveTracks
 from tests.worlds import spacing
 
 Points = NDArray[np.float64]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relmap.core.alignment import fit_rigid
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_log, slsjf, write_observation_csv
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.datasets.victoria_park import read_reference_map

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.dynamics import FEWEST, Binning, Bins
+from relmap.core.grouping.dynamics import FEWEST, Binning, Bins
 from tests.worlds import random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from relmap.core.completion import RelativeMap, complete
-from relmap.core.dynamics import FEWEST, LIMIT, STILL, DynamicStatus, rests
-from relmap.core.table import LandmarkState
+from relmap.core.grouping.completion import RelativeMap, complete
+from relmap.core.grouping.dynamics import FEWEST, LIMIT, STILL, DynamicStatus, rests
+from relmap.core.state.table import LandmarkState
 
 SIGMA = 0.05
 

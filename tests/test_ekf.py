@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from relmap.comparison.baselines.bearing import inverse_model, predicted, spherical
+from relmap.comparison.baselines.ekf import Ekf, EkfConfig
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.mrpt_landmarks import read_ground_truth
-from relmap.evaluation.baselines.bearing import inverse_model, predicted, spherical
-from relmap.evaluation.baselines.ekf import Ekf, EkfConfig
 from relmap.evaluation.metrics import align, rms
 from relmap.simulation import simulate_figure_eight
 from tests.kfslam import PROGRAM, run_kfslam

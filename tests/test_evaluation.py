@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from relmap import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.evaluate import evaluate, overlay
-from relmap.results import Tracks
+from relmap.io.results import Tracks
 from tests.judged import TRUE_MAP, K, N, make_log, make_result, make_truth, with_table
 
 

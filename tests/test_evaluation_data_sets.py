@@ -10,14 +10,14 @@ import pytest
 from scipy.io import savemat
 
 from relmap import PointMapper, RelmapError
+from relmap.comparison.baselines.known import least_squares_map
 from relmap.datasets import ObservationLog, open_log
-from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import evaluate, overlay
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.truth import read_truth
+from relmap.io.results import Result
 from relmap.plots.sheet import write_png
 from relmap.plots.victoria_park import compare_with_reference, plot_panels
-from relmap.results import Result
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse
 

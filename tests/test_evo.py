@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.cli import main
 from relmap.evaluation import metrics
-from relmap.files import read_tum, write_tum
+from relmap.io.files import read_tum, write_tum
 from tests.commands import load
 
 APE, RPE = shutil.which("evo_ape"), shutil.which("evo_rpe")

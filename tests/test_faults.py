@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.cli import main
+from relmap.core.association.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.core.errors import RelmapError
-from relmap.core.registration.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.datasets import ObservationLog, write_observation_csv
 from relmap.evaluation.run import MANY, rejected_iterations
 from relmap.simulation import faults, simulate_figure_eight

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from relmap import MapperConfig, PointMapper
-from relmap.core.alignment import fit_rigid
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.evaluate import Evaluation
 from relmap.figures import (
     figure05,

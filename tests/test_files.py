@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
-from relmap.files import atomic_write, read_text, read_tum, staged_folder, write_tum
+from relmap.io.files import atomic_write, read_text, read_tum, staged_folder, write_tum
 
 
 def full_disk(_: int) -> None:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from relmap import RelmapError
-from relmap.tables import Kind, compressed, csv_text, read_table
+from relmap.io.tables import Kind, compressed, csv_text, read_table
 
 COLUMNS: dict[str, Kind] = {"n": "int", "x": "float", "sd": "float or empty", "word": "text"}
 

@@ -19,7 +19,7 @@ from scipy.io import loadmat
 from relmap.core.errors import RelmapError
 from relmap.datasets import cloud_file, matfile, open_scans, scans_npz, table, textfile
 from relmap.datasets.matfile import read_matrix
-from relmap.tables import read_table
+from relmap.io.tables import read_table
 from tests.damage import npz_made_to_harm, packed_rows
 from tests.fuzz import fuzz, problem_with
 from tests.hostile import mat, readers, scans

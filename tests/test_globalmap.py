@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
-from relmap.core.globalmap import GlobalMap
-from relmap.core.table import NONE, LandmarkState
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import NONE, LandmarkState
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)

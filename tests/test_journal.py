@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
-from relmap.journal import JournalReader, salvage, writing
+from relmap.io.journal import JournalReader, salvage, writing
 from relmap.simulation import simulate_building
 from tests.worlds import walk
 

@@ -15,8 +15,8 @@ import pytest
 
 from relmap.cli import main
 from relmap.datasets import write_observation_csv, write_scans_npz
-from relmap.journal import writing
-from relmap.journal.layout import POINTS
+from relmap.io.journal import writing
+from relmap.io.journal.layout import POINTS
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 
@@ -66,7 +66,7 @@ def test_relmap_resume_after_a_kill(
     code = (
         "import sys, time\n"
         "from relmap.cli import main\n"
-        "from relmap.journal import writing\n"
+        "from relmap.io.journal import writing\n"
         "writing.INTERVAL_S = 0.0\n"
         "append = writing.Journal.append\n"
         "def slow(self, *scan):\n"
@@ -177,7 +177,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
     limit = (
         "import resource, sys\n"
         "from relmap.cli import main\n"
-        "from relmap.journal import writing\n"
+        "from relmap.io.journal import writing\n"
         "writing.INTERVAL_S = 0.0\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100 * 1024, 100 * 1024))\n"
         "sys.exit(main(sys.argv[1:]))\n"

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from relmap.core.alignment import fit_rigid, rotation_of_moment
-from relmap.core.kernels.averaging import steady_variance
-from relmap.core.kernels.binning import keeps_distance
-from relmap.core.kernels.charting import chart_block
-from relmap.core.kernels.fitting import fit_rows
-from relmap.core.kernels.linear import inverse3
-from relmap.core.kernels.matching import claims, nearest_within, two_nearest
-from relmap.core.kernels.rotation import best_rotation
+from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
+from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
+from relmap.core.geometry.fitting_kernels import fit_rows
+from relmap.core.geometry.rotation_kernels import best_rotation
+from relmap.core.grouping.averaging_kernels import steady_variance
+from relmap.core.grouping.binning_kernels import keeps_distance
+from relmap.core.grouping.chart_kernels import chart_block
+from relmap.core.linalg.small_kernels import inverse3
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)

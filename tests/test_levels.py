@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.grouping.levels import GroupLevels
 from relmap.core.landmarks import MappedGroup
-from relmap.core.levels import GroupLevels
-from relmap.core.table import LandmarkState
+from relmap.core.state.table import LandmarkState
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import walk
 

@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core import live, slices
-from relmap.core.condensing import CondensedSegments
-from relmap.core.globalmap import GlobalMap
-from relmap.core.kernels import joint
-from relmap.core.table import LandmarkState
-from relmap.core.tridiagonal import Levels
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.linalg.tridiagonal import Levels
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement import joint_kernels as joint
+from relmap.core.refinement import live, slices
+from relmap.core.refinement.condensing import CondensedSegments
+from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, walk
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import MapperConfig, PointMapper
-from relmap.core.condensing import LENGTH
-from relmap.core.schedule import LONGEST_INTERVAL
+from relmap.core.refinement.condensing import LENGTH
+from relmap.core.state.schedule import LONGEST_INTERVAL
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.globalmap import GlobalMap
-from relmap.core.merging import Merger
-from relmap.core.spatialindex import SpatialIndex
-from relmap.core.table import LandmarkState
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.association.merging import Merger
+from relmap.core.geometry.spatialindex import SpatialIndex
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids, purity
 from relmap.points.model import PointModel
 from relmap.simulation import FigureEight, simulate_figure_eight

@@ -8,13 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from relmap.core.errors import RelmapError
-from relmap.datasets.base import ObservationLog
-from relmap.evaluation.baselines.frame_to_frame import FrameToFrame
-from relmap.evaluation.compare import landmark_error_curve
-from relmap.evaluation.methods.base import MethodInfo
-from relmap.evaluation.methods.registry import METHODS, check_method, find_method, fitting_methods
-from relmap.evaluation.methods.running import (
+from relmap.comparison.baselines.frame_to_frame import FrameToFrame
+from relmap.comparison.compare import landmark_error_curve
+from relmap.comparison.methods.base import MethodInfo
+from relmap.comparison.methods.registry import METHODS, check_method, find_method, fitting_methods
+from relmap.comparison.methods.running import (
     ACCURACY,
     COST,
     PATH,
@@ -22,8 +20,10 @@ from relmap.evaluation.methods.running import (
     run_method,
     setup_for,
 )
+from relmap.comparison.sources import BuildingSource, EightSource, Landmarks
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
 from relmap.evaluation.metrics import align, rms
-from relmap.evaluation.sources import BuildingSource, EightSource, Landmarks
 from relmap.evaluation.truth import Truth
 
 EIGHT = EightSource(iterations=150)

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.dynamics import DynamicStatus
+from relmap.core.grouping.dynamics import DynamicStatus
 from relmap.core.landmarks import LandmarkTable
-from relmap.core.table import NONE, LandmarkState
+from relmap.core.state.table import NONE, LandmarkState
 from tests.worlds import random_rotation
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.noise import FORGETTING, NoiseEstimate, guess_noise
+from relmap.core.grouping.noise import FORGETTING, NoiseEstimate, guess_noise
 from tests.worlds import random_rotation
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid
-from relmap.core.registration.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.placement import agreeing_pairs, trimmed_fit
+from relmap.core.geometry.alignment import fit_rigid
 from tests.worlds import random_rotation
 
 seeds = st.integers(0, 2**32 - 1)

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PlaneMapper, RelmapError
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.plane_evaluate import WallTruth, match_corners
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls

@@ -13,8 +13,8 @@ from relmap.cli import main
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_run import run_plane_mapper
-from relmap.planefiles import read_planes
 from relmap.planes import PlaneMapper
+from relmap.planes.files import read_planes
 from relmap.segmentation import PlaneSegmenter
 
 CONTRACT = (

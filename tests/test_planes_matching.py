@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from relmap.planes.kernels.matching import assigned, carried
+from relmap.planes.matching_kernels import assigned, carried
 from relmap.planes.observation import checked_planes
 from relmap.planes.placement import STILL, place
 from relmap.planes.tracks import PlaneTracks

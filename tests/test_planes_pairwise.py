@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.kernels.ordering import medians, quantiles
+from relmap.core.linalg.order_kernels import medians, quantiles
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
 from relmap.planes.pairwise import pairwise_map, relate

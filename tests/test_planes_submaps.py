@@ -15,9 +15,9 @@ from PIL import Image
 from relmap import PlaneMapper
 from relmap.cli import main
 from relmap.cli.outcome import each
-from relmap.files import read_tum
-from relmap.planefiles import read_planes
+from relmap.io.files import read_tum
 from relmap.planes.equations import Walls
+from relmap.planes.files import read_planes
 from relmap.planes.links import disagreement
 from relmap.planes.refinement import WallSystem
 from relmap.planes.stitching import stitched

@@ -14,8 +14,8 @@ from PIL import Image
 
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.evaluate import Overlay
+from relmap.io.results import Result, Tracks
 from relmap.plots.run import broken_at_gaps, plot_run, write_map_png
-from relmap.results import Result, Tracks
 
 
 def make_result(n: int, planar: bool = False, dynamic: int = 0) -> Result:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from relmap import MapperConfig, PointMapper, RelmapError
-from relmap.core.observations import Observations
-from relmap.core.powers import _Solution, shape_of
+from relmap.core.refinement.observations import Observations
+from relmap.core.refinement.powers import _Solution, shape_of
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from relmap.evaluation.sweep_spec import cells_of
+from relmap.comparison.sweep_spec import cells_of
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

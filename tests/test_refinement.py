@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core import jointequations
-from relmap.core.condensing import CondensedSegments, SegmentRows
-from relmap.core.refinement import Refined, refine
-from relmap.core.store import ObservationStore
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.refinement import equations as jointequations
+from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
+from relmap.core.refinement.joint import Refined, refine
+from relmap.core.state.store import ObservationStore
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import Walk, aligned_rmse, mapped, random_rotation, walk
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.registration import KnownAssociation, NearestPrevious
+from relmap.core.association import KnownAssociation, NearestPrevious
 from tests.worlds import spacing
 
 Points = NDArray[np.float64]

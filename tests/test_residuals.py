@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.condensing import CondensedSegments
-from relmap.core.refinement import refine
-from relmap.core.store import ObservationStore
+from relmap.core.refinement.condensing import CondensedSegments
+from relmap.core.refinement.joint import refine
+from relmap.core.state.store import ObservationStore
 from relmap.evaluation.run import run_mapper
-from relmap.results import json_text
+from relmap.io.results import json_text
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import mapped, walk
 

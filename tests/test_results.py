@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from relmap.evaluation.truth import read_truth, write_truth
-from relmap.results import read_result, write_result
+from relmap.io.results import read_result, write_result
 from tests.judged import N, make_result, make_truth, with_table
 
 

@@ -137,6 +137,9 @@ def rewritten(path: Path, change: Any) -> None:
     np.savez(path, **arrays)
 
 
+MERGING = "relmap.core.association.merging"
+
+
 def node(graph: Any, ending: str) -> Any:
     return next(n for n in graph["nodes"] if n.get("class", "").endswith(ending))
 
@@ -147,11 +150,11 @@ def node(graph: Any, ending: str) -> Any:
         (lambda g: g.update(format=2), "of version 2, and this relmap reads up to 1"),
         (lambda g: node(g, ":Merger").update({"class": "os:system"}), "no part of a mapper"),
         (
-            lambda g: node(g, ":Merger").update({"class": "relmap.core.merging:nearest"}),
+            lambda g: node(g, ":Merger").update({"class": MERGING + ":nearest"}),
             "no part of a mapper",
         ),
         (
-            lambda g: node(g, ":Merger").update({"class": "relmap.core.merging:Merger.find"}),
+            lambda g: node(g, ":Merger").update({"class": MERGING + ":Merger.find"}),
             "no part of a mapper",
         ),
         (lambda g: g["nodes"].append(0) or g.update(root=[len(g["nodes"])]), "is not there"),

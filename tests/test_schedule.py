@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from relmap.core.schedule import LONGEST_INTERVAL, PASSES, WAIT, GroupingSchedule
-from relmap.core.table import LandmarkState
+from relmap.core.state.schedule import LONGEST_INTERVAL, PASSES, WAIT, GroupingSchedule
+from relmap.core.state.table import LandmarkState
 
 AFTER, MISSED = 4, 2
 

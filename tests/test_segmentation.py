@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 import relmap
 from relmap import PlaneSegmenter, RelmapError
 from relmap.segmentation import Planes
-from relmap.segmentation.corners import meet
-from relmap.segmentation.em import WallMixture
+from relmap.segmentation.em.mixture import WallMixture
+from relmap.segmentation.ends.corners import meet
 from relmap.simulation.building import BuildingScan, building_scene
 
 VIEW_RAD = np.pi / 2

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from relmap import PlaneSegmenter
-from relmap.segmentation.boxes import fit_ends
-from relmap.segmentation.emsteps import fit_line
-from relmap.segmentation.kernels import BEGIN, END, sightings
-from relmap.segmentation.moves import missed_beams
+from relmap.segmentation.em.moves import missed_beams
+from relmap.segmentation.em.step_kernels import fit_line
+from relmap.segmentation.em.wall_kernels import BEGIN, END, sightings
+from relmap.segmentation.ends.box_kernels import fit_ends
 from relmap.segmentation.noise import beam_angle
 from relmap.simulation.building import building_scene
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from relmap import PlaneMapper, PlaneSegmenter
 from relmap.evaluation.metrics import ate
-from relmap.segmentation.scanlines import beam_noise, scan_walls
+from relmap.segmentation.scanline.lines import beam_noise, scan_walls
 from relmap.simulation import simulate_building
 from relmap.simulation.building import building_scene
 

@@ -8,16 +8,16 @@ from scipy.integrate import dblquad
 from scipy.optimize import minimize
 from scipy.stats import norm
 
-from relmap.segmentation.boxes import box_extent
-from relmap.segmentation.corners import meet
-from relmap.segmentation.em import WallMixture, maximise, scan_area
-from relmap.segmentation.end_types import Limits, type_ends
-from relmap.segmentation.kernels import bell, expect, gauss_step, weighted_line
-from relmap.segmentation.moves import bend, merge, split, widest_gap
+from relmap.segmentation.em.mixture import WallMixture, maximise, scan_area
+from relmap.segmentation.em.moves import bend, merge, split, widest_gap
+from relmap.segmentation.em.wall_kernels import bell, expect, gauss_step, weighted_line
+from relmap.segmentation.ends.box_kernels import box_extent
+from relmap.segmentation.ends.corners import meet
+from relmap.segmentation.ends.end_types import Limits, type_ends
+from relmap.segmentation.ends.pairs import one_hides_other
+from relmap.segmentation.ends.shadows import part_at_shadows, shadows
 from relmap.segmentation.noise import beam_angle, window_noise
-from relmap.segmentation.pairs import one_hides_other
-from relmap.segmentation.scanlines import hidden_ends, scan_walls
-from relmap.segmentation.shadows import part_at_shadows, shadows
+from relmap.segmentation.scanline.lines import hidden_ends, scan_walls
 
 
 def wall(x0: float, y0: float, x1: float, y1: float, share: float = 1.0) -> list[float]:

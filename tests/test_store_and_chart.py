@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.chart import PointChart
-from relmap.core.grouping import grow_group
-from relmap.core.store import ObservationStore
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.growth import grow_group
+from relmap.core.state.store import ObservationStore
 
 visibility = st.integers(1, 8).flatmap(
     lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=12)

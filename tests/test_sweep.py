@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from relmap.cli import main
-from relmap.core.errors import RelmapError
-from relmap.evaluation.methods.running import ACCURACY
-from relmap.evaluation.sweep import (
+from relmap.comparison.methods.running import ACCURACY
+from relmap.comparison.sweep import (
     TIMES,
     CellStore,
     Finished,
@@ -23,7 +22,8 @@ from relmap.evaluation.sweep import (
     run_cell,
     write_parquet,
 )
-from relmap.evaluation.sweep_spec import KEYS, Cell, cells_of, varying
+from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
+from relmap.core.errors import RelmapError
 from tests.commands import RELMAP, Check, names, table
 
 SPEC = """
@@ -269,7 +269,7 @@ def address_in(file: Path) -> str:
 def test_no_scheduler(
     spec: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("relmap.evaluation.sweep.PATIENCE_S", 1)
+    monkeypatch.setattr("relmap.comparison.sweep.PATIENCE_S", 1)
     arguments = ["-o", str(tmp_path / "out"), "--dask", "tcp://127.0.0.1:9"]
     assert main(["sweep", str(spec), *arguments]) == 2
     assert "no dask scheduler answers at tcp://127.0.0.1:9" in capsys.readouterr().err

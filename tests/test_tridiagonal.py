@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from relmap.core.tridiagonal import Levels, factor
+from relmap.core.linalg.tridiagonal import Levels, factor
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.core.globalmap import GlobalMap
-from relmap.core.table import NONE, LandmarkState
-from relmap.core.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
+from relmap.core.association.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import NONE, LandmarkState
 from tests.worlds import aligned_rmse, random_rotation, two_visits, walk
 
 seeds = st.integers(0, 2**32 - 1)

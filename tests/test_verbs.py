@@ -15,16 +15,16 @@ import pytest
 
 from relmap.cli import main
 from relmap.cli.simulate import Sampling, World
+from relmap.comparison.compare import Compared
+from relmap.comparison.methods.base import Association
+from relmap.comparison.methods.registry import find_method
+from relmap.comparison.methods.running import run_method
+from relmap.comparison.sources import Source
 from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans
-from relmap.evaluation.compare import Compared
-from relmap.evaluation.methods.base import Association
-from relmap.evaluation.methods.registry import find_method
-from relmap.evaluation.methods.running import run_method
-from relmap.evaluation.sources import Source
-from relmap.files import read_tum, write_tum
-from relmap.planefiles import read_planes, write_planes
+from relmap.io.files import read_tum, write_tum
+from relmap.io.results import read_result, write_result
 from relmap.planes import PlaneMapper
-from relmap.results import read_result, write_result
+from relmap.planes.files import read_planes, write_planes
 from tests.commands import RESULT_FILES, load, names, table
 from tests.everyformat import LASER_AHEAD_M, POINTS, WALLS, Mapped
 
@@ -59,7 +59,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def run(name: str, source: Source, association: Association, sigma_m: float | None) -> Compared:
         return Compared(name, run_method(find_method(name), source.load(), association, sigma_m))
 
-    monkeypatch.setattr("relmap.evaluation.compare._in_own_process", run)
+    monkeypatch.setattr("relmap.comparison.compare._in_own_process", run)
 
 
 def test_every_format_is_in_the_table() -> None:

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from relmap import PointMapper
 from relmap.cli import app
-from relmap.core import settling
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.refinement import settling
 from relmap.datasets import ObservationLog
-from relmap.evaluation.baselines.batch import Batch, batch_least_squares
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, walk
 

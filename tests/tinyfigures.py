@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.store import ObservationStore
+from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
 from relmap.plots import curves
 from relmap.plots.chart import ChartPicture, chart_picture

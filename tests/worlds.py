@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 
 Scans = list[tuple[NDArray[np.int64], NDArray[np.float64]]]
 

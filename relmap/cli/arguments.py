@@ -57,7 +57,7 @@ def read_config(
     import tomllib
 
     from relmap.core.config import MapperConfig, refuse
-    from relmap.files import read_text
+    from relmap.io.files import read_text
 
     given = {} if registration is None else {"registration": registration}
     if path is None:

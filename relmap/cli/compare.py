@@ -13,8 +13,8 @@ from relmap.cli.plaintable import print_plain, shown
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.evaluation.compare import Compared
-    from relmap.evaluation.sources import Data, Source
+    from relmap.comparison.compare import Compared
+    from relmap.comparison.sources import Data, Source
 
 Association = Literal["nearest", "known"]
 World = Literal["figure-eight", "building"]
@@ -143,7 +143,7 @@ def compare_command(
 ) -> None:
     """Compare; the arguments are explained in the help text."""
     from relmap.cli.arguments import parse_scans
-    from relmap.evaluation.sources import FileSource
+    from relmap.comparison.sources import FileSource
 
     given: Source
     if (source is None) == (simulate is None):
@@ -177,7 +177,7 @@ def _simulated(
     dynamic: float,
     seed: int,
 ) -> Source:
-    from relmap.evaluation.sources import BuildingSource, EightSource
+    from relmap.comparison.sources import BuildingSource, EightSource
 
     spread = 0.05 if sigma is None else sigma
     if world == "building":
@@ -215,10 +215,10 @@ def compare_into(
         written.
     """
     from relmap.cli.console import busy
-    from relmap.evaluation.compare import CSV_COLUMNS, chosen_methods, compare
-    from relmap.evaluation.sources import has_ids
-    from relmap.files import atomic_write, staged_folder, write_tum
-    from relmap.tables import csv_text
+    from relmap.comparison.compare import CSV_COLUMNS, chosen_methods, compare
+    from relmap.comparison.sources import has_ids
+    from relmap.io.files import atomic_write, staged_folder, write_tum
+    from relmap.io.tables import csv_text
 
     with busy("reading or simulating"):
         data = source.load()
@@ -249,10 +249,10 @@ def compare_into(
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data, title: str) -> None:
     """Draw the comparison and the map of every method that ran."""
-    from relmap.evaluation.compare import overlay_of
+    from relmap.comparison.compare import overlay_of
+    from relmap.comparison.sources import Landmarks
     from relmap.evaluation.metrics import match_stamps
     from relmap.evaluation.plane_evaluate import match_corners
-    from relmap.evaluation.sources import Landmarks
     from relmap.plots.comparison import write_comparison_png
     from relmap.plots.planes import write_planes_png
     from relmap.plots.run import write_map_png

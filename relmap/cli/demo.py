@@ -56,8 +56,8 @@ def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
     from relmap.cli.evaluate import figure, find_log
     from relmap.evaluation.evaluate import overlay
     from relmap.evaluation.truth import read_truth
+    from relmap.io.results import MAP_PNG
     from relmap.plots.run import write_map_png
-    from relmap.results import MAP_PNG
 
     truth = overlay(run.result, read_truth(out), find_log(run.result, out, None))
     counts = run.result.summary["counts"]

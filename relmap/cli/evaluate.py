@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.evaluate import Evaluation
     from relmap.evaluation.plane_evaluate import PlaneEvaluation
-    from relmap.results import Result
+    from relmap.io.results import Result
 
 HELP = """Tell how good a result is where the truth is known.
 
@@ -87,7 +87,7 @@ def evaluate_command(
 ) -> None:
     """Evaluate a result; the arguments are explained in the help text."""
     from relmap.cli.console import busy, print_table
-    from relmap.planefiles import PLANES
+    from relmap.planes.files import PLANES
 
     evaluation: Evaluation | PlaneEvaluation
     walls = (folder / PLANES).exists()
@@ -133,8 +133,8 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     """
     from relmap.evaluation.evaluate import evaluate
     from relmap.evaluation.truth import read_truth
-    from relmap.files import atomic_write
-    from relmap.results import EVALUATION, json_text, read_result
+    from relmap.io.files import atomic_write
+    from relmap.io.results import EVALUATION, json_text, read_result
 
     result = read_result(folder)
     evaluation = evaluate(result, read_truth(truth), find_log(result, truth, log))
@@ -146,10 +146,10 @@ def _evaluate_planes(folder: Path, truth: Path) -> PlaneEvaluation:
     from relmap.evaluation.metrics import match_stamps
     from relmap.evaluation.plane_evaluate import evaluate_planes, match_corners
     from relmap.evaluation.plane_truth import read_plane_truth
-    from relmap.files import atomic_write
-    from relmap.planefiles import read_planes
+    from relmap.io.files import atomic_write
+    from relmap.io.results import EVALUATION, MAP_PNG, json_text, read_result
+    from relmap.planes.files import read_planes
     from relmap.plots.planes import write_planes_png
-    from relmap.results import EVALUATION, MAP_PNG, json_text, read_result
 
     result = read_result(folder)
     planes, walls = read_planes(folder), read_plane_truth(truth)

@@ -74,7 +74,7 @@ def figures_into(
     from relmap.cli.console import busy
     from relmap.figures.making import check_data, make_figure, write_page
     from relmap.figures.registry import chosen_figures
-    from relmap.files import staged_folder
+    from relmap.io.files import staged_folder
 
     figures = chosen_figures(names)
     check_data(figures, data)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from relmap.cli.console import tracked
 from relmap.core.errors import RelmapError
-from relmap.results import MAPPER
+from relmap.io.results import MAPPER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -155,7 +155,7 @@ def journaled_labels(job: Job, scans: Iterable[Any] | None = None) -> list[NDArr
     """
     import numpy as np
 
-    from relmap.journal import JournalReader
+    from relmap.io.journal import JournalReader
 
     if not job.resumed or job.journal is None:
         return []

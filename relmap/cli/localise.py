@@ -43,9 +43,9 @@ def localise_command(
     from relmap.cli.arguments import parse_scans
     from relmap.datasets import open_log
     from relmap.evaluation.run import stamps_of
-    from relmap.files import staged_folder, write_tum
+    from relmap.io.files import staged_folder, write_tum
+    from relmap.io.results import MAPPER, TRAJECTORY
     from relmap.points import PointMapper
-    from relmap.results import MAPPER, TRAJECTORY
 
     interval = parse_scans(scans)
     mapper = PointMapper.load(result / MAPPER)

@@ -60,7 +60,7 @@ def map_scans(job: Job) -> tuple[PlaneRun, int]:
     from relmap.cli.console import busy
     from relmap.evaluation.plane_run import run_plane_mapper
     from relmap.figures.bench import BenchRecorder, frame_step
-    from relmap.files import staged_folder
+    from relmap.io.files import staged_folder
     from relmap.planes import PlaneMapper
     from relmap.segmentation import PlaneSegmenter
 
@@ -104,9 +104,9 @@ def _read(job: Job) -> ScanLog:
 
 
 def _write(folder: Path, run: PlaneRun, mapper: PlaneMapper) -> None:
-    from relmap.planefiles import write_planes, write_submaps
+    from relmap.io.results import MAP_PNG, MAPPER, write_result
+    from relmap.planes.files import write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
-    from relmap.results import MAP_PNG, MAPPER, write_result
 
     write_result(folder, run.result)
     mapper.save(folder / MAPPER)
@@ -118,8 +118,8 @@ def _write(folder: Path, run: PlaneRun, mapper: PlaneMapper) -> None:
 
 def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result that this one puts out of date."""
-    from relmap.planefiles import submap_files
-    from relmap.results import EVALUATION
+    from relmap.io.results import EVALUATION
+    from relmap.planes.files import submap_files
 
     return [EVALUATION, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 

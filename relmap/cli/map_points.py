@@ -70,10 +70,10 @@ def map_points(job: Job) -> Run:
     """
     from relmap.cli.console import busy
     from relmap.evaluation.run import run_mapper
-    from relmap.files import staged_folder
+    from relmap.io.files import staged_folder
+    from relmap.io.results import MAP_PNG, MAPPER, write_result
     from relmap.plots.run import write_map_png
     from relmap.points.mapper import PointMapper
-    from relmap.results import MAP_PNG, MAPPER, write_result
 
     source = job.at(job.source)
     log = _read(job, source)
@@ -117,8 +117,8 @@ def _read(job: Job, source: Path) -> ObservationLog:
 
 def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
-    from relmap.planefiles import PLANES, submap_files
-    from relmap.results import EVALUATION
+    from relmap.io.results import EVALUATION
+    from relmap.planes.files import PLANES, submap_files
 
     return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 

@@ -48,7 +48,7 @@ def resume_command(
     """Resume a run; the arguments are explained in the help text."""
     from relmap.cli.map_planes import report_planes
     from relmap.cli.map_points import report_points
-    from relmap.journal import JournalReader, salvage
+    from relmap.io.journal import JournalReader, salvage
 
     if repair:
         typer.echo(f"recovered {salvage(journal)} scans of {journal}")

@@ -89,7 +89,7 @@ def write_figure_eight(
     from relmap.datasets.observation_csv import write_observation_csv
     from relmap.evaluation.run import stamps_of
     from relmap.evaluation.truth import Truth, write_truth
-    from relmap.files import staged_folder
+    from relmap.io.files import staged_folder
     from relmap.simulation import simulate_figure_eight
 
     with staged_folder(out) as staging, busy("simulating"):
@@ -143,7 +143,7 @@ def building_command(
 ) -> None:
     """Write a simulated building; the arguments are explained in the help text."""
     from relmap.cli.console import busy
-    from relmap.files import staged_folder
+    from relmap.io.files import staged_folder
     from relmap.simulation import simulate_building
 
     with staged_folder(out) as staging, busy("simulating"):
@@ -164,9 +164,9 @@ def _write_building(folder: Path, building: Building) -> None:
 
     from relmap.datasets import write_scans_npz
     from relmap.datasets.scans import SensorView
-    from relmap.files import atomic_write, write_tum
+    from relmap.io.files import atomic_write, write_tum
+    from relmap.io.tables import csv_text
     from relmap.plots.building import write_building_png
-    from relmap.tables import csv_text
 
     truth = folder / "truth"
     truth.mkdir()

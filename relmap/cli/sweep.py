@@ -14,8 +14,8 @@ from relmap.cli.console import Out
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.evaluation.sweep import Finished
-    from relmap.evaluation.sweep_spec import Cell
+    from relmap.comparison.sweep import Finished
+    from relmap.comparison.sweep_spec import Cell
 
 HELP = """Run a grid of experiments in simulated worlds, in all cores or on a cluster.
 
@@ -65,7 +65,7 @@ def sweep_command(
     ] = None,
 ) -> None:
     """Sweep; the arguments are explained in the help text."""
-    from relmap.evaluation.sweep_spec import read_spec
+    from relmap.comparison.sweep_spec import read_spec
 
     if workers is not None and workers < 1:
         raise RelmapError(f"--workers is {workers}; it must be 1 or more")
@@ -90,14 +90,14 @@ def sweep_into(
     RelmapError
         Where the folder cannot be written or the scheduler cannot be reached.
     """
-    from relmap.evaluation.sweep import (
+    from relmap.comparison.sweep import (
         CellStore,
         accuracy_csv,
         run_cells,
         times_csv,
         write_parquet,
     )
-    from relmap.files import atomic_write
+    from relmap.io.files import atomic_write
 
     store = CellStore(out)
     before = ((cell, store.load(cell)) for cell in cells)
@@ -186,7 +186,7 @@ def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     import numpy as np
 
     from relmap.cli.plaintable import print_plain, shown
-    from relmap.evaluation.sweep_spec import varying
+    from relmap.comparison.sweep_spec import varying
 
     keys = [key for key in varying(list(cells)) if key != "method"]
     rows: dict[tuple[str, ...], list[Finished]] = {}

@@ -5,29 +5,29 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid
-from relmap.core.averaging import Averaging
-from relmap.core.chart import PointChart
-from relmap.core.completion import RelativeMap
-from relmap.core.condensing import CondensedSegments, SegmentRows
+from relmap.core.association import KnownAssociation, Registration
+from relmap.core.association.merging import Merger, merge_doubles
+from relmap.core.association.tying import tie_submaps
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.globalmap import GlobalMap
-from relmap.core.grouping import grow_group
-from relmap.core.levels import GroupLevels
-from relmap.core.live import LiveRefinement
-from relmap.core.merging import Merger, merge_doubles
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.grouping.averaging import Averaging
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.completion import RelativeMap
+from relmap.core.grouping.growth import grow_group
+from relmap.core.grouping.levels import GroupLevels
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.map.placing import Placing
 from relmap.core.model import LandmarkModel
-from relmap.core.observations import KeptObservations
-from relmap.core.piecewise import refine_submaps
-from relmap.core.placing import Placing
-from relmap.core.refinement import Refined
-from relmap.core.registration import KnownAssociation, Registration
-from relmap.core.schedule import GroupingSchedule
-from relmap.core.store import ObservationStore
-from relmap.core.table import LandmarkState
+from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
+from relmap.core.refinement.joint import Refined
+from relmap.core.refinement.live import LiveRefinement
+from relmap.core.refinement.observations import KeptObservations
+from relmap.core.refinement.piecewise import refine_submaps
+from relmap.core.state.schedule import GroupingSchedule
+from relmap.core.state.store import ObservationStore
+from relmap.core.state.table import LandmarkState
 from relmap.core.turns import take_turns
-from relmap.core.tying import tie_submaps
 
 
 class RelativeMapper:

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association.base import Registration
 from relmap.core.config import MapperConfig
-from relmap.core.registration.base import Registration
-from relmap.core.table import LandmarkState
+from relmap.core.state.table import LandmarkState
 
 
 class LandmarkModel(Protocol):

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece, in_space
+from relmap.core.map.pose import trajectory
 from relmap.core.mapper import RelativeMapper
-from relmap.core.pose import trajectory
-from relmap.core.table import NONE, LandmarkState
+from relmap.core.state.table import NONE, LandmarkState
 
 
 def labels(engine: RelativeMapper) -> NDArray[np.int64]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.live import SLICE_EVERY
+from relmap.core.refinement.live import SLICE_EVERY
 
 if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper

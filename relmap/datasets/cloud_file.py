@@ -219,7 +219,7 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
 
 def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> NDArray[np.float64]:
     """Return some numbers (n, len(axes)) of all points; ValueError where data do not fit."""
-    from relmap.datasets.lzf import unpacked_lzf
+    from relmap.datasets.lzf_kernels import unpacked_lzf
 
     n, types = layout.count, [np.dtype(kind) for kind in layout.types]
     field_of = np.repeat(np.arange(len(layout.fields)), layout.fields)

@@ -12,7 +12,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
 from relmap.evaluation.truth import Truth
-from relmap.results import Result
+from relmap.io.results import Result
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid
+from relmap.core.geometry.alignment import fit_rigid
 
 NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fit_rigid, fixes_rotation
 from relmap.core.errors import RelmapError
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.datasets import Relations
 from relmap.datasets.textfile import require_path, shown
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_relations import relation_errors
-from relmap.files import read_text, read_tum
+from relmap.io.files import read_text, read_tum
+from relmap.io.results import Result
+from relmap.io.tables import Kind, read_table
 from relmap.planes.table import PlaneTable
-from relmap.results import Result
-from relmap.tables import Kind, read_table
 
 TURN = np.cos(np.deg2rad(20.0))
 """A wall is another one where it is turned by more (cosine)."""

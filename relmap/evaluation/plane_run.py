@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from relmap.core.landmarks import Piece
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation.run import interruption, timing, versions
+from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.submaps import Submap
 from relmap.planes.table import PlaneTable
-from relmap.results import Result, Tracks, shifted
 from relmap.segmentation import PlaneSegmenter
 
 SHOWN = 10

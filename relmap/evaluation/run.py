@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 import relmap
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Piece
-from relmap.core.refinement import Refined
+from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog, Scan
 from relmap.evaluation.weakness import weakness
-from relmap.results import Result, Tracks, shifted
+from relmap.io.results import Result, Tracks, shifted
 
 Association = Literal["nearest", "known"]
 Progress = Callable[[Iterable[Scan]], Iterable[Scan]]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import quoted, require_path, shown
-from relmap.files import atomic_write, read_tum, write_tum
-from relmap.results import SUMMARY
-from relmap.tables import Kind, csv_text, read_table
+from relmap.io.files import atomic_write, read_tum, write_tum
+from relmap.io.results import SUMMARY
+from relmap.io.tables import Kind, csv_text, read_table
 
 LANDMARKS = "landmarks.csv"
 TRAJECTORY = "trajectory.tum"

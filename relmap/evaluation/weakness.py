@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.refinement import Refined
+from relmap.core.refinement.joint import Refined
 
 SHOWN = 5
 """Weakest segments and merges that are listed."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
 
-from relmap.files import atomic_write
-from relmap.tables import csv_text
+from relmap.io.files import atomic_write
+from relmap.io.tables import csv_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,9 +21,9 @@ from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
 from relmap.evaluation.run import run_mapper
 from relmap.figures.partial_wall import longest
 from relmap.figures.surface_points import SurfacePoints, scan_surface_points
+from relmap.io.results import Result
 from relmap.planes import PlaneMapper
 from relmap.points.mapper import PointMapper
-from relmap.results import Result
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from relmap.comparison.sources import BuildingSource
 from relmap.evaluation.plane_evaluate import evaluate_planes
 from relmap.evaluation.plane_run import run_plane_mapper
-from relmap.evaluation.sources import BuildingSource
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.figures.bench import BenchRecorder, frame_step
 from relmap.planes import PlaneMapper

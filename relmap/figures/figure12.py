@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.dynamics import Binning
+from relmap.core.grouping.dynamics import Binning
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.plots.curves import Comparisons, n_log_n, plot_comparisons
 from relmap.simulation import simulate_figure_eight

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from relmap.comparison.sources import eight_truth
 from relmap.evaluation.evaluate import Evaluation, evaluate, identify, match_landmarks
 from relmap.evaluation.metrics import rms
 from relmap.evaluation.run import run_mapper
-from relmap.evaluation.sources import eight_truth
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.plots.eight import EightPicture, plot_eight
 from relmap.points.mapper import PointMapper

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.comparison.baselines import ekf
+from relmap.comparison.compare import landmark_error_curve
+from relmap.comparison.methods import relmap_points
+from relmap.comparison.methods.base import Method, Setup
+from relmap.comparison.methods.running import setup_for
+from relmap.comparison.sources import EightSource
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
-from relmap.evaluation.baselines import ekf
-from relmap.evaluation.compare import landmark_error_curve
-from relmap.evaluation.methods import relmap_points
-from relmap.evaluation.methods.base import Method, Setup
-from relmap.evaluation.methods.running import setup_for
-from relmap.evaluation.sources import EightSource
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.plots.errors import Curve, ErrorCurves, plot_errors
 from relmap.points.mapper import PointMapper

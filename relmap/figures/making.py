@@ -13,7 +13,7 @@ from relmap.figures.base import Outcome, PaperFigure, Table, Watch, unwatched
 from relmap.figures.figure17 import victoria_park
 from relmap.figures.page import Entry, page
 from relmap.figures.registry import NEEDS_DATA
-from relmap.files import atomic_write
+from relmap.io.files import atomic_write
 from relmap.plots.sheet import write_png
 
 PAGE = "index.html"

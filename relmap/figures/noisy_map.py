@@ -14,7 +14,7 @@ from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.plane_evaluate import evaluate_planes
 from relmap.figures.crossing import map_planes, map_points, wall_points
 from relmap.figures.pose_fit import fit_poses
-from relmap.results import Result
+from relmap.io.results import Result
 
 NOISE = 0.3
 """Sigma over the spacing: points are no longer distinguishable from one scan to the next."""

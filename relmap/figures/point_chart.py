@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association import Constellation
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.registration import Constellation
-from relmap.core.store import ObservationStore
+from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
 from relmap.plots.chart import ChartPicture, chart_picture
 from relmap.simulation import simulate_figure_eight

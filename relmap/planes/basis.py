@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fixes_rotation
+from relmap.core.geometry.alignment import fixes_rotation
 
 
 def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -34,8 +34,8 @@ class CliquePattern:
     def __init__(
         self, width: NDArray[np.int64], begin: NDArray[np.int64], cliques: NDArray[np.int64]
     ) -> None:
-        from relmap.planes.kernels.cholesky import panels
-        from relmap.planes.kernels.elimination import minimum_degree
+        from relmap.planes.cholesky_kernels import panels
+        from relmap.planes.elimination_kernels import minimum_degree
 
         order, tied_begin, tied = minimum_degree(width, begin, cliques)
         self.first, self._layout = panels(width, order, tied_begin, tied)
@@ -52,7 +52,7 @@ class CliquePattern:
         unknowns : (begin[-1],) int64
             The unknowns of each part, ascending; all in one clique.
         """
-        from relmap.planes.kernels.cholesky import entries
+        from relmap.planes.cholesky_kernels import entries
 
         return entries(self._layout, begin, unknowns)
 
@@ -70,7 +70,7 @@ class CliquePattern:
         `values` (size,) is the matrix, positive definite, its lower triangle where `entries` tells;
         overwritten by its Cholesky factor.  An unknown of which rounding leaves nothing stays.
         """
-        from relmap.planes.kernels.cholesky import factorise, solve
+        from relmap.planes.cholesky_kernels import factorise, solve
 
         factorise(self._layout, values)
         return solve(self._layout, values, right)
@@ -82,7 +82,7 @@ class CliquePattern:
 
         `values` (size,) is the matrix, as for `solve`; overwritten by its factor.
         """
-        from relmap.planes.kernels.cholesky import factorise, solve
+        from relmap.planes.cholesky_kernels import factorise, solve
 
         factorise(self._layout, values)
         unknowns, at = np.unique(chosen, return_inverse=True)

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.growing import GrowingArray
+from relmap.core.state.growing import GrowingArray
 from relmap.planes.observation import PlaneObservation
 
 

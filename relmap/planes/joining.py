@@ -63,7 +63,7 @@ def _renamed(
 
 def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far each wall was seen along itself, from its centre: right and left; (w,)."""
-    from relmap.core.kernels.ordering import quantiles
+    from relmap.core.linalg.order_kernels import quantiles
 
     given, state = assembled.given, assembled.state
     along = directions(state.angle)[1][given.wall]

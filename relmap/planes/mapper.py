@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
-from relmap.core.pose import trajectory
-from relmap.core.refinement import Refined
+from relmap.core.map.pose import trajectory
+from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
-from relmap.core.table import NONE
+from relmap.core.state.table import NONE
 from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers, assemble
 from relmap.planes.history import PlaneHistory
@@ -30,7 +30,7 @@ from relmap.planes.submaps import Submap, among_all, chained_poses
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
-    from relmap.journal import RecordedScan
+    from relmap.io.journal import RecordedScan
 
 
 class Segmenter(Protocol):

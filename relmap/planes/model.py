@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.config import MapperConfig
-from relmap.core.table import LandmarkState
+from relmap.core.state.table import LandmarkState
 from relmap.planes.basis import relative_map
 from relmap.planes.registration import PlaneRegistration
 

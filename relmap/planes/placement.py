@@ -84,7 +84,7 @@ def place(
     (motion, match) or None
         None where no wall agrees, or too few on a jump.
     """
-    from relmap.planes.kernels.matching import guesses
+    from relmap.planes.matching_kernels import guesses
 
     arrays = _arrays(tracks), _seen(seen)
     best, still = (_settled(*arrays, guess) for guess in (before, STILL))
@@ -137,7 +137,7 @@ def _seen(seen: PlaneObservation) -> Any:
 
 def _settled(tracks: Any, seen: Any, guess: PlanarMotion) -> tuple[PlanarMotion, Match]:
     """Fit a guess to what agrees with it, and see again what agrees."""
-    from relmap.planes.kernels.matching import settled
+    from relmap.planes.matching_kernels import settled
 
     start = np.array([guess.yaw, *guess.t])
     motion, track_of, score = settled(tracks, seen, start, ROUGHLY, ROUNDS, HELD, LEAST_M)

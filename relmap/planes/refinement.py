@@ -4,7 +4,7 @@ A wall seen in part says nothing along itself, however often it is seen, but all
 turn and the distance across.  Points of equal weight in all directions cannot say this, so walls
 have equations of their own: each observation of a wall tells how far from the wall's line two of
 its points are, and each static corner how far along the line it is.  Where the robot was is a
-nuisance, as in `relmap.core.refinement`.
+nuisance, as in `relmap.core.refinement.joint`.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class WallSystem:
         settled : bool
             Whether it should settle, rather than come near only.
         """
-        from relmap.core.kernels.ordering import smallest
+        from relmap.core.linalg.order_kernels import smallest
 
         enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
         self.settled = False
@@ -118,7 +118,7 @@ class WallSystem:
 
     def residuals(self, state: Walls) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
-        from relmap.planes.kernels.refinement import residuals
+        from relmap.planes.refinement_kernels import residuals
 
         return residuals(self._seen, _arrays(state))
 
@@ -165,7 +165,7 @@ class WallSystem:
 
     def _weights(self, state: Walls, doubtful: float, by_scan: bool) -> Weights:
         """Return the weights of walls and corners where their residuals put them in doubt."""
-        from relmap.planes.kernels.refinement import observation_weights
+        from relmap.planes.refinement_kernels import observation_weights
 
         sd = np.sqrt(2) * self._given.sd, self._given.corner_sd
         begins = self._begin, self._corner_begin
@@ -175,7 +175,7 @@ class WallSystem:
         self, state: Walls, weights: Weights, firmer: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the step of poses (i, 3), lines (w, 2) and corners (c,), held so much firmer."""
-        from relmap.planes.kernels.refinement import pose_steps
+        from relmap.planes.refinement_kernels import pose_steps
 
         values, right, away, alone = self._equations(state, weights, firmer)
         step = self._pattern.solve(values, right)
@@ -186,7 +186,7 @@ class WallSystem:
         self, state: Walls, weights: Weights, firmer: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return the matrix and what else `wall_equations` gives."""
-        from relmap.planes.kernels.refinement import wall_equations
+        from relmap.planes.refinement_kernels import wall_equations
 
         begins, values = (self._begin, self._corner_begin), np.zeros(self._pattern.size)
         right, away, alone = wall_equations(
@@ -260,7 +260,7 @@ def wall_residuals(
     given: WallEquations, state: Walls
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
-    from relmap.planes.kernels.refinement import residuals
+    from relmap.planes.refinement_kernels import residuals
 
     return residuals(_seen(given), _arrays(state))
 

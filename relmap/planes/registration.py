@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.growing import GrowingArray
+from relmap.core.state.growing import GrowingArray
 from relmap.planes.history import PlaneHistory
 from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.refinement import Refined
-from relmap.core.residuals import MergeResiduals, SegmentResiduals
+from relmap.core.refinement.joint import Refined
+from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals
 from relmap.planes.assembly import Assembled, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import WallSystem, wall_residuals

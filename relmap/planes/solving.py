@@ -85,7 +85,7 @@ def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int
 
     Such have moved, though binning could not tell them from what stood still.
     """
-    from relmap.core.kernels.ordering import quantiles
+    from relmap.core.linalg.order_kernels import quantiles
 
     given = assembled.given
     across, along = wall_residuals(given, assembled.state)
@@ -117,7 +117,7 @@ def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.
 
     The median tells: single sights that are quite wrong are for the refinement to leave out.
     """
-    from relmap.core.kernels.ordering import medians
+    from relmap.core.linalg.order_kernels import medians
 
     n = np.bincount(of)
     squares = n * (MEDIAN * medians(of, np.abs(residual))) ** 2

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.chart import PointChart
 from relmap.core.errors import RelmapError
-from relmap.core.grouping import grow_group
-from relmap.core.store import ObservationStore
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.growth import grow_group
+from relmap.core.state.store import ObservationStore
 from relmap.plots.paper import BLUE, ORANGE, RED, blank, finish
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.io.results import Result
 from relmap.plots.sheet import Sheet, write_png
-from relmap.results import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

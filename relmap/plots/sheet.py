@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.files import atomic_write
+from relmap.io.files import atomic_write
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.comparison.baselines.known import least_squares_map
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.evaluation.baselines.known import least_squares_map
 from relmap.evaluation.evaluate import evaluate, overlay
 from relmap.evaluation.metrics import seen_often
 from relmap.evaluation.truth import Truth
-from relmap.results import Result
+from relmap.io.results import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

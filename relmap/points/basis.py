@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.alignment import fixes_rotation
+from relmap.core.geometry.alignment import fixes_rotation
 
 
 def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
@@ -52,7 +52,7 @@ def to_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np
     -------
     (g, i, d) float64, group frame, metres
     """
-    from relmap.points.kernels import into_basis
+    from relmap.points.basis_kernels import into_basis
 
     return into_basis(block, basis)
 

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relmap.core.association.placement import Placement
+from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.readout import positions_in_largest_submap
-from relmap.core.recognition import PlaceFinder
-from relmap.core.registration.placement import Placement
 from relmap.core.scan import checked_ids, checked_points
 from relmap.mapper import Mapper
 from relmap.points.model import PointModel
 
 if TYPE_CHECKING:
-    from relmap.journal import RecordedScan
+    from relmap.io.journal import RecordedScan
 
 AROUND = 1.2
 """How far from the robot landmarks are expected, in units of how far the scan reaches."""

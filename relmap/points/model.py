@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association import Constellation, NearestPrevious, Registration
 from relmap.core.config import MapperConfig
-from relmap.core.registration import Constellation, NearestPrevious, Registration
-from relmap.core.table import LandmarkState
+from relmap.core.state.table import LandmarkState
 from relmap.points.basis import relative_map
 
 

@@ -27,7 +27,7 @@ def window_noise(xy: NDArray[np.float64], rng: np.random.Generator) -> float:
     ones is the noise. Those that hold a corner are too thick, so what comes out may be twice the
     noise where it is large.
     """
-    from relmap.segmentation.windows import window_thickness
+    from relmap.segmentation.em.window_kernels import window_thickness
 
     if points_per_beam(xy) > 1:
         return max(_column_noise(xy), FLOOR_M)

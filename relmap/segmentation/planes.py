@@ -90,7 +90,7 @@ def _heights(
     z: NDArray[np.float64], at: NDArray[np.int64], m: int, sigma: float
 ) -> NDArray[np.float64]:
     """Return the extent in z (m, 2): the ends of a blurred box, as along the wall."""
-    from relmap.segmentation.boxes import box_extent
+    from relmap.segmentation.ends.box_kernels import box_extent
 
     order = np.argsort(at, kind="stable")
     parts = np.split(z[order], np.cumsum(np.bincount(at, minlength=m))[:-1]) if m else []

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.segmentation.corners import Sharpened, meet, sharpen
-from relmap.segmentation.em import WallMixture, scan_area
-from relmap.segmentation.end_types import sensor_limits, type_ends
+from relmap.segmentation.em.mixture import WallMixture, scan_area
+from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
+from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
 from relmap.segmentation.upright import require_upright
 
@@ -132,8 +132,8 @@ class PlaneSegmenter:
         self, method: str, xyz: NDArray[np.float64], xy: NDArray[np.float64]
     ) -> tuple[Sharpened, NDArray[np.int64]]:
         """Return accurate walls and the wall of each point."""
-        from relmap.segmentation import search
-        from relmap.segmentation.scanlines import extend_to_beams, hidden_ends, scan_walls
+        from relmap.segmentation.em import search
+        from relmap.segmentation.scanline.lines import extend_to_beams, hidden_ends, scan_walls
 
         rng = np.random.default_rng(self.random_state)
         if method == "scanlines":
@@ -161,9 +161,9 @@ class PlaneSegmenter:
         rng: np.random.Generator,
     ) -> tuple[NDArray[np.int64], float]:
         """Return the plane of each point as found without the shape of a wall, and the noise."""
-        from relmap.segmentation.lines import find_lines
+        from relmap.segmentation.alternatives.ransac3d import patch_labels, sequential_labels
+        from relmap.segmentation.em.lines import find_lines
         from relmap.segmentation.noise import beam_angle, window_noise
-        from relmap.segmentation.ransac3d import patch_labels, sequential_labels
 
         if method == "patches":
             return patch_labels(xyz), self.noise or 0.0
@@ -172,7 +172,7 @@ class PlaneSegmenter:
             return sequential_labels(xyz, sigma, LEAST, self.random_state), sigma
         _, labels = find_lines(xy, sigma, LEAST, rng, beam_angle(xy))
         if method == "mixture":
-            from relmap.segmentation.mixture import gaussian_labels
+            from relmap.segmentation.alternatives.gaussian import gaussian_labels
 
             labels = gaussian_labels(xy, labels, self.random_state)
         return labels, sigma
@@ -181,7 +181,7 @@ class PlaneSegmenter:
         self, xyz: NDArray[np.float64], sharp: Sharpened, labels: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], Planes]:
         """Return labels without gaps in their numbers, and the planes."""
-        from relmap.segmentation.pairs import corners
+        from relmap.segmentation.ends.pairs import corners
 
         ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
         count = np.bincount(labels[labels >= 0], minlength=len(ends))
@@ -205,9 +205,9 @@ def walls_of_labels(
     xy: NDArray[np.float64], labels: NDArray[np.int64], sigma: float
 ) -> WallMixture:
     """Return walls through labelled points (n, 2), with the ends of blurred boxes."""
-    from relmap.segmentation.boxes import box_extent
-    from relmap.segmentation.kernels import BEGIN, END, EXACT_M, SHARE, WALL
-    from relmap.segmentation.moves import wall_through
+    from relmap.segmentation.em.moves import wall_through
+    from relmap.segmentation.em.wall_kernels import BEGIN, END, EXACT_M, SHARE, WALL
+    from relmap.segmentation.ends.box_kernels import box_extent
 
     walls = np.zeros((int(labels.max(initial=-1)) + 1, WALL))
     for k in np.unique(labels[labels >= 0]):
@@ -223,7 +223,7 @@ def walls_of_labels(
 
 
 def _no_walls(xy: NDArray[np.float64], noise: float | None) -> WallMixture:
-    from relmap.segmentation.kernels import WALL
+    from relmap.segmentation.em.wall_kernels import WALL
 
     return WallMixture(np.zeros((0, WALL)), noise or 0.0, 1.0, 1.0)
 

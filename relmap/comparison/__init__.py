@@ -1,0 +1,1 @@
+"""relmap beside other methods, one run at a time or in a grid."""

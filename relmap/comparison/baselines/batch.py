@@ -1,0 +1,158 @@
+"""Batch least squares over all observations: the limit that a map can reach.
+
+Poses and landmarks are solved for together by sparse Gauss-Newton, with the poses eliminated
+(Schur complement), from a start given by another map.  Under Gaussian noise its error is the
+Cramer-Rao bound.  It is an oracle to compare with: slow, and written apart from the mapper.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
+from scipy.spatial.transform import Rotation
+
+from relmap.core.errors import RelmapError
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+
+CONVERGED_M = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Observations for a batch solve, each of a landmark from a pose.
+
+    Attributes
+    ----------
+    points_robot : (n, d) float64, robot frame, metres
+    pose : (n,) int64
+        0 to k - 1.
+    landmark : (n,) int64
+        0 to m - 1.
+    """
+
+    points_robot: NDArray[np.float64]
+    pose: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+
+
+def batch_least_squares(
+    observations: Batch, start_map: NDArray[np.float64], iterations: int = 50
+) -> NDArray[np.float64]:
+    """Return the landmarks (m, d) that fit all observations best.
+
+    Parameters
+    ----------
+    observations : Batch
+        Every pose sees enough landmarks to be fixed by them.
+    start_map : (m, d) float64, metres
+        A map to start from; its frame is kept at the first pose.
+
+    Raises
+    ------
+    RelmapError
+        Where a pose is not fixed by what it sees, a landmark is not seen, the observations do not
+        hold together as one map, or the solution does not settle.
+    """
+    landmarks = start_map.copy()
+    _require_one_map(observations, len(landmarks))
+    R, t = _poses(observations, landmarks)
+    if len(R) == 1:
+        return _mean_of_one_pose(observations, R[0], t[0], len(landmarks))
+    for _ in range(iterations):
+        turn, shift, step = _gauss_newton(observations, R, t, landmarks)
+        R, t = turn @ R, t + shift
+        landmarks = landmarks + step
+        if np.abs(step).max() < CONVERGED_M * (1 + np.abs(landmarks).max()):
+            return landmarks
+    raise RelmapError(f"batch least squares did not settle in {iterations} iterations")
+
+
+def _require_one_map(observations: Batch, m: int) -> None:
+    unseen = np.flatnonzero(np.bincount(observations.landmark, minlength=m) == 0)
+    if len(unseen):
+        raise RelmapError(f"batch least squares: landmark {unseen[0]} is not seen from any pose")
+    size = m + int(observations.pose.max()) + 1
+    ties = np.ones(len(observations.pose)), (observations.landmark, m + observations.pose)
+    parts = connected_components(sparse.coo_array(ties, shape=(size, size)), directed=False)[1]
+    if parts[:m].max() != parts[:m].min():
+        raise RelmapError("batch least squares: the observations do not hold together as one map")
+
+
+def _mean_of_one_pose(
+    observations: Batch, R: NDArray[np.float64], t: NDArray[np.float64], m: int
+) -> NDArray[np.float64]:
+    """Return the landmarks (m, d) as one pose sees them: there is nothing to solve."""
+    sums, counts = np.zeros((m, len(t))), np.zeros(m)
+    np.add.at(sums, observations.landmark, observations.points_robot @ R.T + t)
+    np.add.at(counts, observations.landmark, 1)
+    return np.asarray(sums / counts[:, None])
+
+
+def _poses(
+    observations: Batch, landmarks: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    k, d = int(observations.pose.max()) + 1, landmarks.shape[1]
+    R, t = np.empty((k, d, d)), np.empty((k, d))
+    for pose in range(k):
+        rows = observations.pose == pose
+        there = landmarks[observations.landmark[rows]]
+        if not rows.any() or not fixes_rotation(there):
+            raise RelmapError(f"batch least squares: pose {pose} is not fixed by what it sees")
+        R[pose], t[pose] = fit_rigid(observations.points_robot[rows], there)
+    return R, t
+
+
+def _gauss_newton(
+    observations: Batch,
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    landmarks: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return one step: turns (k, d, d) and shifts (k, d) of the poses, shifts of the landmarks."""
+    n, d = observations.points_robot.shape
+    k, m = len(R), len(landmarks)
+    turned = np.einsum("nij,nj->ni", R[observations.pose], observations.points_robot)
+    residual = (turned + t[observations.pose] - landmarks[observations.landmark]).ravel()
+    by_pose = np.concatenate([_turning(turned), np.tile(np.eye(d), (n, 1, 1))], axis=2)
+    q = by_pose.shape[2]
+    J_pose = _block_columns(by_pose, observations.pose, k)[:, q:]  # the first pose is the frame
+    J_map = _block_columns(np.tile(-np.eye(d), (n, 1, 1)), observations.landmark, m)
+    products = np.zeros((k, q, q))
+    np.add.at(products, observations.pose, np.swapaxes(by_pose, 1, 2) @ by_pose)
+    inverse = sparse.block_diag(np.linalg.inv(products[1:]), format="csr")
+    coupling = J_pose.T @ J_map
+    reduced = J_map.T @ J_map - coupling.T @ (inverse @ coupling)
+    right = J_map.T @ residual - coupling.T @ (inverse @ (J_pose.T @ residual))
+    landmark_step = -spsolve(reduced.tocsc(), right)
+    pose_step = -inverse @ (J_pose.T @ residual + coupling @ landmark_step)
+    step = np.concatenate([np.zeros((1, q)), pose_step.reshape(k - 1, q)])
+    return _rotations(step[:, : q - d]), step[:, q - d :], landmark_step.reshape(m, d)
+
+
+def _turning(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivative (n, d, r) of turned points by a small turn of their pose."""
+    if points.shape[1] == 2:
+        return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
+    return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
+
+
+def _rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    if turns.shape[1] == 3:
+        return Rotation.from_rotvec(turns).as_matrix()
+    cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
+    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+
+
+def _block_columns(
+    blocks: NDArray[np.float64], column: NDArray[np.int64], n_columns: int
+) -> sparse.csr_array:
+    """Return the sparse matrix with block i (d, q) in block row i and block column `column[i]`."""
+    n, d, q = blocks.shape
+    columns = np.repeat((column[:, None] * q + np.arange(q))[:, None], d, axis=1)
+    rows = np.arange(0, n * d * q + 1, q)
+    return sparse.csr_array((blocks.ravel(), columns.ravel(), rows), shape=(n * d, n_columns * q))

@@ -1,0 +1,196 @@
+"""Range-bearing EKF SLAM without odometry: the filter that section V compares with.
+
+One Gaussian over the robot's pose and all landmarks.  The turn is estimated as a small rotation on
+top of a matrix, the landmarks are Cartesian, an observation is range, yaw and pitch (planar: range
+and yaw).  Nothing tells how the robot moved, so the prediction is one of two:
+
+* ``standing``: where it was, as MRPT does (Blanco, "Derivation and implementation of a full 6D
+  EKF-based solution to range-bearing SLAM", University of Malaga, 2008; `CRangeBearingKFSLAM`);
+  MRPT's process noise is 0.1 m on each axis and 0.05 on each component of the quaternion, which is
+  a turn of 0.1 rad about each axis;
+* ``fitted``: where the scan fits the map best, with a process noise so large that the prediction
+  says nothing: it is merely where the equations are linearised.
+
+Sola, "Simultaneous localization and mapping with the extended Kalman filter", 2014, explains the
+equations.  An iteration costs O(m^2) for m landmarks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.spatial.transform import Rotation
+
+from relmap.comparison.baselines.bearing import inverse_model, predicted
+from relmap.comparison.methods.base import Method, MethodInfo, Poses, Setup, identified
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+from relmap.core.landmarks import LandmarkMap, in_space
+
+UNKNOWN_M, UNKNOWN_RAD = 10.0, 1.0
+"""Process noise that says nothing, beside a step of the robot."""
+
+
+@dataclass(frozen=True)
+class EkfConfig:
+    """Settings of the filter.
+
+    Attributes
+    ----------
+    prediction : "standing" or "fitted"
+    step_sd_m, turn_sd_rad : float
+        Process noise of an iteration, along and about each axis.
+    range_sd_m : float
+        Standard deviation of an observed range.
+    bearing_sd_rad : float or None
+        Of an observed yaw and pitch; None: as wide as the range is exact, whatever the distance.
+    T_robot_sensor : (4, 4) float64
+        Pose of the sensor on the robot.
+    """
+
+    prediction: Literal["standing", "fitted"] = "standing"
+    step_sd_m: float = 0.1
+    turn_sd_rad: float = 0.1
+    range_sd_m: float = 0.05
+    bearing_sd_rad: float | None = None
+    T_robot_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+
+class Ekf(Method):
+    """EKF SLAM with known association; the map frame is that of the robot in the first iteration.
+
+    Parameters
+    ----------
+    dimension : int
+        2 or 3.
+    config : EkfConfig
+    """
+
+    def __init__(self, dimension: int, config: EkfConfig) -> None:
+        self._d, self._config = dimension, config
+        self._turns = 1 if dimension == 2 else 3
+        self._q = dimension + self._turns
+        """Components of the pose in the state: they come first."""
+        self._R, self._t = np.eye(dimension), np.zeros(dimension)
+        self._row: dict[int, int] = {}
+        self._map = np.empty((0, dimension))
+        self._P = np.zeros((self._q, self._q))
+        self._poses = Poses()
+
+    def update(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Predict, correct by what is on the map, add what is new; see `Method.update`."""
+        labels, known = identified(ids, len(points_robot))
+        points, seen = points_robot[known], labels[known].tolist()
+        rows = np.array([self._row.get(label, -1) for label in seen], np.int64)
+        old = rows >= 0
+        if self._row:
+            self._predict(points[old], rows[old])
+            self._correct(points[old], rows[old])
+        self._add(
+            [label for label, there in zip(seen, old, strict=True) if not there], points[~old]
+        )
+        self._poses.append(self._R, self._t)
+        return labels
+
+    def _predict(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+        """Move the pose on, and say how little is known of its motion."""
+        step, turn = self._config.step_sd_m, self._config.turn_sd_rad
+        there = self._map[rows]
+        if self._config.prediction == "fitted":
+            step, turn = UNKNOWN_M, UNKNOWN_RAD
+            if fixes_rotation(there):
+                self._R, self._t = fit_rigid(points, there)
+        noise = np.repeat([step**2, turn**2], [self._d, self._turns])
+        self._P[np.arange(self._q), np.arange(self._q)] += noise
+
+    def _correct(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+        """Take in observations of mapped landmarks, all at once."""
+        if not len(rows):
+            return
+        innovation, by_pose, by_landmark, variance = predicted(
+            self._R, self._t, self._map[rows], points, self._config
+        )
+        d, q, n = self._d, self._q, len(rows)
+        columns = np.concatenate([np.arange(q), (q + d * rows[:, None] + np.arange(d)).ravel()])
+        of_map = np.zeros((n, d, n, d))
+        of_map[np.arange(n), :, np.arange(n)] = by_landmark
+        H = np.hstack([by_pose.reshape(n * d, q), of_map.reshape(n * d, n * d)])
+        PHt = self._P[:, columns] @ H.T
+        S = H @ PHt[columns] + np.diag(variance.ravel())
+        # With S = L L', the gain is W L^-1 and the covariance loses W W', where W = P H' L'^-1.
+        L = np.linalg.cholesky(S)
+        W = solve_triangular(L, PHt.T, lower=True, check_finite=False).T
+        self._move(W @ solve_triangular(L, innovation.ravel(), lower=True, check_finite=False))
+        self._P -= W @ W.T
+
+    def _move(self, step: NDArray[np.float64]) -> None:
+        d, q = self._d, self._q
+        self._t = self._t + step[:d]
+        self._R = _rotation(step[d:q]) @ self._R
+        self._map = self._map + step[q:].reshape(-1, d)
+
+    def _add(self, labels: list[int], points: NDArray[np.float64]) -> None:
+        """Put new landmarks on the map."""
+        if not labels:
+            return
+        d, n = self._d, len(labels)
+        places, by_pose, covariance = inverse_model(self._R, self._t, points, self._config)
+        self._row |= {label: len(self._map) + k for k, label in enumerate(labels)}
+        self._map = np.concatenate([self._map, places])
+        G = by_pose.reshape(n * d, self._q)
+        cross = G @ self._P[: self._q]
+        own = cross[:, : self._q] @ G.T
+        own.reshape(n, d, n, d)[np.arange(n), :, np.arange(n)] += covariance
+        self._P = np.block([[self._P, cross.T], [cross, own]])
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The landmarks in the state."""
+        labels = np.array(list(self._row), np.int64)
+        order = np.argsort(labels)
+        return LandmarkMap(labels[order], in_space(self._map[order]))
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """The pose as it was estimated in every iteration."""
+        return self._poses.values
+
+
+def _rotation(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    if len(turn) == 3:
+        return Rotation.from_rotvec(turn).as_matrix()
+    c, s = np.cos(turn[0]), np.sin(turn[0])
+    return np.array([[c, -s], [s, c]])
+
+
+def as_mrpt_ships_it(setup: Setup) -> Ekf:
+    """Return the filter that stands still, with MRPT's process noise.
+
+    MRPT takes one standard deviation for all bearings: that of a landmark at half the range.
+    """
+    bearing_sd_rad = setup.sigma_m / (setup.range_m / 2)
+    return Ekf(setup.dimension, EkfConfig("standing", 0.1, 0.1, setup.sigma_m, bearing_sd_rad))
+
+
+def fitted(setup: Setup) -> Ekf:
+    """Return the filter that predicts by fitting the scan to the map."""
+    return Ekf(setup.dimension, EkfConfig("fitted", range_sd_m=setup.sigma_m))
+
+
+STANDING = MethodInfo(
+    "ekf-mrpt",
+    "EKF SLAM without odometry, predicting that the robot stands still, as MRPT ships it",
+    as_mrpt_ships_it,
+    needs_ids=True,
+)
+FITTED = MethodInfo(
+    "ekf",
+    "EKF SLAM without odometry, linearised where the scan fits the map best",
+    fitted,
+    needs_ids=True,
+)

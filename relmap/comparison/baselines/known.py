@@ -1,0 +1,73 @@
+"""The best map of a log whose ids are known: batch least squares over all that was identified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkMap, in_space
+from relmap.datasets.base import ObservationLog
+
+
+def least_squares_map(log: ObservationLog) -> LandmarkMap:
+    """Map the identified landmarks of a log by batch least squares.
+
+    Iterations that see fewer identified landmarks than fix a pose (two in the plane, three in
+    space) are left out, and so are landmarks that frame-to-map averaging, the start, cannot place.
+
+    Parameters
+    ----------
+    log : ObservationLog
+        With ids.
+
+    Returns
+    -------
+    LandmarkMap
+        In the frame of the first iteration that is used.
+
+    Raises
+    ------
+    RelmapError
+        Where the log has no ids, or they do not hold together as one map.
+    """
+    start = _start(log)
+    log = _of_landmarks(log, start.landmark_ids)
+    if log.ids is None or not len(log.ids):
+        raise RelmapError("least squares with known ids: too few landmarks are identified")
+    _, pose = np.unique(log.iteration, return_inverse=True)
+    labels, landmark = np.unique(log.ids, return_inverse=True)
+    dimension = log.points_robot.shape[1]
+    places = start.positions[np.isin(start.landmark_ids, labels), :dimension]
+    observations = Batch(log.points_robot, pose, landmark)
+    return LandmarkMap(labels, in_space(batch_least_squares(observations, places)))
+
+
+def _start(log: ObservationLog) -> LandmarkMap:
+    """Return a map to start from, in ascending order of the ids."""
+    if log.ids is None:
+        raise RelmapError("least squares with known ids: the log has no ids")
+    frame_to_map = FrameToMap()
+    for scan in log.scans():
+        assert scan.ids is not None
+        frame_to_map.update(scan.points_robot, scan.ids)
+    return frame_to_map.map
+
+
+def _of_landmarks(log: ObservationLog, labels: NDArray[np.int64]) -> ObservationLog:
+    """Return the observations of some landmarks, in iterations that see enough of them."""
+    assert log.ids is not None
+    used = np.isin(log.ids, labels)
+    seen = np.bincount(log.iteration[used] - log.first_iteration, minlength=len(log))
+    used &= (seen >= log.points_robot.shape[1])[log.iteration - log.first_iteration]
+    return replace(
+        log,
+        points_robot=log.points_robot[used],
+        iteration=log.iteration[used],
+        rows=log.rows[used],
+        ids=log.ids[used],
+    )

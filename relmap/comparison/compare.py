@@ -1,0 +1,212 @@
+"""Many methods on the same data, each in a process of its own."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.comparison.methods.base import Association, LogKind, Method, MethodInfo
+from relmap.comparison.methods.registry import check_method, find_method, fitting_methods
+from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, run_method
+from relmap.comparison.sources import Data, Landmarks, Source, require_ids
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+from relmap.evaluation import metrics
+from relmap.evaluation.evaluate import Overlay, overlay
+from relmap.evaluation.truth import Truth
+
+FIGURES = (*ACCURACY, *PATH, *COST)
+CSV_COLUMNS = ("method", "association", *FIGURES, "note")
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """What became of one method.
+
+    Attributes
+    ----------
+    method : str
+    run : MethodRun or None
+        None where it could not run.
+    note : str
+        Why it could not; empty where it did.
+    """
+
+    method: str
+    run: MethodRun | None
+    note: str = ""
+
+    def row(self, association: Association) -> list[object]:
+        """Return the cells of `CSV_COLUMNS`; NaN where there is no figure."""
+        figures = self.run.figures if self.run else {}
+        values = [figures.get(name) for name in FIGURES]
+        cells = [float("nan") if value is None else value for value in values]
+        return [self.method, association, *cells, self.note.replace(",", ";")]
+
+
+def chosen_methods(
+    names: Sequence[str] | None, data: Data, association: Association
+) -> list[MethodInfo]:
+    """Return the methods that are asked for, or all that fit the data.
+
+    Raises
+    ------
+    RelmapError
+        Where a name is unknown or stands there twice, or a method cannot be given such data.
+    """
+    kind: LogKind = "landmarks" if isinstance(data, Landmarks) else "scans"
+    if association == "known":
+        require_ids(data)
+    if names is None:
+        return fitting_methods(kind, association)
+    methods = [find_method(name) for name in names]
+    for method in methods:
+        if methods.count(method) > 1:
+            raise RelmapError(f"method {method.name} is named twice")
+        check_method(method, kind, association)
+    return methods
+
+
+def compare(
+    source: Source,
+    methods: Sequence[MethodInfo],
+    association: Association,
+    sigma_m: float | None = None,
+) -> Iterator[Compared]:
+    """Run methods one after the other, each in a fresh process, so that none helps another.
+
+    Parameters
+    ----------
+    source : Source
+        Loaded in each process.
+    methods : sequence of MethodInfo
+    association : "nearest" or "known"
+    sigma_m : float, optional
+        Noise that the methods are told, metres; estimated from the data where left out.
+
+    Yields
+    ------
+    Compared
+        In the order of the methods.  What goes wrong in one of them stands in its note.
+    """
+    for method in methods:
+        if method.missing:
+            yield Compared(method.name, None, f"not run: {method.missing}")
+        else:
+            yield _in_own_process(method.name, source, association, sigma_m)
+
+
+def _in_own_process(
+    name: str, source: Source, association: Association, sigma_m: float | None
+) -> Compared:
+    context = get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    child = context.Process(
+        target=_run_and_send, args=(sender, name, source, association, sigma_m), daemon=True
+    )
+    with _deaf_to_interrupts():
+        child.start()
+    sender.close()
+    try:
+        outcome: Compared = receiver.recv()
+    except EOFError:
+        child.join()
+        outcome = Compared(name, None, f"failed: its process ended with code {child.exitcode}")
+    except KeyboardInterrupt:
+        child.terminate()
+        raise
+    finally:
+        child.join()
+    return outcome
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Let processes begun now not hear Ctrl-C, which goes to all of a terminal: we end them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _run_and_send(
+    sender: Connection,
+    name: str,
+    source: Source,
+    association: Association,
+    sigma_m: float | None,
+) -> None:
+    try:
+        run = run_method(find_method(name), source.load(), association, sigma_m)
+        outcome = Compared(name, run)
+    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
+        outcome = Compared(name, None, "failed: " + " ".join(str(error).split())[:200])
+    sender.send(outcome)
+
+
+def overlay_of(run: MethodRun, data: Landmarks) -> Overlay | None:
+    """Return the truth in the frame of a run: of its map, or of its path where it has no map."""
+    truth, result = data.truth, run.result
+    if truth is None:
+        return None
+    if result.mapped.any():
+        return overlay(result, truth, data.log)
+    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
+    if len(mine) < 3:
+        return None
+    R, t = metrics.align(result.poses[mine, :3, 3], truth.poses[other, :3, 3])
+    path = (truth.poses[:, :3, 3] - t) @ R
+    return Overlay((truth.landmarks_map - t) @ R, path, np.empty((0, 2, 3)))
+
+
+def landmark_error_curve(
+    method: Method, log: ObservationLog, truth: Truth, every: int = 10
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return how the landmark error goes over a log with known ids (Fig. 16).
+
+    Parameters
+    ----------
+    method : Method
+        A fresh one.
+    log : ObservationLog
+        With the true ids.
+    truth : Truth
+    every : int
+        Iterations from one point of the curve to the next.
+
+    Returns
+    -------
+    iteration : (p,) int64
+    rmse_m : (p,) float64
+        Of the static landmarks mapped so far, after rigid alignment; NaN where fewer than three
+        are mapped.
+    """
+    static = truth.landmark_ids[truth.status == "static"]
+    order = np.argsort(truth.landmark_ids)
+    ids, places = truth.landmark_ids[order], truth.landmarks_map[order]
+    iterations, errors = [], []
+    for number, scan in enumerate(log.scans(), 1):
+        method.update(scan.points_robot, scan.ids)
+        if number % every and number < len(log):
+            continue
+        found = method.map
+        rows = np.flatnonzero(np.isin(found.landmark_ids, static))
+        position = found.positions[rows]
+        there = places[np.searchsorted(ids, found.landmark_ids[rows])]
+        R, t = metrics.align(position, there)
+        rmse = metrics.rms(position @ R.T + t - there) if len(rows) > 2 else None
+        iterations.append(scan.iteration)
+        errors.append(np.nan if rmse is None else rmse)
+    return np.array(iterations, np.int64), np.array(errors, np.float64)

@@ -1,0 +1,213 @@
+"""A grid of experiments, in all cores or on a cluster; what is finished is never run again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from relmap import __version__
+from relmap.comparison.methods.base import Association
+from relmap.comparison.methods.registry import find_method
+from relmap.comparison.methods.running import ACCURACY, COST, run_method
+from relmap.comparison.sweep_spec import KEYS, Cell
+from relmap.core.errors import RelmapError
+from relmap.io.files import atomic_write
+from relmap.io.tables import csv_text
+
+CELLS = "cells"
+"""Folder of the finished cells, one file each."""
+TIMES = tuple(name for name in COST if name != "memory_mb")
+"""Figures that differ from run to run; a worker's memory is not that of one method."""
+PATIENCE_S = 10
+"""How long to wait for a scheduler."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What came out of a cell.
+
+    Attributes
+    ----------
+    figures : dict
+        `ACCURACY` and `TIMES`, None where one cannot be had.
+    note : str
+        Why there are none; empty where all went well.
+    again : bool
+        Whether it is worth another try: an extra was missing.
+    """
+
+    figures: dict[str, float | None]
+    note: str = ""
+    again: bool = False
+
+
+def run_cell(cell: Cell) -> Finished:
+    """Make the world of a cell and run its method; what goes wrong is its note."""
+    info = find_method(cell.method)
+    none: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES))
+    if info.missing:
+        return Finished(none, f"not run: {info.missing}", again=True)
+    try:
+        data = cell.source().load()
+        sigma_m = cell.sigma or None
+        figures = run_method(info, data, cast(Association, cell.association), sigma_m).figures
+    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
+        return Finished(none, "failed: " + " ".join(str(error).split())[:200])
+    return Finished({name: figures[name] for name in none})
+
+
+class CellStore:
+    """The finished cells of a sweep, one small file each.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the sweep; it is made if need be.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder / CELLS
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RelmapError(f"cannot write into {folder}: {error.strerror}") from error
+
+    def load(self, cell: Cell) -> Finished | None:
+        """Return a finished cell; None where it is not there, damaged or of another version."""
+        try:
+            told = json.loads(self._path(cell).read_text())
+            if told["cell"] == asdict(cell) and told["version"] == __version__:
+                return Finished(told["figures"], told["note"])
+        except (OSError, ValueError, KeyError, TypeError):
+            pass
+        return None
+
+    def save(self, cell: Cell, finished: Finished) -> None:
+        """Keep a finished cell.
+
+        Raises
+        ------
+        RelmapError
+            Where it cannot be written.
+        """
+        if finished.again:
+            return
+        told = {"version": __version__, "cell": asdict(cell), "figures": finished.figures}
+        atomic_write(self._path(cell), json.dumps(told | {"note": finished.note}))
+
+    def _path(self, cell: Cell) -> Path:
+        text = json.dumps(asdict(cell), sort_keys=True)
+        return self._folder / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+
+
+def run_cells(
+    cells: Sequence[Cell], workers: int, scheduler: str | None = None
+) -> Iterator[tuple[Cell, Finished]]:
+    """Run cells and yield each as soon as it is finished.
+
+    Parameters
+    ----------
+    cells : sequence of Cell
+    workers : int
+        Processes on this machine; -1: one for each core.
+    scheduler : str, optional
+        Address of a dask scheduler, whose workers do the work instead.
+
+    Raises
+    ------
+    RelmapError
+        Where the scheduler cannot be reached.
+    """
+    from joblib import Parallel, delayed
+
+    jobs = (delayed(_numbered)(number, cell) for number, cell in enumerate(cells))
+    with _cluster(scheduler) if scheduler else nullcontext():
+        settings = {} if scheduler else {"n_jobs": workers}
+        parallel = Parallel(return_as="generator_unordered", batch_size=1, **settings)
+        for number, finished in parallel(jobs):
+            yield cells[number], finished
+
+
+def _numbered(number: int, cell: Cell) -> tuple[int, Finished]:
+    return number, run_cell(cell)
+
+
+def _cluster(scheduler: str) -> AbstractContextManager[Any]:
+    """Return joblib's dask backend on a scheduler.
+
+    Raises
+    ------
+    RelmapError
+        Where dask is not installed, or nobody answers.
+    """
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise RelmapError(
+            "--dask needs dask, which is not installed: pip install 'relmap[cluster]'"
+        ) from error
+    from joblib import parallel_config
+
+    try:
+        client = Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise RelmapError(f"no dask scheduler answers at {scheduler}") from error
+    return cast(
+        AbstractContextManager[Any],
+        parallel_config("dask", client=client, wait_for_workers_timeout=PATIENCE_S),
+    )
+
+
+def accuracy_csv(cells: Sequence[Cell], finished: Sequence[Finished]) -> str:
+    """Return one row for each cell: what it was, and what is the same in every run."""
+    return csv_text((*KEYS, *ACCURACY, "note"), _rows(cells, finished, ACCURACY, notes=True))
+
+
+def times_csv(cells: Sequence[Cell], finished: Sequence[Finished]) -> str:
+    """Return one row for each cell: what it was, and how long it took."""
+    return csv_text((*KEYS, *TIMES), _rows(cells, finished, TIMES, notes=False))
+
+
+def _rows(
+    cells: Sequence[Cell], finished: Sequence[Finished], names: Sequence[str], notes: bool
+) -> Iterator[list[object]]:
+    for cell, done in zip(cells, finished, strict=True):
+        values = [done.figures[name] for name in names]
+        figures = [float("nan") if value is None else value for value in values]
+        yield [*asdict(cell).values(), *figures, *([done.note.replace(",", ";")] * notes)]
+
+
+def write_parquet(path: Path, cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
+    """Write the table of `accuracy_csv` as Parquet.
+
+    Raises
+    ------
+    RelmapError
+        Where pyarrow is not installed.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise RelmapError(
+            f"no {path.name}: pyarrow is not installed: pip install 'relmap[parquet]'"
+        ) from error
+    columns: dict[str, Any] = {key: [asdict(cell)[key] for cell in cells] for key in KEYS}
+    for name in ACCURACY:
+        columns[name] = pa.array([done.figures[name] for done in finished], pa.float64())
+    columns["note"] = [done.note for done in finished]
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns), sink)
+    atomic_write(path, sink.getvalue().to_pybytes())

@@ -1,0 +1,188 @@
+"""What a sweep runs: a small TOML file, and the grid of cells that it means."""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from relmap.comparison.methods.registry import check_method, find_method
+from relmap.comparison.sources import BuildingSource, EightSource, Source
+from relmap.core.errors import RelmapError
+from relmap.io.files import read_text
+
+MOST_CELLS = 1_000_000
+_LIMITS: dict[str, tuple[float, float, str]] = {
+    "sigma": (0.0, 1e3, "0 to 1000 metres"),
+    "density": (1e-3, 1e5, "0.001 to 100000"),
+    "dynamic": (0.0, 1.0, "a share, 0 to 1"),
+    "iterations": (0, 10**7, "0, for one loop, to 10000000"),
+    "seed": (0, 2**63, "0 or more"),
+}
+_CHOICES = {
+    "world": ("figure-eight", "building"),
+    "association": ("known", "nearest"),
+    "noise": ("gaussian", "uniform"),
+}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One experiment: a world and a method.
+
+    Attributes
+    ----------
+    world : "figure-eight" or "building"
+    association : "known" or "nearest"
+    noise : "gaussian" or "uniform"
+    sigma : float
+        Metres.
+    density : float
+        Landmarks per 100 m; of the figure eight.
+    dynamic : float
+        Share of the landmarks that move; of the figure eight.
+    iterations : int
+        0: one loop.
+    seed : int
+    method : str
+    """
+
+    world: str = "figure-eight"
+    association: str = "known"
+    noise: str = "gaussian"
+    sigma: float = 0.05
+    density: float = 25.0
+    dynamic: float = 0.0
+    iterations: int = 0
+    seed: int = 0
+    method: str = "relmap-points"
+
+    def source(self) -> Source:
+        """Return the world."""
+        if self.world == "building":
+            return BuildingSource(self.iterations or None, self.noise, self.sigma, self.seed)
+        loop = self.iterations or 900
+        return EightSource(self.density, loop, self.noise, self.sigma, self.dynamic, self.seed)
+
+
+KEYS = tuple(field.name for field in fields(Cell))
+_KINDS: dict[str, type] = {field.name: type(field.default) for field in fields(Cell)}
+
+
+def read_spec(path: Path) -> list[Cell]:
+    """Read a sweep's file; see `cells_of`.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be read, is not TOML or means no grid.
+    """
+    try:
+        return cells_of(tomllib.loads(read_text(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise RelmapError(f"{path}: not TOML: {error}") from error
+    except RelmapError as error:
+        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+
+
+def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
+    """Return all combinations of what a file lists, the last key of `Cell` changing fastest.
+
+    Parameters
+    ----------
+    spec : mapping
+        Keys of `Cell`, each with a value, a list of values or, of whole numbers, a text ``A:B``
+        for A to B - 1.  What is left out has its default.
+
+    Raises
+    ------
+    RelmapError
+        Where a key or a value cannot be used, or a method cannot be given such a world.
+    """
+    for key in spec:
+        if key not in KEYS:
+            near = difflib.get_close_matches(key, KEYS, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(KEYS)}"
+            raise RelmapError(f"unknown key {key!r}; {hint}")
+    if "method" not in spec:
+        raise RelmapError("no key method: which methods to run, as in method = ['relmap-points']")
+    choices = [_choices(key, spec[key]) if key in spec else [_default(key)] for key in KEYS]
+    count = 1
+    for values in choices:
+        count *= len(values)
+    if count > MOST_CELLS:
+        raise RelmapError(f"the grid has {count} cells; at most {MOST_CELLS} are run")
+    if "building" in choices[KEYS.index("world")]:
+        for key in ("density", "dynamic"):
+            if key in spec:
+                raise RelmapError(f"key {key} is of the figure eight; a building has none")
+    cells = [Cell(*values) for values in itertools.product(*choices)]
+    for world, association, method in sorted({(c.world, c.association, c.method) for c in cells}):
+        _check(world, association, method)
+    return cells
+
+
+def _default(key: str) -> Any:
+    return getattr(Cell(), key)
+
+
+def _choices(key: str, given: Any) -> list[Any]:
+    """Return the values of a key.
+
+    Raises
+    ------
+    RelmapError
+        Where there is none, one stands there twice or is not of its kind.
+    """
+    kind = _KINDS[key]
+    if kind is int and isinstance(given, str):
+        given = _span(key, given)
+    values = given if isinstance(given, list) else [given]
+    right = (int, float) if kind is float else kind
+    names = {int: "a whole number", float: "a number", str: "a text"}
+    for value in values:
+        if isinstance(value, bool) or not isinstance(value, right):
+            raise RelmapError(f"{key} is {value!r}; it must be {names[kind]} or a list of such")
+    values = [kind(value) for value in values]
+    for value in values:
+        _check_value(key, value)
+    if not values or len(set(values)) < len(values):
+        raise RelmapError(f"{key} is {given!r}; it must list different values, one at least")
+    return values
+
+
+def _check_value(key: str, value: Any) -> None:
+    if key in _CHOICES and value not in _CHOICES[key]:
+        raise RelmapError(f"{key} is {value!r}; it must be {' or '.join(_CHOICES[key])}")
+    if key in _LIMITS:
+        lowest, highest, said = _LIMITS[key]
+        if not lowest <= value <= highest:
+            raise RelmapError(f"{key} is {value!r}; it must be {said}")
+
+
+def _span(key: str, text: str) -> list[int]:
+    begin, colon, end = text.partition(":")
+    if colon and begin.isascii() and begin.isdigit() and end.isascii() and end.isdigit():
+        return list(range(int(begin), min(int(end), int(begin) + MOST_CELLS + 1)))
+    raise RelmapError(f"{key} is {text!r}; it must be whole numbers or A:B, for A to B - 1")
+
+
+def _check(world: str, association: str, method: str) -> None:
+    if world == "building":
+        if association == "known":
+            raise RelmapError("walls have no ids: a building needs association = 'nearest'")
+        check_method(find_method(method), "scans", "nearest")
+    else:
+        check_method(
+            find_method(method), "landmarks", "known" if association == "known" else "nearest"
+        )
+
+
+def varying(cells: list[Cell]) -> list[str]:
+    """Return the keys, but seed, in which cells differ."""
+    told = [asdict(cell) for cell in cells]
+    return [key for key in KEYS if key != "seed" and len({row[key] for row in told}) > 1]

@@ -1,0 +1,82 @@
+"""What every registration offers."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+UNIDENTIFIED = -1
+"""In place of a landmark: the observation belongs to none that is known."""
+
+
+_RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
+
+
+class Registration(Protocol):
+    """How observations find their landmarks, which are numbered in the order of first sight."""
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what landmarks (n,) are called outside."""
+        ...
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
+        ...
+
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        ...
+
+    @property
+    def rejected(self) -> list[int]:
+        """Scans, counted from 0, that fit no other and so add nothing to the map."""
+        ...
+
+
+class Numbering:
+    """Numbers landmarks in the order of first sight."""
+
+    def __init__(self) -> None:
+        self.n_landmarks = 0
+
+    def number_new(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Give every `UNIDENTIFIED` entry (n,) a number of its own, in place; return which."""
+        new = landmarks == UNIDENTIFIED
+        n_new = int(new.sum())
+        landmarks[new] = self.n_landmarks + np.arange(n_new)
+        self.n_landmarks += n_new
+        return np.asarray(new)
+
+
+def middle(values: NDArray[np.float64]) -> float:
+    """Return the upper median of values (n,): a fraction of the cost of `numpy.median`."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
+
+
+def nearest(
+    tree: cKDTree, points: NDArray[np.float64], rank: int = 1
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return distances and indices (n, rank) of the points' nearest in the tree, nearest first.
+
+    Where the tree holds fewer, the distance is infinite and the index the tree's size.
+    """
+    distance, index = tree.query(points, k=_RANKS[rank])
+    return np.asarray(distance), np.asarray(index)
+
+
+def nearest_claim(
+    wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int
+) -> NDArray[np.bool_]:
+    """Of rows that want the same one of `n` targets, tell the nearest; the first of equals.
+
+    Rows at infinite distance want nothing.
+    """
+    from relmap.core.association.matching_kernels import claims
+
+    return claims(wanted, distance, n)

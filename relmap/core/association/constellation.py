@@ -1,0 +1,320 @@
+"""Registration that holds: matches are right where relative locations agree.
+
+The relative locations of static landmarks do not change from one iteration to the next.  So the
+placement of the previous robot frame in the present one is that on which most matches agree; it
+carries every track to where it is expected, and only what is found there continues the track.  It
+is forgotten afterwards: neither a pose nor a motion enters the map.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.association.base import UNIDENTIFIED, Numbering, middle, nearest, nearest_claim
+from relmap.core.association.placement import Placement, agreeing_pairs, trimmed_fit
+from relmap.core.association.tracks import LiveTracks
+
+ENOUGH = 3
+"""Matches that must agree: two distances agree by chance now and then, three rarely."""
+PLENTY = 6
+"""Matches whose agreement is never chance."""
+SHARE = 0.6
+"""Share of the nearest neighbours that must agree before a wider search is spared."""
+SCARCE_SHARE = 0.4
+"""Share of what could be matched that must agree where matches are few."""
+SAMPLE = 32
+"""Tracks that a placement is fitted to at most; more would not make it better."""
+SEARCH = 30
+"""Tracks that the wider search looks at, those seen longest."""
+NEIGHBOURS = 8
+"""Candidates of each of them."""
+FAMILIAR = 5
+"""Sightings of a landmark that two of them, alone in a planar scan, must have to fix it."""
+NEARBY = 0.2
+"""How far these two may have moved, in spacings."""
+REACH = 1.6
+"""How far the wider search goes, in spacings."""
+DISTINCT = 0.8
+"""Share of the matches of the best placement that the next best may have."""
+IDLE_STEP, LONG_IDLE = 10, 20
+"""Scans without landmarks after which the search goes as far again, and most that count."""
+CONTINUITY = 0.15
+"""How far a moving landmark may stray in an iteration, in spacings."""
+YOUNG = 3
+"""A track seen less often than this may turn out to be moving."""
+COARSE = 0.1
+"""Tolerance before the noise is known, in spacings."""
+SIGMAS = 4.5
+"""Tolerance when it is known, in standard deviations."""
+EXACT = 1e-3
+"""Least tolerance, in spacings, where there is no noise at all."""
+FAINT = 0.01
+"""Least noise, in spacings, that is tried when it may have been taken for too small."""
+SLOWNESS = 0.1
+"""Share of the latest iteration in the estimates of spacing and noise."""
+CHI2_MEDIAN = {2: 1.386, 3: 2.366}
+"""Median of a sum of d squared standard normals."""
+
+
+class Constellation:
+    """Matches scans by the relative locations of what is in them.
+
+    Parameters
+    ----------
+    max_missed : int
+        A track unseen for more iterations than this ends; until then it is carried along.
+    """
+
+    def __init__(self, max_missed: int) -> None:
+        self._max_missed = max_missed
+        self._numbering = Numbering()
+        self._tracks: LiveTracks | None = None
+        self._stray: LiveTracks | None = None
+        self._spacing_m = np.inf
+        self._noise_m: float | None = None
+        self._idle = 0
+        self._n_scans = 0
+        self._alone: list[int] = []
+        self._tracks_since: int | None = None
+        self._stray_since: int | None = None
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return landmarks (n,) as they are: they go by their number."""
+        return landmarks
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Match points (n, d) to the live tracks; the rest are new landmarks."""
+        landmarks = np.full(len(points_robot), UNIDENTIFIED)
+        continued = self._continue(points_robot, landmarks) if len(points_robot) else None
+        new = self._numbering.number_new(landmarks)
+        begun = LiveTracks.begun(landmarks[new], points_robot[new])
+        if continued is None:
+            if len(begun):
+                self._alone.append(self._n_scans)
+            self._begin_anew(begun)
+        else:
+            self._tracks, self._stray, self._idle = continued.joined(begun), None, 0
+            self._tracks_since = None
+        self._n_scans += 1
+        return landmarks
+
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
+        self._tracks_since, self._idle = None, 0
+        self._spacing_m = _spacing(points_robot)
+
+    @property
+    def rejected(self) -> list[int]:
+        """Scans, counted from 0, that were tied to no other; one that is awaited is not yet."""
+        waits = self._tracks_since if self._stray is None else None
+        return [scan for scan in self._alone if scan != waits]
+
+    def _continue(
+        self, points_robot: NDArray[np.float64], landmarks: NDArray[np.int64]
+    ) -> LiveTracks | None:
+        """Enter the landmark of each point that continues a track; return the tracks, carried."""
+        for tracks, since in (
+            (self._tracks, self._tracks_since),
+            (self._stray, self._stray_since),
+        ):
+            if tracks is None:
+                continue
+            placement = self._placement(tracks, points_robot)
+            if placement is None:
+                placement = self._placement_of_unknown_noise(tracks, points_robot)
+            if placement is not None:
+                carried = tracks.carried(
+                    placement.apply(tracks.expected), placement.apply(tracks.latest)
+                )
+                rows, found, strayed = self._links(carried, points_robot)
+                landmarks[found] = tracks.landmarks[rows]
+                self._learn(carried.expected[rows[~strayed]], points_robot[found[~strayed]])
+                carried.see(rows, points_robot[found], strayed)
+                if since is not None:
+                    self._alone.remove(since)
+                return carried.kept(carried.missed <= self._max_missed)
+        return None
+
+    def _begin_anew(self, begun: LiveTracks) -> None:
+        """Wait with a scan that could not be tied to the tracks: the next one may tie to either.
+
+        A scan of next to nothing does not tell that the tracks are over.
+        """
+        if self._tracks is None:
+            if len(begun):
+                self._tracks, self._tracks_since = begun, self._n_scans
+            self._spacing_m = _spacing(begun.expected)
+            return
+        if len(begun) < ENOUGH:
+            self._idle += 1
+            return
+        self._tracks.missed += 1
+        self._stray, self._stray_since = begun, self._n_scans
+        if self._tracks.missed.min() > self._max_missed:
+            self._tracks, self._tracks_since = self._stray, self._stray_since
+            self._stray, self._idle = None, 0
+            if self._noise_m is not None:  # was it learnt too small?
+                self._noise_m = max(self._noise_m, FAINT * self._spacing_m)
+
+    def _placement(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
+        """Find the placement of the tracks' frame in the scan's on which most matches agree."""
+        from relmap.core.association.matching_kernels import two_nearest
+
+        n, d = points.shape
+        latest = np.flatnonzero(tracks.missed == tracks.missed.min())
+        possible = min(len(latest), n)
+        if possible < 2:
+            return None
+        sample = latest[:: -(-len(latest) // SAMPLE)]
+        distances, target = two_nearest(points, tracks.expected[sample])
+        spacing_m = middle(distances[:, 1])
+        if np.isfinite(self._spacing_m):
+            spacing_m = self._spacing_m + SLOWNESS * (spacing_m - self._spacing_m)
+        self._spacing_m = spacing_m
+        distance = np.where(distances[:, 0] > self._spacing_m, np.inf, distances[:, 0])
+        claimed = nearest_claim(target, distance, n)
+        rows = sample[claimed]
+        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._tolerance_m)
+        missed = int(tracks.missed.min())
+        enough = ENOUGH + max(missed, min(missed + self._idle, PLENTY - ENOUGH))
+        if near is not None:
+            if near.n_agreeing >= max(enough, SHARE * len(rows)):
+                return near
+            alone = near.n_agreeing == len(rows) == d == 2
+            if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
+                return near
+        far = self._search(tracks, points)
+        if d == 3:  # any three points in space can be turned onto their mirror image
+            enough += 1
+        needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
+        return far if far is not None and far.n_agreeing >= needed else None
+
+    def _is_familiar_pair(
+        self, tracks: LiveTracks, rows: NDArray[np.int64], distance: NDArray[np.float64]
+    ) -> bool:
+        """Tell whether two matches in the plane will do: well known, just seen, hardly moved."""
+        known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
+        return bool(known and distance.max() <= NEARBY * self._spacing_m)
+
+    def _placement_of_unknown_noise(
+        self, tracks: LiveTracks, points: NDArray[np.float64]
+    ) -> Placement | None:
+        """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
+        learnt, self._noise_m = self._noise_m, None
+        possible = min(np.sum(tracks.missed == tracks.missed.min()), len(points))
+        if learnt is not None and possible >= PLENTY:
+            placement = self._placement(tracks, points)
+            if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
+                return placement
+        self._noise_m = learnt
+        return None
+
+    def _search(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
+        """Look for a constellation that moved farther than its landmarks are apart."""
+        recent = np.flatnonzero(tracks.missed <= tracks.missed.min() + 1)
+        known = recent[np.argsort(-tracks.seen[recent], kind="stable")[:SEARCH]]
+        further = 1 + min(self._idle, LONG_IDLE) / IDLE_STEP
+        neighbours = round(further * NEIGHBOURS)
+        distance, target = nearest(cKDTree(points), tracks.expected[known], neighbours)
+        row, column = np.nonzero(distance <= further * REACH * self._spacing_m)
+        if len(row) < ENOUGH:
+            return None
+        pairs = np.column_stack([known[row], target[row, column]])
+        tolerance_m = 1.5 * self._tolerance_m
+        agreeing = pairs[agreeing_pairs(tracks.expected, points, pairs, tolerance_m)]
+        if len(agreeing) < ENOUGH:
+            return None
+        placement = trimmed_fit(
+            tracks.expected[agreeing[:, 0]], points[agreeing[:, 1]], self._tolerance_m
+        )
+        if placement is None or placement.n_agreeing < ENOUGH:
+            return None
+        off = placement.apply(tracks.expected[pairs[:, 0]]) - points[pairs[:, 1]]
+        others = pairs[np.linalg.norm(off, axis=1) > self._tolerance_m]
+        rival = len(agreeing_pairs(tracks.expected, points, others, tolerance_m))
+        return placement if rival <= DISTINCT * len(agreeing) else None
+
+    def _links(
+        self, carried: LiveTracks, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+        """Link tracks, carried along, to what is found where they are expected.
+
+        Returns
+        -------
+        rows, found : (k,) int64
+            Tracks and the points that continue them.
+        strayed : (k,) bool
+            Where the track moves against the others: it is followed by continuity.
+        """
+        from relmap.core.association.matching_kernels import nearest_within
+
+        distance, target = nearest_within(points, carried.expected, self._gate_m)
+        linked = nearest_claim(target, distance, len(points))
+        taken = np.zeros(len(points) + 1, dtype=bool)
+        taken[target[linked]] = True
+        free = np.flatnonzero(~linked & (carried.missed == 0))
+        followed, found = self._follow(carried, free, points, taken)
+        rows = np.concatenate([np.flatnonzero(linked), followed])
+        strayed = np.arange(len(rows)) >= linked.sum()
+        return rows, np.concatenate([target[linked], found]), strayed
+
+    def _follow(
+        self,
+        carried: LiveTracks,
+        free: NDArray[np.int64],
+        points: NDArray[np.float64],
+        taken: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Follow tracks that are not where they would be at rest, from where they were last.
+
+        One that was seen moving, or is too young to tell, may go far; one that was at rest so far
+        only as far as it could drift unnoticed: a jump is another landmark's.
+        """
+        if not len(free):
+            return free, free
+        from relmap.core.association.matching_kernels import nearest_within
+
+        may_move = (carried.restless[free] > 0) | (carried.seen[free] < YOUNG)
+        reach = np.where(may_move, max(CONTINUITY * self._spacing_m, self._gate_m), self._gate_m)
+        distance, target = nearest_within(points, carried.latest[free], float(reach.max()))
+        near = np.where((distance <= reach) & ~taken[target], distance, np.inf)
+        followed = nearest_claim(target, near, len(points))
+        return free[followed], target[followed]
+
+    @property
+    def _tolerance_m(self) -> float:
+        """How far apart matches that agree may lie."""
+        coarse = COARSE * self._spacing_m
+        if self._noise_m is None:
+            return coarse
+        return min(max(SIGMAS * self._noise_m, EXACT * self._spacing_m), 1.5 * coarse)
+
+    @property
+    def _gate_m(self) -> float:
+        """How far from where it is expected a track may be found."""
+        return max(self._tolerance_m, min(2 * self._tolerance_m, 0.8 * COARSE * self._spacing_m))
+
+    def _learn(self, expected: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+        """Learn the noise of a coordinate's difference from links of landmarks at rest."""
+        n, d = expected.shape
+        if n <= ENOUGH:
+            return
+        squares = np.sum((expected - found) ** 2, axis=1)
+        variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
+        if self._noise_m is None:
+            self._noise_m = float(np.sqrt(variance))
+        else:
+            self._noise_m = float(
+                np.sqrt(self._noise_m**2 + SLOWNESS * (variance - self._noise_m**2))
+            )
+
+
+def _spacing(points: NDArray[np.float64]) -> float:
+    if len(points) < 2:
+        return np.inf
+    return middle(nearest(cKDTree(points), points, 2)[0][:, 1])

@@ -1,0 +1,75 @@
+"""Registration where the ids of the landmarks come with the observations."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.association.base import UNIDENTIFIED
+from relmap.core.association.rigidity import Rigidity
+from relmap.core.state.growing import GrowingArray
+
+PARTS = 64
+"""Dictionaries that the ids are spread over: a single large one would stall when it grows."""
+
+
+class KnownAssociation:
+    """Takes the landmarks' ids as given, where what was seen can be right; see `Rigidity`.
+
+    Attributes
+    ----------
+    rejected : list of int
+        Scans, counted from 0, that do not fit the others.
+    """
+
+    def __init__(self) -> None:
+        self.rejected: list[int] = []
+        self._n_scans = 0
+        self._rigidity = Rigidity()
+        self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
+        self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the ids of landmarks (n,)."""
+        return self._labels.values[landmarks]
+
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Do nothing: the ids tell."""
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Return the landmark of each id (n,).
+
+        Negative ids are of none, and so is what cannot be right.
+        """
+        known = np.empty(0, dtype=np.int64) if ids is None else ids
+        self._n_scans += 1
+        known = self._believed(known, points_robot)
+        found = [self._parts[i % PARTS].get(i, UNIDENTIFIED) for i in known.tolist()]
+        landmarks = np.array(found, dtype=np.int64)
+        new = (landmarks == UNIDENTIFIED) & (known >= 0)
+        if new.any():
+            landmarks[new] = np.arange(len(self._labels), len(self._labels) + new.sum())
+            for label, number in zip(known[new].tolist(), landmarks[new].tolist(), strict=True):
+                self._parts[label % PARTS][label] = number
+            self._labels.extend(known[new])
+        return landmarks
+
+    def _believed(
+        self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Return the ids (n,) with `UNIDENTIFIED` where an observation cannot be right."""
+        named = np.flatnonzero(ids >= 0)
+        if len(named) == len(ids):
+            good = self._rigidity.believed(ids, points_robot)
+        else:
+            good = self._rigidity.believed(ids[named], points_robot[named])
+        if good is None:
+            self.rejected.append(self._n_scans - 1)
+        elif len(good) == len(ids) and good.all():
+            return ids
+        believed = np.full(len(ids), UNIDENTIFIED)
+        if good is not None:
+            believed[named[good]] = ids[named[good]]
+        return believed

@@ -1,0 +1,134 @@
+"""Matching observations to tracks, compiled; see `relmap.core.association`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> NDArray[np.bool_]:
+    """Of rows that want the same target, tell the nearest; see `nearest_claim`."""
+    winner = np.full(n + 1, -1)
+    for row in range(len(wanted)):
+        if np.isfinite(distance[row]):
+            best = winner[wanted[row]]
+            if best < 0 or distance[row] < distance[best]:
+                winner[wanted[row]] = row
+    won = np.zeros(len(wanted), dtype=np.bool_)
+    for target in range(n):
+        if winner[target] >= 0:
+            won[winner[target]] = True
+    return won
+
+
+@compiled
+def _bucket(x: int, y: int, z: int, n_buckets: int) -> int:
+    """Return the bucket of a cell (Teschner et al., "Optimized spatial hashing", VMV 2003)."""
+    return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (n_buckets - 1)
+
+
+@compiled
+def buckets(
+    points: NDArray[np.float64], cell: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Put points (n, d) into the buckets of a hashed grid of cells.
+
+    Returns the first point of each bucket, and of each point the next in its bucket; -1 ends.
+    """
+    n, d = points.shape
+    n_buckets = 16
+    while n_buckets < 2 * n:
+        n_buckets *= 2
+    first, following = np.full(n_buckets, -1), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        z = points[i, 2] if d == 3 else 0.0
+        x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(z / cell)
+        bucket = _bucket(int(x), int(y), int(z), n_buckets)
+        following[i] = first[bucket]
+        first[bucket] = i
+    return first, following
+
+
+@compiled
+def nearest_within(
+    points: NDArray[np.float64], queries: NDArray[np.float64], reach: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return distance and index (k,) of the point (n, d) nearest to each query (k, d).
+
+    Only points within reach count; where there is none, the distance is infinite and the index n.
+    Of equally near ones it is the first.
+    """
+    n, d = points.shape
+    first, following = buckets(points, reach)
+    distance, index = np.full(len(queries), np.inf), np.full(len(queries), n)
+    layers = 1 if d == 3 else 0
+    for k in range(len(queries)):
+        z = queries[k, 2] if d == 3 else 0.0
+        cx, cy, cz = queries[k, 0] / reach, queries[k, 1] / reach, z / reach
+        best = reach * reach
+        for x in range(int(np.floor(cx)) - 1, int(np.floor(cx)) + 2):
+            for y in range(int(np.floor(cy)) - 1, int(np.floor(cy)) + 2):
+                for z_cell in range(int(np.floor(cz)) - layers, int(np.floor(cz)) + layers + 1):
+                    i = first[_bucket(x, y, z_cell, len(first))]
+                    while i >= 0:
+                        square = 0.0
+                        for a in range(d):
+                            square += (points[i, a] - queries[k, a]) ** 2
+                        if square < best or (square == best and i < index[k]):
+                            best, index[k] = square, i
+                        i = following[i]
+        if index[k] < n:
+            distance[k] = np.sqrt(best)
+    return distance, index
+
+
+@compiled
+def two_nearest(
+    points: NDArray[np.float64], queries: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return the distances (k, 2) of the two points (n, d) nearest to each query, and the nearest.
+
+    For a few queries this is quicker than to build a tree.  Infinite where there are not as many.
+    """
+    n, d = points.shape
+    distances, index = np.full((len(queries), 2), np.inf), np.full(len(queries), n)
+    for k in range(len(queries)):
+        first, second = np.inf, np.inf
+        for i in range(n):
+            square = 0.0
+            for a in range(d):
+                square += (points[i, a] - queries[k, a]) ** 2
+            if square < first:
+                first, second, index[k] = square, first, i
+            elif square < second:
+                second = square
+        distances[k, 0], distances[k, 1] = np.sqrt(first), np.sqrt(second)
+    return distances, index
+
+
+@compiled
+def see_tracks(
+    expected: NDArray[np.float64],
+    latest: NDArray[np.float64],
+    counts: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
+    rows: NDArray[np.int64],
+    points: NDArray[np.float64],
+    strayed: NDArray[np.bool_],
+    memory: int,
+    careful: int,
+) -> None:
+    """Note where some tracks were found and that others were missed; see `LiveTracks.see`."""
+    missed, seen, restless = counts
+    missed += 1
+    for j in range(len(rows)):
+        row = rows[j]
+        missed[row] = 0
+        seen[row] += 1
+        restless[row] = careful if strayed[j] else max(restless[row] - 1, 0)
+        share = 1.0 if restless[row] > 0 else 1 / min(seen[row], memory)
+        for a in range(points.shape[1]):
+            expected[row, a] += share * (points[j, a] - expected[row, a])
+            latest[row, a] = points[j, a]

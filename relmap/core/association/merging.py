@@ -1,0 +1,230 @@
+"""Merging landmarks that were lost and seen again (section III).
+
+A landmark that comes back into view becomes a new one and is placed by its own groups.  Then it is
+matched to what is mapped: by its position where the map is good enough there, and where the map
+has drifted by constellation, the relative distances among several landmarks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.association.base import middle, nearest
+from relmap.core.association.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.tying import neighbourhoods
+from relmap.core.geometry.spatialindex import SpatialIndex
+from relmap.core.model import LandmarkModel
+from relmap.core.state.table import NONE, LandmarkState
+
+REACH = 0.35
+"""How far the map may have drifted, in spacings of its landmarks."""
+TOLERANCE = 3.0
+"""How far two positions of one landmark may differ, in standard deviations of an observation."""
+EXACT = 1e-3
+"""Least tolerance, as a share of that reach, where there is no noise at all."""
+ENOUGH = 3
+"""Landmarks that a constellation needs; one more in space, where three fit their mirror image."""
+SLICE = 500
+"""Landmarks that are entered anew at a time after the map has moved."""
+LAST = 2**62
+"""Beyond all landmarks."""
+SHARE = 0.5
+"""Share of the landmarks with candidates that must be in it: the drift is common to all."""
+CANDIDATES = 60
+"""Pairs that a constellation is looked for among."""
+ROUNDS = 5
+"""How often doubles are looked for in a row, as each merge tells of others."""
+
+
+class Merger:
+    """Finds which landmarks in view are old ones seen again.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    model : LandmarkModel
+    mature : int
+        Observations after which a landmark's position is good enough to be compared.
+    """
+
+    def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
+        self._table = table
+        self._model = model
+        self._mature = mature
+        self._index: SpatialIndex | None = None
+        self._entered = LAST
+        self._old_near: dict[int, list[int]] = {}
+
+    def leave(self, landmarks: NDArray[np.int64]) -> None:
+        """Note that landmarks have left the view: from now on they may be seen again."""
+        landmarks = landmarks[self._model.is_compared(landmarks)]
+        for landmark in landmarks.tolist():
+            self._old_near.pop(landmark, None)
+        self._enter(landmarks)
+
+    def look_again(self) -> None:
+        """Enter all landmarks anew, as the map has moved; `go_on` does it little by little."""
+        self._entered = 0
+
+    def doubles(self) -> NDArray[np.int64]:
+        """Return the landmarks (k,) that lie near older ones that they may be, to be merged next.
+
+        Wherever they are now, as the map has moved or a submap has joined another, and however
+        seldom they were seen: the whole map has been brought into place.
+        """
+        mapped = np.flatnonzero(self._table.weight > 0)
+        if self._index is None or not len(mapped):
+            return np.empty(0, dtype=np.int64)
+        self._enter(mapped)
+        near = cKDTree(self._table.position[mapped]).query_pairs(
+            self._index.cell_m, output_type="ndarray"
+        )
+        found: dict[int, list[int]] = {}
+        for new, old in sorted(mapped[np.vstack([near, near[:, ::-1]])].tolist()):
+            if self._may_be(new, old):
+                found.setdefault(new, []).append(old)
+        self._old_near.update(found)
+        return np.array(list(found), dtype=np.int64)
+
+    def go_on(self) -> None:
+        """Enter some more landmarks where they are now."""
+        if self._index is not None and self._entered < len(self._table):
+            end = min(self._entered + SLICE, len(self._table))
+            landmarks = np.arange(self._entered, end)
+            self._enter(landmarks[self._index.holds(landmarks)])
+            self._entered = end
+
+    def _enter(self, landmarks: NDArray[np.int64]) -> None:
+        mapped = landmarks[self._table.weight[landmarks] > 0]
+        if self._index is not None and len(mapped):
+            self._index.add(mapped, self._table.position[mapped])
+
+    def find(
+        self, landmarks: NDArray[np.int64], levels: NDArray[np.int64], noise_m: float
+    ) -> NDArray[np.int64]:
+        """Return pairs (k, 2) of landmarks: a new one, and the old one that it is.
+
+        Parameters
+        ----------
+        landmarks : (n,) int64
+            Landmarks that a group has just placed.
+        levels : (n,) int64
+            Grouping level of each: at a higher one its place is better, and it is asked again.
+        noise_m : float
+            Standard deviation of an observed coordinate.
+        """
+        compared = self._model.is_compared(landmarks)
+        landmarks, levels = landmarks[compared], levels[compared]
+        if self._index is None:
+            self._index = self._begun(landmarks)
+        mature = self._table.weight[landmarks] >= self._mature
+        asked = self._table.asked_level[landmarks]
+        ask = landmarks[mature & (levels > asked)]
+        self._table.asked_level[landmarks] = np.maximum(asked, levels * mature)
+        for new in ask.tolist():
+            self._ask(new)
+        pairs = [
+            (new, old)
+            for new in landmarks.tolist()
+            for old in self._old_near.get(new, ())
+            if self._may_be(new, old)
+        ]
+        if not pairs or self._index is None:
+            return np.empty((0, 2), dtype=np.int64)
+        spread_m = self._model.position_spread * noise_m
+        tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
+        return self._choose(np.array(pairs), tolerance_m)
+
+    def relabel(self, new: int, old: int) -> None:
+        """Note that a landmark in view is an old one."""
+        self._old_near.pop(new, None)
+        for others in self._old_near.values():
+            if old in others:
+                others.remove(old)
+
+    def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
+        reach_m = self._model.drift_m
+        if reach_m is None:
+            positions = self._table.position[landmarks]
+            if len(positions) < 2:
+                return None
+            reach_m = REACH * middle(nearest(cKDTree(positions), positions, 2)[0][:, 1])
+        return SpatialIndex(self._table, reach_m) if reach_m > 0 else None
+
+    def _ask(self, new: int) -> None:
+        """Look for old landmarks near a new one."""
+        if self._index is None:
+            return
+        near = self._index.near(self._table.position[new])
+        if len(near):
+            apart = np.linalg.norm(self._table.position[near] - self._table.position[new], axis=1)
+            near = near[apart <= self._index.cell_m]
+            may_be = [old for old in near.tolist() if self._may_be(new, old)]
+            if may_be:
+                self._old_near[new] = sorted(may_be)
+
+    def _may_be(self, new: int, old: int) -> bool:
+        """Tell whether a landmark may be an older one: of its submap, and never seen with it."""
+        table = self._table
+        same_submap = table.submap[old] == table.submap[new] != NONE
+        later = same_submap and table.is_later(new, old)
+        return bool(later and self._model.may_be(table, new, old))
+
+    def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
+        new, old = self._table.position[pairs[:, 0]], self._table.position[pairs[:, 1]]
+        apart = np.linalg.norm(new - old, axis=1)
+        if (apart <= tolerance_m).any():
+            return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+        pairs, new, old = pairs[:CANDIDATES], new[:CANDIDATES], old[:CANDIDATES]
+        rows = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
+        first_new, first_old = (np.unique(column, return_index=True)[1] for column in rows.T)
+        agreeing = agreeing_pairs(new[first_new], old[first_old], rows, tolerance_m)
+        enough = max(ENOUGH + (new.shape[1] == 3), SHARE * len(first_new))
+        shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
+        if shift is None or shift.n_agreeing < enough:
+            return np.empty((0, 2), dtype=np.int64)
+        there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
+        pairs = pairs[agreeing[there <= tolerance_m]]
+        return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
+
+
+def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.asarray(np.unique(values, return_inverse=True)[1])
+
+
+def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
+    chosen: list[tuple[int, int]] = []
+    taken: set[int] = set()
+    for new, old in pairs[np.argsort(distance, kind="stable")].tolist():
+        if new not in taken and old not in taken:
+            chosen.append((new, old))
+            taken.update((new, old))
+    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+
+
+def merge_doubles(
+    table: LandmarkState, merger: Merger, merge: Callable[[NDArray[np.int64]], int]
+) -> bool:
+    """Merge landmarks that are the same by where they lie now; tell whether there were any.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    merger : Merger
+    merge : callable
+        Merges landmarks (k,) with older ones, and returns how many were.
+    """
+    merged = 0
+    for _ in range(ROUNDS):
+        before, doubles = merged, merger.doubles()
+        for around in neighbourhoods(table.position[doubles]):
+            there = doubles[around]
+            merged += merge(there[table.weight[there] > 0])
+        if merged == before:
+            break
+    return merged > 0

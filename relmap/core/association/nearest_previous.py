@@ -1,0 +1,72 @@
+"""The paper's own registration (sections II and III)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.association.base import UNIDENTIFIED, Numbering, nearest
+
+
+class NearestPrevious:
+    """Matches to the nearest untransformed observation of the previous iteration.
+
+    A pair is matched where each is the other's nearest and lies within the gate.
+
+    Parameters
+    ----------
+    gate_m : float or None
+        Largest displacement, metres; None takes half the median distance between neighbours in
+        the previous scan.
+    """
+
+    def __init__(self, gate_m: float | None) -> None:
+        self._gate_m = gate_m
+        self._numbering = Numbering()
+        self._previous: NDArray[np.float64] = np.empty((0, 0))
+        self._landmarks = np.empty(0, dtype=np.int64)
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return landmarks (n,) as they are: they go by their number."""
+        return landmarks
+
+    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        self._landmarks, self._previous = landmarks, points_robot
+
+    @property
+    def rejected(self) -> list[int]:
+        """None: this matching judges no scan."""
+        return []
+
+    def match(
+        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+    ) -> NDArray[np.int64]:
+        """Match points (n, d) to the previous iteration's; the rest are new landmarks."""
+        landmarks = np.full(len(points_robot), UNIDENTIFIED)
+        if len(self._previous) and len(points_robot):
+            now, before = self._mutual_pairs(points_robot)
+            landmarks[now] = self._landmarks[before]
+        self._numbering.number_new(landmarks)
+        self._landmarks, self._previous = landmarks, points_robot
+        return landmarks
+
+    def _mutual_pairs(
+        self, points_robot: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        previous = cKDTree(self._previous)
+        distances, places = nearest(previous, points_robot)
+        distance, there = distances[:, 0], places[:, 0]
+        back = nearest(cKDTree(points_robot), self._previous)[1][:, 0]
+        mutual = back[there] == np.arange(len(points_robot))
+        now = np.flatnonzero(mutual & (distance <= self._gate(previous)))
+        return now, there[now]
+
+    def _gate(self, previous: cKDTree) -> float:
+        if self._gate_m is not None:
+            return self._gate_m
+        if previous.n < 2:
+            return np.inf
+        spacing = nearest(previous, self._previous, rank=2)[0][:, 1]
+        return float(np.median(spacing)) / 2

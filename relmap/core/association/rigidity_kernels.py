@@ -1,0 +1,134 @@
+"""Laying the landmarks of one scan on those of another, compiled; see `registration.rigidity`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.order_kernels import smallest
+
+ROUNDS = 8
+
+
+@compiled
+def extent_of(points: NDArray[np.float64]) -> float:
+    """Return the longest side of the box around points (n, d)."""
+    longest = 0.0
+    for a in range(points.shape[1]):
+        low, high = np.inf, -np.inf
+        for i in range(len(points)):
+            low, high = min(low, points[i, a]), max(high, points[i, a])
+        longest = max(longest, high - low)
+    return longest
+
+
+@compiled
+def lay_on(
+    ids: NDArray[np.int64],
+    points: NDArray[np.float64],
+    scan_ids: NDArray[np.int64],
+    scan_points: NDArray[np.float64],
+    limits: tuple[float, int, int],
+) -> tuple[
+    NDArray[np.int64],
+    NDArray[np.int64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
+
+    The limits are the tolerance, the most pairs to fit and the fewest.  Returns the rows of both,
+    R, t and the misfits; these are none where there are too few pairs or none agree.
+    """
+    (n, d), m = points.shape, len(scan_ids)
+    tolerance_m, sample, fewest = limits
+    rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
+    k, i, j = 0, 0, 0
+    while i < n and j < m:
+        if ids[i] == scan_ids[j]:
+            rows[k], shared[k] = i, j
+            k, i, j = k + 1, i + 1, j + 1
+        elif ids[i] < scan_ids[j]:
+            i += 1
+        else:
+            j += 1
+    rows, shared = rows[:k], shared[:k]
+    if k < fewest:
+        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0)
+    every = -(-k // sample)
+    source, target = points[rows[::every]], scan_points[shared[::every]]
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, ROUNDS)
+    misfit = np.empty(k if n_agreeing >= 0 else 0)
+    for pair in range(len(misfit)):
+        square = 0.0
+        for a in range(d):
+            apart = t[a] - scan_points[shared[pair], a]
+            for b in range(d):
+                apart += R[a, b] * points[rows[pair], b]
+            square += apart * apart
+        misfit[pair] = np.sqrt(square)
+    return rows, shared, R, t, misfit
+
+
+@compiled
+def carry(
+    ids: NDArray[np.int64],
+    points: NDArray[np.float64],
+    missed: NDArray[np.int64],
+    scan_ids: NDArray[np.int64],
+    scan_points: NDArray[np.float64],
+    placement: tuple[NDArray[np.float64], NDArray[np.float64]],
+    longest: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return the landmarks of a scan, and those not in it carried along into its frame.
+
+    Both ids ascend, and so do those returned.  Who was missed in more than the longest number of
+    scans is left behind.
+    """
+    R, t = placement
+    (n, d), m = points.shape, len(scan_ids)
+    all_ids, all_points = np.empty(n + m, dtype=np.int64), np.empty((n + m, d))
+    all_missed = np.zeros(n + m, dtype=np.int64)
+    k, i, j = 0, 0, 0
+    while i < n or j < m:
+        if i == n or (j < m and scan_ids[j] <= ids[i]):
+            i += i < n and scan_ids[j] == ids[i]
+            all_ids[k], all_points[k] = scan_ids[j], scan_points[j]
+            k, j = k + 1, j + 1
+            continue
+        if missed[i] < longest:
+            all_ids[k], all_missed[k] = ids[i], missed[i] + 1
+            for a in range(d):
+                all_points[k, a] = t[a]
+                for b in range(d):
+                    all_points[k, a] += R[a, b] * points[i, b]
+            k += 1
+        i += 1
+    return all_ids[:k], all_points[:k], all_missed[:k]
+
+
+@compiled
+def steady(
+    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]],
+    scan_ids: NDArray[np.int64],
+    scan_points: NDArray[np.float64],
+    limits: tuple[float, int, int, float, float],
+    longest: int,
+) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Lay the last landmarks on a scan; where nothing is amiss, carry them along.
+
+    `last` are ids, points and scans missed as for `carry`; the limits those of `lay_on`, the
+    largest middle misfit and the largest misfit of all.  Returns the middle misfit, and what
+    `carry` does; -1 and what came in where a look is needed at what is amiss.
+    """
+    ids, points, missed = last
+    _, _, R, t, misfit = lay_on(ids, points, scan_ids, scan_points, limits[:3])
+    if len(misfit) < limits[2] or np.max(misfit) > limits[4]:
+        return -1.0, ids, points, missed
+    middle = smallest(misfit.copy(), len(misfit) // 2)
+    if middle > limits[3]:
+        return -1.0, ids, points, missed
+    return middle, *carry(ids, points, missed, scan_ids, scan_points, (R, t), longest)

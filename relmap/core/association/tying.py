@@ -1,0 +1,126 @@
+"""Which submaps of the map show the same place, told by how their landmarks lie.
+
+Without ids a stretch that cannot be tied to what was before begins a submap of its own.  Some of
+these come to places that others have been to.  Neighbourhoods of one submap are looked for in all
+others at once, and one that is found there for sure ties the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.association.base import nearest
+from relmap.core.association.placement import Placement
+from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere, is_clear
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import NONE, LandmarkState
+
+NEIGHBOURHOOD = 20
+"""Landmarks that are looked for together."""
+OVERLAP = 3
+"""One in so many of a neighbourhood is looked for with no other neighbourhood around it."""
+BY_CHANCE = 1e-3
+"""How often landmarks that lie at random may be taken for a place, over a whole map."""
+SAME = 0.1
+"""How far off, in sizes of a neighbourhood, the way there and back may lead."""
+APART = 4.0
+"""How far apart submaps are laid out, in sizes of the largest."""
+
+
+def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[NDArray[np.int64]]:
+    """Join submaps that show the same place.
+
+    Parameters
+    ----------
+    global_map : GlobalMap
+    noise_m : float
+        Standard deviation of an observed coordinate.
+
+    Yields
+    ------
+    (k,) int64
+        The landmarks of a submap that another has just joined.  Those that are the same should be
+        merged before the next is looked for.
+    """
+    table = global_map.table
+    submaps, sizes = np.unique(table.submap, return_counts=True)
+    known = (submaps != NONE) & (sizes >= ENOUGH)
+    for submap in submaps[known][np.argsort(sizes[known], kind="stable")].tolist():
+        found = _found_elsewhere(table, submap, noise_m)
+        if found is not None:
+            other, placement = found
+            global_map.tie(submap, other, placement.R, placement.t)
+            yield np.flatnonzero(table.submap == other)
+
+
+def _found_elsewhere(
+    table: LandmarkState, submap: int, noise_m: float
+) -> tuple[int, Placement] | None:
+    """Return the submap that shows a place of this one, and where this one lies in its frame."""
+    own = np.flatnonzero(table.submap == submap)
+    others = np.flatnonzero((table.submap != submap) & (table.submap != NONE))
+    if not len(others):
+        return None
+    positions, shifts, number = _laid_out(table, others)
+    finder, back = (PlaceFinder(there, noise_m) for there in (positions, table.position[own]))
+    trials = HITS * len(np.unique(table.submap)) * len(table.submap)
+    for around in neighbourhoods(table.position[own]):
+        points = table.position[own[around]]
+        places = finder.places(points)
+        hits = [finder.landmarks_at(place.apply(points)) for place in places]
+        hits = [np.unique(hit[hit >= 0]) for hit in hits]
+        in_submaps = [np.unique(number[hit]) for hit in hits]
+        if not places or len(in_submaps[0]) > 1:
+            continue
+        other = int(in_submaps[0][0])
+        rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
+        elsewhere = found_elsewhere(points, rivals)
+        sure = trials * finder.by_chance(len(points), len(hits[0]), elsewhere) <= BY_CHANCE
+        clear = sure and is_clear(points, rivals)
+        if clear and _leads_back(back, positions[hits[0]], places[0], points):
+            return other, replace(places[0], t=places[0].t - shifts[other])
+    return None
+
+
+def _leads_back(
+    back: PlaceFinder,
+    hit: NDArray[np.float64],
+    placement: Placement,
+    points: NDArray[np.float64],
+) -> bool:
+    """Tell whether what was hit (k, d) is found where the points (n, d) are, and only there."""
+    returned = back.find(hit)
+    if returned is None:
+        return False
+    off_m = np.abs(returned.apply(placement.apply(points)) - points).max()
+    return bool(off_m <= SAME * np.ptp(points, axis=0).max())
+
+
+def _laid_out(
+    table: LandmarkState, landmarks: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]], NDArray[np.int64]]:
+    """Return landmarks (n, d), their submaps side by side, by what shifts, and the submaps (n,)."""
+    positions, of = table.position[landmarks].copy(), table.submap[landmarks]
+    size_m = float(np.max(np.abs(positions)))
+    shifts = {}
+    for k, submap in enumerate(np.unique(of).tolist()):
+        shifts[submap] = np.zeros(positions.shape[1])
+        shifts[submap][0] = APART * size_m * k
+        positions[of == submap] += shifts[submap]
+    return positions, shifts, of
+
+
+def neighbourhoods(positions: NDArray[np.float64]) -> Iterator[NDArray[np.int64]]:
+    """Yield the nearest landmarks (k,) to some of those at positions (n, d); all get a turn."""
+    tree, had = cKDTree(positions), np.zeros(len(positions), dtype=bool)
+    rank = min(NEIGHBOURHOOD, len(positions))
+    for k in range(len(positions)):
+        if not had[k]:
+            around = nearest(tree, positions[k : k + 1], rank)[1][0]
+            had[around[: max(1, rank // OVERLAP)]] = True
+            yield around

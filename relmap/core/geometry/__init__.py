@@ -1,0 +1,1 @@
+"""Rigid fits, rotations, and what lies near."""

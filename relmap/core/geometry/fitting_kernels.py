@@ -1,0 +1,151 @@
+"""Rigid fits, compiled; see `alignment`, and `relmap.core.grouping.completion`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.rotation_kernels import best_rotation, fixes
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.order_kernels import smallest
+from relmap.core.linalg.small_kernels import identity
+
+
+@compiled
+def centre_of(
+    points: NDArray[np.float64], rows: NDArray[np.bool_]
+) -> tuple[float, float, float, int]:
+    """Return the mean of some rows of points (n, d), with z = 0 in the plane, and their number."""
+    x, y, z, count = 0.0, 0.0, 0.0, 0
+    for i in range(len(points)):
+        if rows[i]:
+            count += 1
+            x += points[i, 0]
+            y += points[i, 1]
+            if points.shape[1] == 3:
+                z += points[i, 2]
+    share = 1 / max(count, 1)
+    return x * share, y * share, z * share, count
+
+
+@compiled
+def _moments(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    means: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centred moments (3, 3) of some rows of matched points (n, d) about their means (2, 3).
+
+    These are that of source and target, and the scatter of the source; what the plane lacks is 0.
+    """
+    moment, scatter, space = np.zeros((3, 3)), np.zeros((3, 3)), source.shape[1] == 3
+    for i in range(len(source)):
+        if rows[i]:
+            x, y = source[i, 0] - means[0, 0], source[i, 1] - means[0, 1]
+            z = source[i, 2] - means[0, 2] if space else 0.0
+            for b in range(source.shape[1]):
+                to, own = target[i, b] - means[1, b], source[i, b] - means[0, b]
+                moment[0, b] += x * to
+                moment[1, b] += y * to
+                moment[2, b] += z * to
+                scatter[0, b] += x * own
+                scatter[1, b] += y * own
+                scatter[2, b] += z * own
+    return moment, scatter
+
+
+@compiled
+def fit_rows(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    guess: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], bool, NDArray[np.float64]]:
+    """Fit some rows of matched points (n, d) rigidly, as `fit_rigid` does with equal weights.
+
+    Returns R, t, whether the rows fix R, and the scatter (3, 3) of their source points.  A guess
+    of R (d, d) saves time.
+    """
+    d, means = source.shape[1], np.empty((2, 3))
+    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(source, rows)
+    means[1, 0], means[1, 1], means[1, 2], _ = centre_of(target, rows)
+    moment, scatter = _moments(source, target, rows, means)
+    R, t = best_rotation(moment, guess), np.empty(d)
+    for a in range(d):
+        t[a] = means[1, a]
+        for b in range(d):
+            t[a] -= R[a, b] * means[0, b]
+    return R, t, fixes(scatter, d), scatter
+
+
+@compiled
+def set_placement(
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    i: int,
+    turn: NDArray[np.float64],
+    shift: NDArray[np.float64],
+) -> None:
+    """Enter turn and shift as the i-th of placements R (m, d, d) and t (m, d)."""
+    for a in range(len(shift)):
+        t[i, a] = shift[a]
+        for b in range(len(shift)):
+            R[i, a, b] = turn[a, b]
+
+
+@compiled
+def _misfits(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    misfit: NDArray[np.float64],
+) -> None:
+    """Enter how far from its target (n, d) a fit puts each point (n,)."""
+    n, d = source.shape
+    for i in range(n):
+        square = 0.0
+        for a in range(d):
+            apart = t[a] - target[i, a]
+            for b in range(d):
+                apart += R[a, b] * source[i, b]
+            square += apart * apart
+        misfit[i] = np.sqrt(square)
+
+
+@compiled
+def trimmed_fit_rows(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    tolerance_m: float,
+    rounds: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Fit matches (n, d), leaving out those that disagree; see `trimmed_fit`.
+
+    Returns R, t and the number of matches within the tolerance, which is -1 where too few are left.
+    """
+    n, d = source.shape
+    kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)
+    R, t, limit, n_agreeing = identity(d), np.zeros(d), np.inf, 0
+    for _ in range(rounds):
+        n_kept, same, last = 0, True, limit == tolerance_m
+        for i in range(n):
+            same &= kept[i] == (misfit[i] <= limit)
+            kept[i] = misfit[i] <= limit
+            n_kept += kept[i]
+        if n_kept < d:
+            return R, t, -1
+        if last and same:
+            break
+        R, t, _, _ = fit_rows(source, target, kept, R)
+        _misfits(source, target, R, t, misfit)
+        n_kept = 0
+        for i in range(n):
+            if kept[i]:
+                listed[n_kept] = misfit[i]
+                n_kept += 1
+        limit = max(tolerance_m, 1.5 * smallest(listed[:n_kept], n_kept // 2))
+    for i in range(n):
+        n_agreeing += misfit[i] <= tolerance_m
+    return R, t, n_agreeing

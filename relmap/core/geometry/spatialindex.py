@@ -1,0 +1,80 @@
+"""A grid of landmarks that grows with the map and is asked for what lies near."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.table import NONE, LandmarkState
+
+SIDE = 2**20
+"""Cells along each axis that have keys of their own; beyond, far ones share a list, no more."""
+
+
+class SpatialIndex:
+    """Landmarks by the cell of a grid that they lie in; the cost of asking is that of a few cells.
+
+    The landmarks of a cell are a linked list in plain arrays: millions of small objects would make
+    Python's garbage collector stop the mapping now and then.
+
+    Parameters
+    ----------
+    table : LandmarkState
+        Its columns `cell` and `next_in_cell` are the lists.
+    cell_m : float
+        Side of a cell, metres: nothing farther than this is asked for.
+    """
+
+    def __init__(self, table: LandmarkState, cell_m: float) -> None:
+        dimension = table.dimension
+        self.cell_m = cell_m
+        self._table = table
+        self._first: dict[int, int] = {}
+        self._strides = SIDE ** np.arange(dimension)
+        self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
+
+    def add(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
+        """Enter landmarks (k,) at positions (k, d), in place of where they were before."""
+        keys = np.array(self._keys(self._cells(positions)), dtype=np.int64)
+        before = self._table.cell[landmarks]
+        for row in np.flatnonzero(keys != before).tolist():
+            landmark, key = int(landmarks[row]), int(keys[row])
+            if before[row] != NONE:
+                self._remove(landmark, int(before[row]))
+            self._table.next_in_cell[landmark] = self._first.get(key, NONE)
+            self._first[key] = landmark
+            self._table.cell[landmark] = key
+
+    def near(self, position: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the landmarks within a cell's side of the position (d,), and some more."""
+        found = []
+        for key in self._keys(self._cells(position) + self._around):
+            landmark = self._first.get(key, NONE)
+            while landmark != NONE:
+                found.append(landmark)
+                landmark = int(self._table.next_in_cell[landmark])
+        return np.array(found, dtype=np.int64)
+
+    def holds(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which landmarks (k,) were entered."""
+        return np.asarray(self._table.cell[landmarks] != NONE)
+
+    def _remove(self, landmark: int, key: int) -> None:
+        after = int(self._table.next_in_cell[landmark])
+        other = self._first[key]
+        if other == landmark and after == NONE:
+            del self._first[key]
+        elif other == landmark:
+            self._first[key] = after
+        else:
+            while self._table.next_in_cell[other] != landmark:
+                other = int(self._table.next_in_cell[other])
+            self._table.next_in_cell[other] = after
+
+    def _cells(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
+        return np.floor(positions / self.cell_m).astype(np.int64)
+
+    def _keys(self, cells: NDArray[np.int64]) -> list[int]:
+        """Return a number for each cell (k, d), never negative."""
+        keys: list[int] = (cells % SIDE @ self._strides).tolist()
+        return keys

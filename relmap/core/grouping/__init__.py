@@ -1,0 +1,1 @@
+"""From observations to relative maps (Figs 8 to 12)."""

@@ -1,0 +1,142 @@
+"""From a chart to a relative map: who is static, who forms the group, and the average (Fig. 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.completion import RelativeMap, complete
+from relmap.core.grouping.dynamics import FEWEST, Binning, Bins, DynamicStatus, n_log_n, rests
+from relmap.core.grouping.growth import Group
+from relmap.core.grouping.noise import NoiseEstimate, guess_noise
+from relmap.core.state.table import LandmarkState
+
+ROUNDS = 6
+"""How often a relative map is fitted to again as it comes to hold more."""
+AMPLE = 1.5
+"""It is fitted to again where so many times as much of it is placed well enough."""
+SOLID = 1.0
+"""Largest variance of a position that is fitted to, in units of an observation's."""
+FEW = 0.2
+"""Share of a chart, and of what is known of it, in the static bin, below which it is doubted."""
+LONG = 20
+"""Iterations that tell landmarks which move together from those that happen to."""
+
+
+class Averaging:
+    """Learns from charts how large the noise is and which landmarks move.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    noise_spread : float
+        How many times noisier than the typical landmark the noisiest are.
+
+    Attributes
+    ----------
+    noise : NoiseEstimate
+    n_comparisons : int
+        Pairs of landmarks compared in the last chart.
+    """
+
+    def __init__(self, table: LandmarkState, noise_spread: float = 1.0) -> None:
+        self.noise = NoiseEstimate()
+        self.n_comparisons = 0
+        self._table = table
+        self._motion = DynamicStatus(table)
+        self._noise_spread = noise_spread
+
+    @property
+    def _tolerated_m(self) -> float:
+        """Standard deviation that a landmark at rest may have, metres."""
+        return self._noise_spread * self.noise.sigma_m
+
+    def completed(
+        self,
+        chart: PointChart,
+        group: Group,
+        core: NDArray[np.float64],
+        average: NDArray[np.float64],
+    ) -> RelativeMap:
+        """Complete a group's relative map to all that its chart saw at rest; note who moves.
+
+        Parameters
+        ----------
+        chart : PointChart
+        group : Group
+        core : (g, i, d) float64, robot frame, metres
+            The group's observations.
+        average : (g, d) float64, group frame, metres
+            Its relative map.
+        """
+        self.noise.add(core)
+        relative = self._completed(chart, group, average)
+        at_rest = self._motion.test(relative, self._tolerated_m)
+        self._bin_movers(chart)
+        return relative.only(at_rest)
+
+    def _completed(
+        self, chart: PointChart, group: Group, average: NDArray[np.float64]
+    ) -> RelativeMap:
+        """Complete a relative map to all of the chart, from the group outwards.
+
+        Few members leave the far end of the chart free to swing: what is placed well enough from
+        them is fitted to as well, until there is no more.
+        """
+        landmarks, block = chart.landmarks, chart.points_robot
+        reference = np.full((len(block), block.shape[2]), np.nan)
+        reference[group.rows] = average
+        n_members = len(group.rows)
+        for _ in range(ROUNDS):
+            relative = complete(landmarks, chart.iterations, block, reference)
+            solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
+            solid &= ~self._table.dynamic[relative.landmarks]
+            solid &= relative.amplified <= SOLID * relative.n_used
+            if solid.sum() <= AMPLE * n_members:
+                break
+            n_members = int(solid.sum())
+            reference = np.full_like(reference, np.nan)
+            reference[np.isin(landmarks, relative.landmarks[solid])] = relative.positions[solid]
+        return relative
+
+    def static(self, chart: PointChart, weights: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the rows of the chart that keep their distances and were not seen moving."""
+        self.n_comparisons = 0
+        block, noise_m = chart.points_robot, self._tolerated_m
+        bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
+        self.n_comparisons += bins.n_comparisons
+        known = weights[bins.static].sum() / max(weights.sum(), 1.0)
+        if len(bins.static) < FEW * len(block) and known < FEW:
+            guess_m = self._noise_spread * guess_noise(block)
+            if not guess_m <= noise_m:
+                guessed = Binning(block, guess_m).sort(weights)
+                self.n_comparisons += guessed.n_comparisons
+                if len(guessed.static) > len(bins.static):
+                    self.noise.restart()
+                    bins = guessed
+        static = bins.static
+        return static[~self._table.dynamic[chart.landmarks[static]]]
+
+    def _bin_movers(self, chart: PointChart) -> None:
+        """Take note of which landmarks move together, as the parts of a vehicle do.
+
+        They are compared as far as the n log2 n comparisons of the whole chart go.
+        """
+        if len(chart.iterations) < LONG:
+            return
+        often = chart.visible.sum(axis=1) >= FEWEST
+        allowed = n_log_n(int(often.sum()))
+        rest = np.flatnonzero(often & self._table.dynamic[chart.landmarks])
+        together: list[NDArray[np.int64]] = []
+        while len(rest) > 1 and self.n_comparisons < allowed:
+            binning = Binning(chart.points_robot[rest], self._tolerated_m)
+            bins = binning.sort(np.zeros(len(rest)), allowed - self.n_comparisons)
+            self.n_comparisons += bins.n_comparisons
+            if not bins.members:
+                break
+            together += [chart.landmarks[rest[members]] for members in bins.members]
+            rest = np.delete(rest, np.concatenate(bins.members))
+        compared = self.n_comparisons + len(rest) <= allowed  # none was left out for want of room
+        alone = chart.landmarks[rest] if compared else rest[:0]
+        self._motion.go_together(together, alone)

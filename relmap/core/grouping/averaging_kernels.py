@@ -1,0 +1,173 @@
+"""Averaging what a chart shows, compiled; see `completion` and `noise`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.order_kernels import median, smallest
+from relmap.core.linalg.small_kernels import identity, inverse3
+
+
+@compiled
+def _amplify(
+    points: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    scatter: NDArray[np.float64],
+    amplified: NDArray[np.float64],
+) -> None:
+    """Add the variance (n,) of points placed by a fit to some rows, in units of the noise's."""
+    n, d = points.shape
+    x, y, z, count = centre_of(points, rows)
+    trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
+    for i in range(3):
+        for j in range(3):
+            scatter[i, j] = (trace if i == j else 0.0) - scatter[i, j]
+    spread, _ = inverse3(scatter)
+    xx, yy, zz = spread[0, 0], spread[1, 1], spread[2, 2]
+    xy, xz, yz = 2 * spread[0, 1], 2 * spread[0, 2], 2 * spread[1, 2]
+    for i in range(n):
+        a, b = points[i, 0] - x, points[i, 1] - y
+        if d == 2:  # a turn moves a point at its distance, any way round
+            turned = (a * a + b * b) / (2 * trace)
+        else:
+            c = points[i, 2] - z
+            along = a * (xx * a + xy * b + xz * c) + b * (yy * b + yz * c) + zz * c * c
+            turned = ((xx + yy + zz) * (a * a + b * b + c * c) - along) / 3
+        if not np.isnan(a):
+            amplified[i] += 1 + 1 / count + turned
+
+
+@compiled
+def place(
+    points: NDArray[np.float64],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    i: int,
+    placed: NDArray[np.float64],
+) -> None:
+    """Enter where an iteration i, as it lies, puts its points (n, d) in places (n, i, d)."""
+    n, d = points.shape
+    for k in range(n):
+        for a in range(d):
+            at = t[i, a]
+            for b in range(d):
+                at += R[i, a, b] * points[k, b]
+            placed[k, i, a] = at
+
+
+@compiled
+def _averages(
+    placed: NDArray[np.float64], amplified: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean places (n, d), and the sums of squared deviations (n,) from them.
+
+    Of places (n, i, d), NaN or not; amplified variances (n,) come as sums and are averaged too.
+    The largest deviation of each row is left out: one bad observation is not a motion.
+    """
+    n, m, d = placed.shape
+    mean, squares = np.zeros((n, d)), np.zeros(n)
+    for k in range(n):
+        count, largest = 0, 0.0
+        for i in range(m):
+            if not np.isnan(placed[k, i, 0]):
+                count += 1
+                for a in range(d):
+                    mean[k, a] += placed[k, i, a]
+        amplified[k] /= count
+        for a in range(d):
+            mean[k, a] /= count
+        for i in range(m):
+            square = 0.0
+            for a in range(d):
+                apart = placed[k, i, a] - mean[k, a]
+                square += apart * apart
+            if not np.isnan(square):
+                squares[k] += square
+                largest = max(largest, square)
+        squares[k] -= largest
+    return mean, squares
+
+
+@compiled
+def place_iterations(
+    block: NDArray[np.float64], reference: NDArray[np.float64]
+) -> tuple[
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.bool_],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+]:
+    """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
+
+    Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then for each landmark (n,),
+    of use where it was ever placed, the mean place (n, d), the sum of squared deviations from it
+    but for the largest, and what its variance is in units of the noise's.
+    """
+    n, m, d = block.shape
+    R, t, fixed = np.empty((m, d, d)), np.empty((m, d)), np.zeros(m, dtype=np.bool_)
+    here, rows, guess = np.empty((n, d)), np.zeros(n, dtype=np.bool_), identity(d)
+    placed, amplified = np.empty((n, m, d)), np.zeros(n)
+    placed[:] = np.nan
+    for i in range(m):
+        for k in range(n):
+            rows[k] = not np.isnan(block[k, i, 0] + reference[k, 0])
+            for a in range(d):
+                here[k, a] = block[k, i, a]
+        turn, shift, fixed[i], scatter = fit_rows(here, reference, rows, guess)
+        set_placement(R, t, i, turn, shift)
+        if fixed[i]:
+            guess = turn
+            _amplify(here, rows, scatter, amplified)
+            place(here, R, t, i, placed)
+    mean, squares = _averages(placed, amplified)
+    return R, t, fixed, mean, squares, amplified
+
+
+@compiled
+def _radial_variances(
+    block: NDArray[np.float64], inner: NDArray[np.bool_], variance: NDArray[np.float64]
+) -> None:
+    """Enter the variance (g,) of the distances from the centre of the inner ones of a group."""
+    g, m, d = block.shape
+    centre, radius, h = np.zeros((m, d)), np.empty(m), 0
+    for k in range(g):
+        h += inner[k]
+    for k in range(g):
+        for i in range(m):
+            for a in range(d):
+                centre[i, a] += block[k, i, a] / h if inner[k] else 0.0
+    for k in range(g):
+        mean, squares = 0.0, 0.0
+        for i in range(m):
+            square = 0.0
+            for a in range(d):
+                square += (block[k, i, a] - centre[i, a]) ** 2
+            radius[i] = np.sqrt(square)
+            mean += radius[i] / m
+        for i in range(m):
+            squares += (radius[i] - mean) ** 2
+        # The centre holds 1/h of the noise of each of its own, with or against the member's.
+        variance[k] = squares / (m - 1) * (h / (h - 1) if inner[k] else h / (h + 1))
+
+
+@compiled
+def steady_variance(block: NDArray[np.float64], freedoms_median: float) -> float:
+    """Return the typical variance of the distances from the centre of a group (g, i, d).
+
+    The centre is that of the steadier half: one that moves would take it along.
+    """
+    g = len(block)
+    inner, variance, listed, limit = np.zeros(g, dtype=np.bool_), np.zeros(g), np.empty(g), np.inf
+    for _ in range(3):
+        for k in range(g):
+            inner[k] = variance[k] <= limit
+        _radial_variances(block, inner, variance)
+        for k in range(g):
+            listed[k] = variance[k]
+        limit = smallest(listed, min(max(3, (g + 1) // 2), g) - 1)
+    return median(listed) / freedoms_median

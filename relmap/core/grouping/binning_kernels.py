@@ -1,0 +1,224 @@
+"""Binning landmarks by the distances between them; see `relmap.core.grouping.dynamics`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.order_kernels import smallest
+
+TRIES = 2
+"""How often a landmark may look for company before it counts as alone."""
+VOTERS = 3
+"""Further members that vote on who belongs to a bin."""
+
+
+@compiled
+def keeps_distance(block: NDArray[np.float64], a: int, b: int, limit: float, fewest: int) -> bool:
+    """Tell whether the distance of two rows of a block (n, i, d) varies by no more than a limit.
+
+    NaN marks what was not seen; fewer than `fewest` common iterations tell nothing.
+    """
+    _, m, d = block.shape
+    count, mean, squares = 0, 0.0, 0.0
+    for i in range(m):
+        square = 0.0
+        for k in range(d):
+            apart = block[a, i, k] - block[b, i, k]
+            square += apart * apart
+        if not np.isnan(square):
+            count += 1
+            distance = np.sqrt(square)
+            step = distance - mean
+            mean += step / count
+            squares += step * (distance - mean)
+    return count >= fewest and squares <= limit * (count - 1)
+
+
+@compiled
+def _outward(block: NDArray[np.float64], near: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return how far (k,), squared, the mean places of some rows are from the middle of these."""
+    k, m, d = len(near), block.shape[1], block.shape[2]
+    place, centre, square = np.zeros((k, d)), np.zeros(d), np.zeros(k)
+    for j in range(k):
+        count = 0
+        for i in range(m):
+            if not np.isnan(block[near[j], i, 0]):
+                count += 1
+                for a in range(d):
+                    place[j, a] += block[near[j], i, a]
+        for a in range(d):
+            place[j, a] /= count
+            centre[a] += place[j, a] / k
+    for j in range(k):
+        for a in range(d):
+            square[j] += (place[j, a] - centre[a]) ** 2
+    return square
+
+
+@compiled
+def _vote(
+    block: NDArray[np.float64],
+    near: NDArray[np.int64],
+    n_voters: int,
+    limit: float,
+    fewest: int,
+) -> tuple[NDArray[np.int64], int]:
+    """Let some members of a bin, from the outermost to the innermost, vote on the others.
+
+    They catch what circles round the first member; nobody votes for himself.  Returns who stays,
+    and the number of comparisons.
+    """
+    k, n_stay = len(near), 0
+    outward, listed = _outward(block, near), np.empty(k)
+    votes, stay = np.zeros(k), np.empty(k, dtype=np.int64)
+    for v in range(n_voters):
+        for j in range(k):
+            listed[j] = outward[j]
+        rank = smallest(listed, v * (k - 1) // max(n_voters - 1, 1))
+        voter = 0
+        for j in range(k):
+            voter = j if outward[j] == rank else voter
+        for j in range(k):  # half of those asked are enough
+            if j != voter:
+                agrees = keeps_distance(block, near[voter], near[j], limit, fewest)
+                votes[j] += 1 if agrees else -1
+    for j in range(k):
+        if votes[j] >= 0:
+            stay[n_stay] = near[j]
+            n_stay += 1
+    return stay[:n_stay], n_voters * (k - 1)
+
+
+@compiled
+def _company(
+    block: NDArray[np.float64],
+    pivot: int,
+    others: NDArray[np.int64],
+    sample: tuple[int, int],
+    budget: int,
+    limit: float,
+    fewest: int,
+) -> tuple[NDArray[np.int64], int]:
+    """Return which others keep their distance from a pivot, and the number of comparisons.
+
+    Whoever is static finds company in a small sample, here and there of all: where nobody in the
+    sample agrees, or the budget is too small, nobody is returned.  The sample is a first one and
+    every so many after it.
+    """
+    every, first = sample
+    agrees, near = np.zeros(len(others), dtype=np.bool_), np.empty(len(others), dtype=np.int64)
+    n, n_near = 0, 0
+    for in_sample in (True, False):
+        n_sample = (len(others) - first + every - 1) // every
+        n_asked = n_sample if in_sample else len(others) - n_sample
+        if n + n_asked > budget:
+            return near[:0], n
+        for j in range(len(others)):
+            if (j % every == first) == in_sample:
+                agrees[j] = keeps_distance(block, pivot, others[j], limit, fewest)
+                n_near += agrees[j]
+        n += n_asked
+        if n_near == 0:
+            break
+    n_near = 0
+    for j in range(len(others)):
+        if agrees[j]:
+            near[n_near] = others[j]
+            n_near += 1
+    return near[:n_near], n
+
+
+@compiled
+def _bin_with(
+    block: NDArray[np.float64],
+    pivot: int,
+    others: NDArray[np.int64],
+    sample: tuple[int, int],
+    budget: int,
+    limit: float,
+    fewest: int,
+) -> tuple[NDArray[np.int64], int]:
+    """Return the other members of the bin that a pivot begins, and the number of comparisons."""
+    near, n = _company(block, pivot, others, sample, budget, limit, fewest)
+    n_voters = min(VOTERS, len(near), (budget - n) // max(len(near) - 1, 1))
+    if len(near) > 1 and n_voters > 0:
+        near, n_votes = _vote(block, near, n_voters, limit, fewest)
+        return near, n + n_votes
+    return near, n
+
+
+@compiled
+def _next_pivot(
+    free: NDArray[np.bool_], tries: NDArray[np.int64], priority: NDArray[np.float64]
+) -> int:
+    """Return the free row with the fewest tries, of these that of the highest priority, or -1."""
+    best = -1
+    for row in range(len(free)):
+        if free[row]:
+            fewer = best < 0 or tries[row] < tries[best]
+            if fewer or (tries[row] == tries[best] and priority[row] > priority[best]):
+                best = row
+    return best
+
+
+@compiled
+def _others(free: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the free rows."""
+    rows, n = np.empty(len(free), dtype=np.int64), 0
+    for row in range(len(free)):
+        if free[row]:
+            rows[n] = row
+            n += 1
+    return rows[:n]
+
+
+@compiled
+def sort_into_bins(
+    block: NDArray[np.float64],
+    free: NDArray[np.bool_],
+    priority: NDArray[np.float64],
+    limit: float,
+    fewest: int,
+    size: int,
+    allowed: int,
+) -> tuple[NDArray[np.int64], int]:
+    """Sort free rows of a block (n, i, d) into bins; see `relmap.core.grouping.dynamics.Binning`.
+
+    Returns the number of each row's bin, -1 where it is in none, and the comparisons made.  What is
+    free (n,) is changed.
+    """
+    bin_of, tries = np.empty(len(block), dtype=np.int64), np.zeros(len(block), dtype=np.int64)
+    bin_of[:] = -1
+    n_bins, n_comparisons, n_all, weight, largest = 0, 0, 0, 0.0, 0
+    for row in range(len(block)):
+        n_all += free[row]
+        weight += priority[row] if free[row] else 0.0
+    pivot = _next_pivot(free, tries, priority)
+    while pivot >= 0 and n_comparisons < allowed:
+        free[pivot] = False
+        others = _others(free)
+        if largest > len(others):
+            break
+        every = max(len(others) // size, 1)
+        sample, budget = (every, tries[pivot] % every), allowed - n_comparisons
+        members, compared = _bin_with(block, pivot, others, sample, budget, limit, fewest)
+        n_comparisons += compared
+        tries[pivot] += 1
+        if len(members) == 0:
+            free[pivot] = tries[pivot] < TRIES and every > 1
+        else:
+            bin_of[pivot] = n_bins
+            held = priority[pivot]
+            for j in range(len(members)):
+                bin_of[members[j]] = n_bins
+                free[members[j]] = False
+                held += priority[members[j]]
+            n_bins += 1
+            largest = max(largest, 1 + len(members))
+            # Half of the landmarks, or of what is known of them, in one: there is no larger bin.
+            if 2 * largest >= n_all or (weight > 0 and 2 * held >= weight):
+                break
+        pivot = _next_pivot(free, tries, priority)
+    return bin_of, n_comparisons

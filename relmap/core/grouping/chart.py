@@ -1,0 +1,63 @@
+"""The point chart: which landmark was visible in which iteration (Figs 9 and 10)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.store import ObservationStore
+
+
+@dataclass(frozen=True, eq=False)
+class PointChart:
+    """Landmarks over the iterations in which one of them, the seed, was visible.
+
+    Attributes
+    ----------
+    landmarks : (n,) int64
+        The seed first, then all that were visible together with it at least once.
+    iterations : (i,) int64, ascending
+        The iterations in which the seed was visible.
+    points_robot : (n, i, d) float64, robot frame, metres
+        The observations; NaN where a landmark was not seen.
+    visible : (n, i) bool
+    """
+
+    landmarks: NDArray[np.int64]
+    iterations: NDArray[np.int64]
+    points_robot: NDArray[np.float64]
+    visible: NDArray[np.bool_]
+
+    @classmethod
+    def around(cls, seed: int, store: ObservationStore, begin: int, end: int) -> PointChart:
+        """Chart what was visible together with `seed` in iterations `begin` to `end` (Fig. 9)."""
+        landmarks, iterations, block = store.seen_with(seed, begin, end)
+        return cls(landmarks, iterations, block, np.isfinite(block[:, :, 0]))
+
+    def only(self, rows: NDArray[np.bool_]) -> PointChart:
+        """Return the chart of some of its landmarks, the seed among them."""
+        return PointChart(
+            self.landmarks[rows], self.iterations, self.points_robot[rows], self.visible[rows]
+        )
+
+    @property
+    def common_interval(self) -> NDArray[np.int64]:
+        """Number of iterations each landmark shares with the seed; (n,)."""
+        return np.asarray(self.visible.sum(axis=1))
+
+    def sorted_by_common_interval(
+        self, rows: NDArray[np.int64], preference: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Return the order of some rows (k,) with larger common intervals higher up (Fig. 10).
+
+        The seed shares all its iterations with itself, so it comes out on top.
+
+        Parameters
+        ----------
+        rows : (k,) int64
+        preference : (k,) float64
+            Of rows with equal common intervals, the larger preference goes first.
+        """
+        return np.lexsort((-preference, -self.common_interval[rows]))

@@ -1,0 +1,77 @@
+"""The point chart with its observations, compiled; see `relmap.core.grouping.chart`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def _members_and_columns(
+    landmarks: NDArray[np.int64],
+    offsets: NDArray[np.int64],
+    seed: int,
+    slots: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return who was seen when a seed was, the seed first, and when; number them in the slots."""
+    columns, members = np.empty(len(offsets) - 1, np.int64), np.empty(len(landmarks) + 1, np.int64)
+    members[0], slots[seed] = seed, 0
+    j, n = 0, 1
+    for i in range(len(offsets) - 1):
+        with_seed = False
+        for row in range(offsets[i], offsets[i + 1]):
+            with_seed |= landmarks[row] == seed
+        if with_seed:
+            columns[j] = i
+            j += 1
+            for row in range(offsets[i], offsets[i + 1]):
+                if slots[landmarks[row]] < 0:
+                    slots[landmarks[row]] = n
+                    members[n] = landmarks[row]
+                    n += 1
+    return members[:n], columns[:j]
+
+
+@compiled
+def chart_block(
+    landmarks: NDArray[np.int64],
+    points: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    seed: int,
+    slots: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """Chart what was seen in the iterations in which a seed was.
+
+    Parameters
+    ----------
+    landmarks : (k,) int64
+    points : (k, d) float64
+        Observations in order of iteration.
+    offsets : (i + 1,) int64
+        Where those of each iteration begin, and the end.
+    seed : int
+    slots : (m,) int64
+        Room for a number per landmark, all -1; left so.
+
+    Returns
+    -------
+    landmarks : (n,) int64
+        The seed, then the others as they were first seen.
+    columns : (j,) int64
+        Iterations, counted from the first.
+    block : (n, j, d) float64
+        NaN where a landmark was not seen.
+    """
+    members, columns = _members_and_columns(landmarks, offsets, seed, slots)
+    block = np.empty((len(members), len(columns), points.shape[1]))
+    block[:] = np.nan
+    for column in range(len(columns)):
+        i = columns[column]
+        for row in range(offsets[i], offsets[i + 1]):
+            for a in range(points.shape[1]):
+                block[slots[landmarks[row]], column, a] = points[row, a]
+    for k in range(len(members)):
+        slots[members[k]] = -1
+    return members, columns, block

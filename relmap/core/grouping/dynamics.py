@@ -1,0 +1,175 @@
+"""Static or dynamic: binning landmarks by the distances between them (section III, Fig. 12).
+
+Two landmarks belong together when their mutual distance deviates no more than the noise explains.
+The largest bin is the static one.  Following the paper, landmarks are compared with bins, each
+represented by a few of its members; the search stops when half the landmarks are in one bin; and
+bins are begun in the order of a priority queue.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.grouping.completion import RelativeMap
+from relmap.core.state.table import NONE, LandmarkState
+
+LIMIT = 4.0
+"""Variance that still counts as noise, in units of what the noise alone would give."""
+FEWEST = 4
+"""Common observations without which nothing is said."""
+ENOUGH = 8
+"""Observations that tell one who moves from one who was seen badly now and then."""
+STRIKES = 2
+"""Groups in a row, each with observations of its own, that must see a landmark move."""
+STILL = 60
+"""Iterations at rest, and in view, after which a landmark that moved is static again."""
+EXACT = 1e-9
+"""Deviation, in units of the landmarks' distances, that is taken for rounding."""
+SAMPLE = 6
+"""Landmarks that a new bin must find company among, before all the others are asked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """Sets of landmarks that keep their mutual distances.
+
+    Attributes
+    ----------
+    members : list of (k,) int64
+        Rows of the block, one array per bin, the largest bin first.
+    n_comparisons : int
+        Pairs of landmarks compared.
+    """
+
+    members: list[NDArray[np.int64]]
+    n_comparisons: int
+
+    @property
+    def static(self) -> NDArray[np.int64]:
+        """The largest bin."""
+        return self.members[0] if self.members else np.empty(0, dtype=np.int64)
+
+
+class DynamicStatus:
+    """Which landmarks are known to move.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    """
+
+    def __init__(self, table: LandmarkState) -> None:
+        self.table = table
+        self._n_bins = 0
+
+    def go_together(self, bins: list[NDArray[np.int64]], alone: NDArray[np.int64]) -> None:
+        """Take note of which dynamic landmarks kept their mutual distances, and which went alone.
+
+        A bin keeps its number as long as some of it stay together; who is alone in view keeps it.
+        """
+        table = self.table
+        compared = table.moving_bin[np.concatenate([alone, *bins])]
+        with_others = np.array([np.sum(compared == n) > 1 for n in table.moving_bin[alone]], bool)
+        table.moving_bin[alone[with_others]] = NONE
+        taken = {NONE}
+        for members in bins:
+            known = set(table.moving_bin[members].tolist()) - taken
+            number = min(known, default=self._n_bins)
+            self._n_bins = max(self._n_bins, number + 1)
+            table.moving_bin[members] = number
+            taken.add(number)
+
+    def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
+        """Take note of who moves in a relative map; return who was seen often enough, and rests.
+
+        A landmark whose place deviates more than the noise explains, in group after group, is
+        dynamic; one that has been at rest for long is static again.
+        """
+        table = self.table
+        landmarks = relative.landmarks
+        still = rests(relative, noise_m)
+        table.restless[landmarks] = ~still & (relative.n_used >= FEWEST)
+        tested = relative.n_used >= ENOUGH
+        moves = tested & ~still
+        # Neither way does it count twice what was seen by the last group that saw it move.
+        later = relative.iterations > table.struck_until[landmarks][:, None]
+        fresh = np.sum(relative.used & later, axis=1) >= FEWEST
+        struck = moves & fresh
+        table.strikes[landmarks[tested & ~moves & fresh]] = 0
+        table.strikes[landmarks[struck]] += 1
+        table.struck_until[landmarks[struck]] = relative.iterations[-1]
+        table.dynamic[landmarks[table.strikes[landmarks] >= STRIKES]] = True
+        begin = relative.iterations[np.argmax(relative.used, axis=1)]
+        end = relative.iterations[-1 - np.argmax(relative.used[:, ::-1], axis=1)]
+        out_of_sight = np.maximum(begin - 1 - table.tested_until[landmarks], 0)
+        table.tested_until[landmarks] = np.maximum(table.tested_until[landmarks], end)
+        table.moved_until[landmarks] += out_of_sight
+        table.moved_until[landmarks[moves]] = end[moves]
+        settled = tested & ~moves & (end - table.moved_until[landmarks] > STILL)
+        table.dynamic[landmarks[settled]] = False
+        table.moving_bin[landmarks[settled]] = NONE
+        return np.asarray((relative.n_used >= FEWEST) & still & ~table.dynamic[landmarks])
+
+
+def judge_at_last(table: LandmarkState, landmarks: NDArray[np.int64]) -> None:
+    """Call those dynamic that left the view without a place and moved when last looked at."""
+    table.dynamic[landmarks[table.restless[landmarks]]] = True
+
+
+def rests(relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
+    """Tell whose place deviates no more than the noise explains; (n,)."""
+    limit = LIMIT * max(noise_m, _exact(relative.positions)) ** 2
+    return np.asarray(np.nan_to_num(relative.variance) <= limit * relative.amplified)
+
+
+class Binning:
+    """Sorts the landmarks of one block into bins.
+
+    Parameters
+    ----------
+    block : (n, i, d) float64, robot frame, metres
+        NaN where a landmark was not seen.
+    noise_m : float
+        Standard deviation of an observed coordinate.
+    """
+
+    def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
+        self._block = block
+        self._often = np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST
+        self._limit = LIMIT * 2 * max(noise_m, _exact(block)) ** 2
+
+    def sort(self, priority: NDArray[np.float64], allowed: float | None = None) -> Bins:
+        """Sort landmarks into bins, until half of them, or of the priority, are in one.
+
+        Landmarks seen too seldom to be compared, or that found no company, are in none.
+
+        Parameters
+        ----------
+        priority : (n,) float64
+            Bins are begun with the landmarks of the highest priority.
+        allowed : float, optional
+            Most comparisons; n log2 n, of the n seen often enough, where left out.
+        """
+        from relmap.core.grouping.binning_kernels import sort_into_bins
+
+        if allowed is None:
+            allowed = n_log_n(int(self._often.sum()))
+        bin_of, n_comparisons = sort_into_bins(
+            self._block, self._often.copy(), priority, self._limit, FEWEST, SAMPLE, int(allowed)
+        )
+        sizes = np.bincount(bin_of[bin_of >= 0])
+        bins = np.argsort(-sizes, kind="stable")
+        return Bins([np.flatnonzero(bin_of == number) for number in bins], n_comparisons)
+
+
+def n_log_n(n: int) -> float:
+    """Return n log2 n, the most comparisons that may be made among n landmarks."""
+    return float(n * np.log2(max(n, 2)))
+
+
+def _exact(points: NDArray[np.float64]) -> float:
+    """Return the deviation, metres, that rounding alone may bring to points (n, ..., d)."""
+    return EXACT * float(np.sqrt(points.shape[-1]) * np.nanmax(np.abs(points), initial=0.0))

@@ -1,0 +1,69 @@
+"""Group growth: members x common interval (Fig. 11)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.grouping.chart import PointChart
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Landmarks of a chart that were all visible in each of some of its iterations.
+
+    Attributes
+    ----------
+    rows : (g,) int64
+        Rows of the members in the chart.
+    columns : (i,) int64, ascending
+        Columns of the common interval in the chart.
+    """
+
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+
+
+def grow_group(
+    chart: PointChart,
+    candidates: NDArray[np.int64],
+    weights: NDArray[np.float64],
+    min_members: int,
+    min_shared: int,
+) -> Group | None:
+    """Grow a group down the sorted chart to the largest members x common interval (Fig. 11).
+
+    Of equal common intervals the better mapped landmarks come first, so that the group shares as
+    many landmarks with the map as the interval allows.  The paper stops at the first landmark that
+    does not enlarge the area; here the largest area of the whole chart is taken.
+
+    Parameters
+    ----------
+    chart : PointChart
+    candidates : (c,) int64
+        Rows of the chart that may become members.
+    weights : (n,) float64
+        How well each landmark of the chart is mapped, in iterations averaged; 0 if it is not.
+    min_members : int
+        Smallest size of a group.
+    min_shared : int
+        Smallest number of mapped landmarks in it; 0 for the first group of a map.
+
+    Returns
+    -------
+    Group or None
+        None where the chart holds no such group.
+    """
+    if len(candidates) < min_members:
+        return None
+    order = candidates[chart.sorted_by_common_interval(candidates, weights[candidates])]
+    together = np.logical_and.accumulate(chart.visible[order], axis=0)
+    size = np.arange(1, len(order) + 1)
+    shared = np.cumsum(weights[order] > 0)
+    area = np.where((size >= min_members) & (shared >= min_shared), size * together.sum(axis=1), 0)
+    best = int(np.argmax(area))
+    if area[best] == 0:
+        return None
+    return Group(order[: best + 1], np.flatnonzero(together[best]))

@@ -1,0 +1,81 @@
+"""Which group each landmark's position comes from, and at which level (section III)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.landmarks import MappedGroup
+from relmap.core.state.table import NONE, LandmarkState
+
+
+class GroupLevels:
+    """The highest-level group of every landmark's interval; lower ones that nobody needs are gone.
+
+    A landmark's position is that of its highest-level group, and of equal levels of the one that
+    averaged more of its observations.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    """
+
+    def __init__(self, table: LandmarkState) -> None:
+        self._table = table
+        self._groups: dict[int, MappedGroup] = {}
+        self._users: dict[int, int] = {}
+        self._n_groups = 0
+
+    @property
+    def groups(self) -> list[MappedGroup]:
+        """The groups that some landmark's position comes from, in the order of their making."""
+        return list(self._groups.values())
+
+    def better(
+        self,
+        landmarks: NDArray[np.int64],
+        reached: NDArray[np.int64],
+        n_averaged: NDArray[np.int64],
+    ) -> NDArray[np.bool_]:
+        """Tell whose best position a group holds that lets them reach levels (n,)."""
+        before = self._table.level[landmarks]
+        more = n_averaged > self._table.averaged[landmarks]
+        return np.asarray(more & (reached >= before) | (reached > before) & (n_averaged > 0))
+
+    def take(
+        self,
+        group: MappedGroup,
+        members: NDArray[np.int64],
+        reached: NDArray[np.int64],
+        n_averaged: NDArray[np.int64],
+    ) -> None:
+        """Let members (k,) have their positions from a group; drop groups that nobody needs now."""
+        self._release(members)
+        if len(members):
+            self._groups[self._n_groups] = group
+            self._users[self._n_groups] = len(members)
+        self._table.group[members] = self._n_groups
+        self._n_groups += 1
+        self._table.level[members] = reached
+        self._table.highest_level[members] = np.maximum(self._table.highest_level[members], reached)
+        self._table.averaged[members] = n_averaged
+
+    def leave(self, landmarks: NDArray[np.int64]) -> None:
+        """Take landmarks that turned out to move out of their groups."""
+        self._release(landmarks)
+        self._table.highest_level[landmarks] = 0
+        self.close(landmarks)
+
+    def close(self, landmarks: NDArray[np.int64]) -> None:
+        """End the interval of landmarks: their positions in it stay with their groups."""
+        self._table.group[landmarks] = NONE
+        self._table.level[landmarks] = 0
+        self._table.averaged[landmarks] = 0
+
+    def _release(self, landmarks: NDArray[np.int64]) -> None:
+        groups, users = np.unique(self._table.group[landmarks], return_counts=True)
+        for group, n in zip(groups.tolist(), users.tolist(), strict=True):
+            if group != NONE:
+                self._users[group] -= n
+                if self._users[group] == 0:
+                    del self._groups[group], self._users[group]

@@ -1,0 +1,1 @@
+"""Small matrices, block-sparse factorisation, order statistics."""

@@ -1,0 +1,86 @@
+"""Order statistics, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def smallest(values: NDArray[np.float64], k: int) -> float:
+    """Return the k-th smallest, from 0, of values (n,); they change places.
+
+    Hoare's "find" (Algorithm 65, CACM 1961).
+    """
+    low, high = 0, len(values) - 1
+    while low < high:
+        pivot, i, j = values[(low + high) // 2], low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return float(values[k])
+
+
+@compiled
+def median(values: NDArray[np.float64]) -> float:
+    """Return the median of values (n,); they change places."""
+    n = len(values)
+    return (smallest(values, (n - 1) // 2) + smallest(values, n // 2)) / 2
+
+
+@compiled
+def _in_sets(
+    of: NDArray[np.int64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return where each set 0, 1, ... begins, and the values (n,) set after set."""
+    begin = np.zeros(of.max() + 2 if len(of) else 1, dtype=np.int64)
+    for k in of:
+        begin[k + 1] += 1
+    begin = np.cumsum(begin)
+    at, ordered = begin.copy(), np.empty(len(values))
+    for i in range(len(values)):
+        ordered[at[of[i]]] = values[i]
+        at[of[i]] += 1
+    return begin, ordered
+
+
+@compiled
+def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lower median of the values (n,) of each set 0, 1, ...; none may be empty."""
+    begin, ordered = _in_sets(of, values)
+    found = np.empty(len(begin) - 1)
+    for k in range(len(found)):
+        own = ordered[begin[k] : begin[k + 1]]
+        found[k] = smallest(own, (len(own) - 1) // 2)
+    return found
+
+
+@compiled
+def quantiles(
+    of: NDArray[np.int64], values: NDArray[np.float64], share: float
+) -> NDArray[np.float64]:
+    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
+    begin, ordered = _in_sets(of, values)
+    found = np.empty(len(begin) - 1)
+    for k in range(len(found)):
+        own = ordered[begin[k] : begin[k + 1]]
+        place = share * (len(own) - 1)
+        below = int(place)
+        low = smallest(own, below)
+        high = smallest(own, min(below + 1, len(own) - 1))
+        found[k] = (1 - (place - below)) * low + (place - below) * high
+    return found

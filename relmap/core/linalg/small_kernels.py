@@ -1,0 +1,104 @@
+"""Small matrices, compiled: a few loops take less time, to run and to compile, than LAPACK."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+SWEEPS = 20
+"""Sweeps of Jacobi's method after which it ends anyway; five or six will do."""
+ROUNDING = 1e-17
+"""What may be left beside the diagonal, as a share of the largest on it."""
+
+
+@compiled
+def identity(n: int) -> NDArray[np.float64]:
+    """Return the unit matrix (n, n)."""
+    unit = np.zeros((n, n))
+    for i in range(n):
+        unit[i, i] = 1.0
+    return unit
+
+
+@compiled
+def product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the product (n, k) of two matrices (n, m) and (m, k)."""
+    result = np.empty((len(A), B.shape[1]))
+    for i in range(len(A)):
+        for j in range(B.shape[1]):
+            entry = 0.0
+            for k in range(len(B)):
+                entry += A[i, k] * B[k, j]
+            result[i, j] = entry
+    return result
+
+
+@compiled
+def inverse3(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
+    """Return the inverse of a symmetric matrix (3, 3), and whether it is positive definite."""
+    inverse = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = (j + 1) % 3, (j + 2) % 3, (i + 1) % 3, (i + 2) % 3
+            inverse[i, j] = A[a, c] * A[b, d] - A[a, d] * A[b, c]
+    det = A[0, 0] * inverse[0, 0] + A[0, 1] * inverse[1, 0] + A[0, 2] * inverse[2, 0]
+    positive = A[0, 0] > 0 and inverse[2, 2] > 0 and det > 0
+    for i in range(3):
+        for j in range(3):
+            inverse[i, j] /= det if det != 0 else np.nan
+    return inverse, positive
+
+
+@compiled
+def diagonalise(A: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn a symmetric matrix (n, n) into that of its eigenvalues, in place; return the vectors.
+
+    Jacobi's method (Golub and Van Loan, "Matrix Computations", 8.5).  The vectors are columns.
+    """
+    n = len(A)
+    V = identity(n)
+    for _ in range(SWEEPS):
+        beside, largest = 0.0, 0.0
+        for p in range(n):
+            largest = max(largest, abs(A[p, p]))
+            for q in range(p + 1, n):
+                beside = max(beside, abs(A[p, q]))
+        if beside <= ROUNDING * largest:
+            break
+        for p in range(n):
+            for q in range(p + 1, n):
+                angle = 0.5 * np.arctan2(2 * A[p, q], A[q, q] - A[p, p])
+                c, s = np.cos(angle), np.sin(angle)
+                for k in range(n):
+                    A[k, p], A[k, q] = c * A[k, p] - s * A[k, q], s * A[k, p] + c * A[k, q]
+                    V[k, p], V[k, q] = c * V[k, p] - s * V[k, q], s * V[k, p] + c * V[k, q]
+                for k in range(n):
+                    A[p, k], A[q, k] = c * A[p, k] - s * A[q, k], s * A[p, k] + c * A[q, k]
+    return V
+
+
+@compiled
+def factorise(A: NDArray[np.float64]) -> None:
+    """Put the lower Cholesky factor of a positive definite matrix (n, n) in its place."""
+    for i in range(len(A)):
+        for j in range(i + 1):
+            entry = A[i, j]
+            for k in range(j):
+                entry -= A[i, k] * A[j, k]
+            A[i, j] = entry / A[j, j] if j < i else np.sqrt(max(entry, 1e-300))
+
+
+@compiled
+def solve(L: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+    """Put the solution in place of the right side (n,), with the matrix's factor (n, n)."""
+    n = len(x)
+    for i in range(n):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]

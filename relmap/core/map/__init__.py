@@ -1,0 +1,1 @@
+"""Where relative maps come together."""

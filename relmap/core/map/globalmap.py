@@ -1,0 +1,130 @@
+"""The global map: where the relative maps of the groups come together (section III)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+from relmap.core.state.table import NONE, LandmarkState
+
+
+class GlobalMap:
+    """Positions of landmarks, each that of the best group of every interval, averaged.
+
+    Where a group shares too little with what is mapped, it founds a new submap of the map, with a
+    frame of its own.  Two submaps become one when a group ties them.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    """
+
+    def __init__(self, table: LandmarkState) -> None:
+        self.table = table
+        self._n_submaps = 0
+
+    def submaps_of(self, landmarks: NDArray[np.int64], at_least: int = 1) -> NDArray[np.int64]:
+        """Return the submaps that so many of the landmarks belong to, the oldest first."""
+        submaps, counts = np.unique(self.table.submap[landmarks], return_counts=True)
+        return np.asarray(submaps[(submaps != NONE) & (counts >= at_least)])
+
+    def weights_in(self, submap: int, landmarks: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the weights (g,) of landmarks, 0 for those outside the submap."""
+        return np.where(self.table.submap[landmarks] == submap, self.table.weight[landmarks], 0.0)
+
+    def align(
+        self,
+        submap: int,
+        landmarks: NDArray[np.int64],
+        relative_map: NDArray[np.float64],
+        n_iterations: NDArray[np.int64],
+    ) -> NDArray[np.float64] | None:
+        """Fit a group's relative map to those of its members that are in a submap.
+
+        Each counts with the number of iterations behind its two positions, the one in the map and
+        the one in the group: variances add, so the weights add in parallel.
+
+        Parameters
+        ----------
+        submap : int
+        landmarks : (g,) int64
+        relative_map : (g, d) float64, group frame, metres
+        n_iterations : (g,) int64
+            Iterations averaged into each position of the relative map.
+
+        Returns
+        -------
+        (g, d) float64, frame of the submap, metres, or None where the members fix no rotation
+        """
+        in_map = self.weights_in(submap, landmarks)
+        shared = in_map > 0
+        there = self.table.position[landmarks[shared]]
+        if not fixes_rotation(there):
+            return None
+        weights = 1 / (1 / in_map[shared] + 1 / n_iterations[shared])
+        R, t = fit_rigid(relative_map[shared], there, weights)
+        return relative_map @ R.T + t
+
+    def new_submap(self) -> int:
+        """Return the number of a submap that nothing belongs to yet."""
+        self._n_submaps += 1
+        return self._n_submaps - 1
+
+    def place(
+        self,
+        submap: int,
+        landmarks: NDArray[np.int64],
+        positions: NDArray[np.float64],
+        weights: NDArray[np.float64],
+    ) -> None:
+        """Put landmarks (g,) at positions (g, d) of a submap, averaged with what is settled.
+
+        Parameters
+        ----------
+        submap : int
+        landmarks : (g,) int64
+        positions : (g, d) float64, frame of the submap, metres
+        weights : (g,) float64
+            In iterations averaged.
+        """
+        settled = self.table.settled_weight
+        settled[landmarks[self.table.submap[landmarks] != submap]] = 0.0
+        total = settled[landmarks] + weights
+        share = (weights / total)[:, None]
+        before = self.table.settled_position[landmarks]
+        self.table.position[landmarks] = before + share * (positions - before)
+        self.table.weight[landmarks] = total
+        self.table.submap[landmarks] = submap
+
+    def move(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
+        """Move mapped landmarks (k,), and what is settled of them, to positions (k, d)."""
+        self.table.settled_position[landmarks] += positions - self.table.position[landmarks]
+        self.table.position[landmarks] = positions
+
+    def join(
+        self, submap: int, landmarks: NDArray[np.int64], positions: NDArray[np.float64]
+    ) -> None:
+        """Let other submaps join one where landmarks (g,), placed in it, fix how they lie."""
+        for other in self.submaps_of(landmarks):
+            if other != submap:
+                self._join(int(other), submap, landmarks, positions)
+
+    def _join(
+        self,
+        other: int,
+        submap: int,
+        landmarks: NDArray[np.int64],
+        positions: NDArray[np.float64],
+    ) -> None:
+        shared = self.table.submap[landmarks] == other
+        there = self.table.position[landmarks[shared]]
+        if fixes_rotation(there):
+            self.tie(other, submap, *fit_rigid(there, positions[shared]))
+
+    def tie(self, other: int, submap: int, R: NDArray[np.float64], t: NDArray[np.float64]) -> None:
+        """Let a submap join another, in whose frame its own lies at R (d, d) and t (d,)."""
+        moved = self.table.submap == other
+        for places in (self.table.position, self.table.settled_position):
+            places[moved] = places[moved] @ R.T + t
+        self.table.submap[moved] = submap

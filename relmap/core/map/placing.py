@@ -1,0 +1,119 @@
+"""Where a group's relative map enters the map: at which level, for which of its landmarks."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.grouping.completion import RelativeMap
+from relmap.core.grouping.dynamics import FEWEST, judge_at_last
+from relmap.core.grouping.levels import GroupLevels
+from relmap.core.landmarks import MappedGroup
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.schedule import GroupingSchedule
+from relmap.core.state.store import ObservationStore
+
+
+class Placing:
+    """Enters groups into the map, and ends the intervals of landmarks that have left the view.
+
+    Parameters
+    ----------
+    store : ObservationStore
+    schedule : GroupingSchedule
+    global_map : GlobalMap
+    levels : GroupLevels
+    """
+
+    def __init__(
+        self,
+        store: ObservationStore,
+        schedule: GroupingSchedule,
+        global_map: GlobalMap,
+        levels: GroupLevels,
+    ) -> None:
+        self._table = global_map.table
+        self._store = store
+        self._schedule = schedule
+        self._map = global_map
+        self._levels = levels
+
+    def place(
+        self,
+        submap: int,
+        level: int,
+        placed: NDArray[np.float64],
+        relative: RelativeMap,
+        common_interval: NDArray[np.int64],
+    ) -> NDArray[np.int64]:
+        """Enter a relative map where it is the best there is.
+
+        Parameters
+        ----------
+        submap : int
+        level : int
+            1, 2 or 3: which pass it is.
+        placed : (n, d) float64, frame of the submap, metres
+            The relative map, aligned.
+        relative : RelativeMap
+        common_interval : (i,) int64
+            Iterations of the group that it began with.
+
+        Returns
+        -------
+        (k,) int64
+            The landmarks that are mapped now.
+        """
+        landmarks = relative.landmarks
+        self._map.join(submap, landmarks, placed)
+        # Of a landmark whose interval began within the chart, what came before is settled.
+        begin = self._table.begin[landmarks][:, None]
+        n_averaged = np.sum(relative.used & (relative.iterations >= begin), axis=1)
+        reached = self._schedule.reached(landmarks, n_averaged, level)
+        best = self._levels.better(landmarks, reached, n_averaged)
+        members, reached, n_averaged = landmarks[best], reached[best], n_averaged[best]
+        self._map.place(submap, members, placed[best], n_averaged.astype(np.float64))
+        group = MappedGroup(
+            landmarks=landmarks,
+            relative_map=relative.positions,
+            n_observations=relative.n_used,
+            iterations=common_interval,
+        )
+        self._levels.take(group, members, reached, n_averaged)
+        self._close(members[reached == 3])
+        return landmarks[self._table.weight[landmarks] > 0]
+
+    def next_last_pass(self) -> int | None:
+        """Return who needs its last pass next; None where nobody does yet.
+
+        Those that need none are done with at once, so that they never make the others wait.
+        """
+        waited = self._schedule.waited(self._store.n_iterations)
+        needed = self.needs_last_pass(waited)
+        if not needed.all():
+            self.be_done_with(waited[~needed])
+        waited = waited[needed]
+        # The group of the one seen longest is of use to most of the others.
+        return int(waited[np.argmax(self._table.in_interval[waited])]) if len(waited) else None
+
+    def needs_last_pass(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell whose interval holds enough for a group, does not move and is still stored; (n,).
+
+        What little is left of an interval that was cut while it lasted needs no group of its own.
+        """
+        mapped = self._table.weight[landmarks] > 0
+        enough = np.where(mapped, self._schedule.group_after, FEWEST)
+        needed = self._table.in_interval[landmarks] >= enough
+        needed &= self._table.last[landmarks] >= self._store.first_iteration
+        return np.asarray(needed & ~self._table.dynamic[landmarks])
+
+    def be_done_with(self, gone: NDArray[np.int64]) -> None:
+        """Close the intervals of landmarks that have left, and judge those that got no place."""
+        judge_at_last(self._table, gone[self._table.weight[gone] == 0])
+        self._close(gone)
+
+    def _close(self, landmarks: NDArray[np.int64]) -> None:
+        """End the interval of landmarks: where they are now is kept for good."""
+        self._table.settle(landmarks)
+        self._levels.close(landmarks)
+        self._schedule.begin_anew(landmarks, self._store.n_iterations)

@@ -1,0 +1,51 @@
+"""The robot's pose, computed from the map for display only: no step of the mapping reads it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
+
+
+def trajectory(
+    rows: SegmentRows, positions_map: NDArray[np.float64], of: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return the pose in every iteration (sections I and III).
+
+    Each is the least-squares fit of what was seen to where it is mapped.  The observations are
+    condensed: those of an iteration, as it lies in its segment, differ from the segment's points
+    by what no small motion would mend.  So the points it saw are fitted in their stead; a few
+    that were taken for others do not count.
+
+    Parameters
+    ----------
+    rows : SegmentRows
+        Of all iterations.
+    positions_map : (m, d) float64, map frame, metres
+        NaN where a landmark is not mapped.
+    of : (m,) int64
+        The landmark that each number stands for, after merging.
+
+    Returns
+    -------
+    (n_iterations, 4, 4) float64
+        ``T_map_robot``; NaN where the mapped landmarks in view fix no pose.
+    """
+    n, d = len(rows.iteration_segment), rows.points.shape[1]
+    poses = np.full((n, 4, 4), np.nan)
+    if not np.isfinite(positions_map).any():
+        return poses
+    there = positions_map[of[rows.landmark]]
+    mapped = np.isfinite(there).all(axis=1)
+    seen = (rows.visible[mapped, None] >> np.arange(LENGTH)) & 1 > 0
+    row, bit = np.nonzero(seen)
+    row = np.flatnonzero(mapped)[row]
+    at = rows.first_iteration[rows.segment[row]] + bit
+    R, t, fixed, _ = fit_robust_each(rows.points[row], there[row], np.ones(len(row)), at, n)
+    fixed &= rows.iteration_segment != NOWHERE
+    poses[fixed] = np.eye(4)
+    poses[fixed, :d, :d] = R[fixed] @ rows.R[fixed]
+    poses[fixed, :d, 3] = np.einsum("nij,nj->ni", R[fixed], rows.t[fixed]) + t[fixed]
+    return poses

@@ -1,0 +1,1 @@
+"""Joint least squares over all observations."""

@@ -1,0 +1,247 @@
+"""Condensed segments: what short stretches of time say of the landmarks, each told once.
+
+Time is cut into consecutive segments of a few iterations.  Before the iterations of a segment are
+forgotten, they are laid on one another by least squares, whatever groups they were used in.  What
+stays is where each landmark came to lie, in which of the iterations it was seen, and where each
+iteration lies.  This is all that the joint least squares of `refinement` needs to know: near the
+best places of a segment, the sum of squares of all its observations depends on where the landmarks
+lie and on who saw them, not on the observations themselves.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.growing import GrowingArray
+from relmap.core.state.store import ObservationStore
+
+ROOM = 2**22
+"""Rows of segments for which there is room from the start."""
+FAR = 10.0
+"""How many times as far as anything is seen a landmark may come to lie."""
+LENGTH = 8
+"""Iterations in a segment: one bit each in the landmarks' visibility."""
+TRIMS = 3
+"""How often outliers of a segment are looked for."""
+NOWHERE = -1
+"""In place of the segment of an iteration that saw too little to be in one."""
+
+SEEN = np.array([number.bit_count() for number in range(1 << LENGTH)])
+"""How many iterations a pattern of visibility says."""
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentRows:
+    """What segments say, as a structure of arrays: rows are landmarks in segments.
+
+    Attributes
+    ----------
+    landmark : (n,) int64
+        As numbered when it was seen; merging may have changed that.
+    segment : (n,) int64, ascending
+    points : (n, d) float64, segment frame, metres
+    visible : (n,) uint8
+        Bit k: seen in iteration ``first_iteration + k`` of its segment.
+    first_iteration : (s,) int64
+    squares : (s,) float64, square metres
+        Sum of the squared deviations of a segment's observations from its points; of landmarks that
+        were known to move it is not in there.
+    freedoms : (s,) int64
+        Observed coordinates in this sum, less what was fitted to them.
+    iteration_segment : (i,) int64
+        Segment of each iteration, or `NOWHERE`.
+    R : (i, d, d) float64
+    t : (i, d) float64, metres
+        Where each iteration lies: robot frame to segment frame.
+    """
+
+    landmark: NDArray[np.int64]
+    segment: NDArray[np.int64]
+    points: NDArray[np.float64]
+    visible: NDArray[np.uint8]
+    first_iteration: NDArray[np.int64]
+    squares: NDArray[np.float64]
+    freedoms: NDArray[np.int64]
+    iteration_segment: NDArray[np.int64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+
+    @property
+    def n_seen(self) -> NDArray[np.int64]:
+        """Number of observations behind each row; (n,)."""
+        return SEEN[self.visible]
+
+    @property
+    def n_segments(self) -> int:
+        """Number of segments."""
+        return len(self.squares)
+
+
+class CondensedSegments:
+    """Condenses iterations as they leave the store; each observation counts exactly once."""
+
+    def __init__(self) -> None:
+        self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
+        self._segment: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
+        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), ROOM)
+        self._visible: GrowingArray[np.uint8] = GrowingArray(np.uint8, room=ROOM)
+        self._first_iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._squares: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._freedoms: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._iteration_segment: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._R: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
+        self._t: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
+
+    @property
+    def end(self) -> int:
+        """The first iteration that is not condensed yet."""
+        return len(self._iteration_segment)
+
+    @property
+    def rows(self) -> SegmentRows:
+        """All that is condensed, as views that stay valid until more is."""
+        return SegmentRows(
+            self._landmark.values,
+            self._segment.values,
+            self._points.values,
+            self._visible.values,
+            self._first_iteration.values,
+            self._squares.values,
+            self._freedoms.values,
+            self._iteration_segment.values,
+            self._R.values,
+            self._t.values,
+        )
+
+    def condense(self, store: ObservationStore, before: int, dynamic: NDArray[np.bool_]) -> bool:
+        """Condense the next segment, if it is whole before an iteration; tell whether it is.
+
+        Parameters
+        ----------
+        store : ObservationStore
+            Holds the iterations from `end` on.
+        before : int
+        dynamic : (m,) bool
+            Landmarks known to move.  They have no say in where the iterations lie.
+        """
+        if self.end + LENGTH > before:
+            return False
+        self._condense(store, self.end + LENGTH, dynamic)
+        return True
+
+    def with_rest(self, store: ObservationStore, dynamic: NDArray[np.bool_]) -> SegmentRows:
+        """Return the rows of all iterations seen, those still in the store included.
+
+        These are condensed anew each time: the last segment may not be whole yet.
+        """
+        whole = deepcopy(self)
+        while whole.end < store.n_iterations:
+            whole._condense(store, min(whole.end + LENGTH, store.n_iterations), dynamic)
+        return whole.rows
+
+    def _condense(self, store: ObservationStore, end: int, dynamic: NDArray[np.bool_]) -> None:
+        begin, k, d = self.end, end - self.end, store.dimension
+        self._make_room(k, d)
+        landmarks, iterations = store.seen(begin, end)
+        present, row = np.unique(landmarks, return_inverse=True)
+        block = np.full((len(present), k, d), np.nan)
+        block[row, iterations - begin] = store.points(begin, end)
+        steady = ~dynamic[present]
+        free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
+        while free.any():
+            joined, R, t, points, visible, squares = _laid_together(block[steady], free)
+            # Wrong matches can leave a landmark or an iteration hanging by nothing.
+            reach = FAR * np.nanmax(np.abs(block[steady]))
+            visible = np.where(np.abs(points).max(axis=1) <= reach, visible, 0).astype(np.uint8)
+            t[np.abs(t).max(axis=1) > reach] = np.nan
+            free &= ~joined
+            fitted = 3 * d - 3
+            n_seen, n_points = SEEN[visible].sum(), (visible > 0).sum()
+            freedoms = d * (n_seen - n_points) - fitted * (joined.sum() - 1)
+            if not np.isfinite(squares):  # gross outliers drove the iterations apart
+                squares = freedoms = 0
+            self._squares.extend(np.array([squares]))
+            self._freedoms.extend(np.array([freedoms]))
+            at = begin + np.flatnonzero(joined)
+            self._iteration_segment.values[at] = len(self._squares) - 1
+            self._R.values[at], self._t.values[at] = R[joined], t[joined]
+            self._enter(begin, present[steady], points, visible)
+            if not steady.all():
+                self._enter(begin, present[~steady], *_means(block[~steady], joined, R, t))
+
+    def _enter(
+        self,
+        begin: int,
+        landmarks: NDArray[np.int64],
+        points: NDArray[np.float64],
+        visible: NDArray[np.uint8],
+    ) -> None:
+        """Enter rows of the latest segment."""
+        there = (visible > 0) & np.isfinite(points).all(axis=1)
+        self._landmark.extend(landmarks[there])
+        self._segment.extend(np.full(there.sum(), len(self._squares) - 1))
+        self._points.extend(points[there])
+        self._visible.extend(visible[there])
+        if len(self._first_iteration) < len(self._squares):
+            self._first_iteration.extend(np.array([begin]))
+
+    def _make_room(self, k: int, d: int) -> None:
+        """Make room for k more iterations, in d dimensions from now on."""
+        if self._t.values.shape[1] != d:
+            self._points = GrowingArray(np.float64, (d,), ROOM)
+            self._R, self._t = GrowingArray(np.float64, (d, d)), GrowingArray(np.float64, (d,))
+        self._iteration_segment.resize(self.end + k, NOWHERE)
+        self._R.resize(self.end, np.nan)
+        self._t.resize(self.end, np.nan)
+
+
+def _laid_together(
+    block: NDArray[np.float64], free: NDArray[np.bool_]
+) -> tuple[
+    NDArray[np.bool_],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.float64],
+    NDArray[np.uint8],
+    float,
+]:
+    """Lay as many of the free iterations (k,) of a block (n, k, d) on one another as hold together.
+
+    Returns which these are, where they lie, R (k, d, d) and t (k, d), the places (n, d) and
+    visibility (n,) of the landmarks, and the sum of the squared deviations from these places.
+    """
+    from relmap.core.refinement.segment_kernels import join, settle, trim
+
+    seen = np.isfinite(block[:, :, 0]) & free
+    seed = int(np.argmax(seen.sum(axis=0)))
+    joined, R, t = join(block, seen, free, seed)
+    seen &= joined
+    slots = np.flatnonzero(joined & (np.arange(len(free)) != seed))
+    places, counts, deviation = settle(block, seen, slots, R, t)
+    for _ in range(TRIMS):
+        if not trim(deviation, places, counts, seen):
+            break
+        places, counts, deviation = settle(block, seen, slots, R, t)
+    return joined, R, t, places, _visibility(seen), float(np.sum(deviation**2))
+
+
+def _visibility(seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return who was seen (n, k) as bits (n,)."""
+    return np.packbits(seen, axis=1, bitorder="little")[:, 0]
+
+
+def _means(
+    block: NDArray[np.float64],
+    joined: NDArray[np.bool_],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Return mean places (n, d) and visibility (n,) of landmarks that nothing is fitted to."""
+    seen = np.isfinite(block[:, :, 0]) & joined
+    placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
+    means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]
+    return means, _visibility(seen)

@@ -1,0 +1,266 @@
+"""Joint least squares over all condensed segments: the step that the paper lacks.
+
+A chain of groups drifts, and where it closes a loop only the landmarks seen again move.  Here all
+observations count at once.  Where the robot was in each iteration is a nuisance variable, no motion
+is estimated: what counts is where the landmarks come to lie relative to one another.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.linalg.tridiagonal import BARELY, factor
+from relmap.core.refinement.condensing import LENGTH, SegmentRows
+from relmap.core.refinement.equations import Equations, equations
+from relmap.core.refinement.residuals import (
+    MergeResiduals,
+    SegmentResiduals,
+    merge_residuals,
+    segment_residuals,
+)
+from relmap.core.refinement.rows import JointRows
+from relmap.core.refinement.settling import lay_on, norm, settle
+
+STEADY = 3.0
+"""Median deviation up to which a landmark keeps its place, in units of what is usual."""
+SURELY = 3.0
+"""Standard deviations by which a variance must be larger to be taken for larger."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Works out the covariances of some landmarks, turned and scaled (d, d)."""
+
+    system: Equations
+    positions: NDArray[np.float64]
+    placed: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    chosen: NDArray[np.bool_]
+    scale: NDArray[np.float64]
+
+    def __call__(self) -> NDArray[np.float64]:
+        """Return the covariances, square metres; NaN of what the observations do not fix."""
+        at, levels = (self.positions, self.placed, self.weight), self.system.levels
+        matrix = self.system.normal(*at, (BARELY, 0.0))[1]
+        found = self.system.covariances(factor(levels, matrix), self.placed, self.weight)
+        found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
+        # No linear theory tells of errors as large as the map.
+        extent = np.ptp(self.positions[self.chosen], axis=0).max()
+        found[np.trace(found, axis1=1, axis2=2) > found.shape[1] * extent**2] = np.nan
+        return found
+
+    def scaled(self, factor: float) -> Spread:
+        """Return the same for standard deviations that are larger by a factor."""
+        return replace(self, scale=factor * self.scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A piece of the map on which all observations agree best.
+
+    Attributes
+    ----------
+    landmarks : (m,) int64
+    positions : (m, d) float64, metres
+        In the frame of the robot in the anchor iteration.
+    anchor_iteration : int
+        The first iteration that saw enough of the landmarks to be fixed by them.
+    noise_m : float
+        Standard deviation of an observed coordinate, from what is left.
+    segments : SegmentResiduals
+    merges : MergeResiduals
+    spread : Spread
+    power : float
+        Of what is left of the observations, whose sum is least; 2 is least squares.
+    converged : bool
+        Whether the least squares came to an end.  Where not, the positions are the best that was
+        found, no worse than those to start from.
+    """
+
+    landmarks: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    anchor_iteration: int
+    noise_m: float
+    segments: SegmentResiduals
+    merges: MergeResiduals
+    spread: Spread
+    power: float = 2
+    converged: bool = True
+
+    def __getstate__(self) -> dict[str, object]:
+        """Copy the covariances, not what they are worked out from."""
+        return self.__dict__ | {"covariances": self.covariances, "spread": None}
+
+    @cached_property
+    def covariances(self) -> NDArray[np.float64]:
+        """Of the errors of the positions (m, d, d), square metres, worked out when first asked."""
+        return self.spread()
+
+
+def refine(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    of: NDArray[np.int64],
+    others: NDArray[np.bool_],
+    suspects: NDArray[np.bool_],
+) -> Refined | None:
+    """Return where landmarks of one piece of the map lie by all observations.
+
+    Parameters
+    ----------
+    rows : SegmentRows
+    positions : (m, d) float64, metres
+        The chained map to start from.
+    chosen : (m,) bool
+        The landmarks of the piece.
+    of : (m,) int64
+        The landmark that each number stands for, after merging.
+    others : (m,) bool
+        Landmarks at rest that are not mapped; they tie what was seen together with them.
+    suspects : (m,) bool
+        Landmarks taken for moving.  Those that keep their place in the refined map as well as
+        others do were taken for it because of outliers, and tie as well.
+
+    Returns
+    -------
+    Refined or None
+        None where nothing is fixed.
+    """
+    landmark = of[rows.landmark]
+    found = _solved(rows, positions, chosen, landmark, others)
+    if found is None or not suspects.any():
+        return found
+    better = positions.copy()
+    better[found.landmarks] = found.positions
+    cleared = _cleared(rows, better, chosen, landmark, suspects)
+    if not cleared.any():
+        return found
+    return _solved(rows, better, chosen, landmark, others | cleared)
+
+
+def _solved(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+    others: NDArray[np.bool_],
+) -> Refined | None:
+    joint, start = _joint_rows(rows, positions, chosen, landmark, others)
+    anchor = _anchor(joint)
+    if anchor is None:
+        return None
+    system = equations(joint, anchor)
+    settled = settle(system, joint, start[joint.landmarks])
+    refined, weight = settled.positions, settled.weight
+    placed = lay_on(joint, refined, weight)
+    system.normal(refined, placed, weight, None)
+    noise_m = _noise(rows, joint, system.cost, weight)
+    iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
+    seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
+    R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
+    R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
+    mapped = chosen[joint.landmarks]
+
+    spread = Spread(system, refined, placed, weight, mapped, noise_m * R)
+    segments = segment_residuals(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m)
+    merges = merge_residuals(rows, joint, placed, refined, noise_m)
+    landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R
+    residuals = segments, merges
+    return Refined(
+        landmarks, refined, iteration, noise_m, *residuals, spread, converged=settled.converged
+    )
+
+
+def _cleared(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+    suspects: NDArray[np.bool_],
+) -> NDArray[np.bool_]:
+    """Tell which suspects (m,) keep their place, from segment to segment, as others do."""
+    placed, fixed = _laid_on(rows, positions, chosen[landmark], landmark)
+    kept = np.flatnonzero(fixed & chosen[landmark])
+    usual = np.median(norm(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
+    cleared = np.zeros(len(positions), dtype=bool)
+    rows_of_suspects = np.flatnonzero(fixed & suspects[landmark])
+    for suspect in np.unique(landmark[rows_of_suspects]):
+        places = placed[rows_of_suspects[landmark[rows_of_suspects] == suspect]]
+        apart = np.median(norm(places - np.median(places, axis=0)))
+        cleared[suspect] = len(places) > 1 and apart <= STEADY * usual
+    return cleared
+
+
+def _laid_on(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    kept: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return all rows (n, d) with their segments fitted to some; and whether these fix it (n,)."""
+    at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
+    there = positions[landmark[kept]]
+    R, t, fixed, _ = fit_robust_each(rows.points[kept], there, n_seen, at, rows.n_segments)
+    placed = np.einsum("nij,nj->ni", R[rows.segment], rows.points) + t[rows.segment]
+    return placed, fixed[rows.segment]
+
+
+def _joint_rows(
+    rows: SegmentRows,
+    positions: NDArray[np.float64],
+    chosen: NDArray[np.bool_],
+    landmark: NDArray[np.int64],
+    others: NDArray[np.bool_],
+) -> tuple[JointRows, NDArray[np.float64]]:
+    """Return the rows of a piece, and of others seen with it; and where all of these may be.
+
+    Segments that are not fixed by the piece are left out.
+    """
+    mapped = chosen[landmark]
+    placed, fixed = _laid_on(rows, positions, mapped, landmark)
+    known = fixed & (mapped | others[landmark])
+    n_seen = np.bincount(landmark[known], weights=rows.n_seen[known], minlength=len(positions))
+    known &= n_seen[landmark] > 1
+    start = positions.copy()
+    loose = np.flatnonzero(known & ~mapped)
+    loose = loose[np.argsort(landmark[loose], kind="stable")]
+    numbers, first = np.unique(landmark[loose], return_index=True)
+    for number, of in zip(numbers, np.split(loose, first[1:]), strict=False):
+        start[number] = np.median(placed[of], axis=0)
+    return JointRows.of_landmarks(rows, landmark, np.flatnonzero(known)), start
+
+
+def _anchor(rows: JointRows) -> tuple[int, int] | None:
+    """Return segment and bit of the first iteration that its landmarks fix."""
+    for segment, (begin, end) in enumerate(zip(rows.begin[:-1], rows.begin[1:], strict=True)):
+        for bit in range(LENGTH):
+            seen = (rows.visible[begin:end] >> bit) & 1 > 0
+            if fixes_rotation(rows.points[begin:end][seen]):
+                return segment, bit
+    return None
+
+
+def _noise(
+    rows: SegmentRows, joint: JointRows, costs: NDArray[np.float64], weight: NDArray[np.float64]
+) -> float:
+    """Return the standard deviation of an observed coordinate that explains what is left.
+
+    Within segments and between them (s,) alike; but where segments surely agree less with one
+    another than within, what is between them counts.  A row of no weight is not there.
+    """
+    d = joint.points.shape[1]
+    q = 3 * d - 3
+    within = rows.freedoms[joint.segments].sum()
+    between = d * (weight.sum() - len(joint.landmarks)) - q * (len(joint.segments) - 1)
+    squares, cost = rows.squares[joint.segments].sum(), costs.sum()
+    variance = (squares + cost) / max(within + between, 1)
+    if between > 0 and cost / between > (1 + SURELY * np.sqrt(2 / between)) * variance:
+        variance = cost / between
+    return float(np.sqrt(variance))

@@ -1,0 +1,109 @@
+"""Where a refined map is weak: what the segments and the merges are apart from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.alignment import sums_each
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.rows import JointRows
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentResiduals:
+    """How well each segment fits the map.
+
+    Attributes
+    ----------
+    first_iteration : (s,) int64
+    middle : (s, d) float64, map frame, metres
+        Of the landmarks seen in it.
+    residual : (s,) float64
+        What it is apart from the map, root mean square, in units of what the noise explains.
+    """
+
+    first_iteration: NDArray[np.int64]
+    middle: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MergeResiduals:
+    """How well landmarks lost and seen again fit what they were merged into.
+
+    Attributes
+    ----------
+    landmark, track : (k,) int64
+        The landmark, and the number under which it was seen again.
+    apart_m : (k,) float64
+        How far apart it was seen under this number and under all others.
+    residual : (k,) float64
+        The same, in units of what the noise explains.
+    """
+
+    landmark: NDArray[np.int64]
+    track: NDArray[np.int64]
+    apart_m: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+def segment_residuals(
+    rows: SegmentRows,
+    joint: JointRows,
+    placed: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    noise_m: float,
+) -> SegmentResiduals:
+    """Compare each segment's sum of squares with what noise alone would leave of it.
+
+    However little weight the refinement gives to what is far off, it is told here.
+
+    Parameters
+    ----------
+    placed : (n, d) float64, map frame, metres
+        The rows, each segment where it fits the map best.
+    positions : (m, d) float64, map frame, metres
+        The landmarks.
+    """
+    d, s = placed.shape[1], len(joint.segments)
+    squares = joint.n_seen * np.sum((placed - positions[joint.landmark]) ** 2, axis=1)
+    cost = np.bincount(joint.segment, squares, minlength=s)
+    each = np.bincount(joint.landmark)
+    freedoms = d * np.bincount(joint.segment, weights=1 - 1 / each[joint.landmark], minlength=s)
+    expected = noise_m**2 * np.maximum(freedoms - (3 * d - 3), 1)
+    ratio = np.divide(cost, expected, out=np.zeros(s), where=expected > 0)
+    middle = sums_each(placed, joint.segment, s) / np.diff(joint.begin)[:, None]
+    return SegmentResiduals(rows.first_iteration[joint.segments], middle, np.sqrt(ratio))
+
+
+def merge_residuals(
+    rows: SegmentRows,
+    joint: JointRows,
+    placed: NDArray[np.float64],
+    positions: NDArray[np.float64],
+    noise_m: float,
+) -> MergeResiduals:
+    """Compare where landmarks (m, d) were seen under each number that was merged into another."""
+    track = rows.landmark[joint.rows]
+    merged = np.flatnonzero(track != joint.landmarks[joint.landmark])
+    tracks, compact = np.unique(track[merged], return_inverse=True)
+    k, seen = len(tracks), joint.n_seen.astype(np.float64)
+    landmark = np.zeros(k, dtype=np.int64)
+    landmark[compact] = joint.landmark[merged]
+    off = (placed - positions[joint.landmark]) * seen[:, None]
+    all_seen = np.bincount(joint.landmark, weights=seen, minlength=len(positions))[landmark]
+    all_off = sums_each(off, joint.landmark, len(positions))[landmark]
+    own_seen = np.bincount(compact, weights=seen[merged], minlength=k)
+    own_off = sums_each(off[merged], compact, k)
+    others = all_seen > own_seen
+    landmark, tracks = landmark[others], tracks[others]
+    own_seen, own_off = own_seen[others], own_off[others]
+    other_seen = all_seen[others] - own_seen
+    other_off = all_off[others] - own_off
+    apart = np.linalg.norm(own_off / own_seen[:, None] - other_off / other_seen[:, None], axis=1)
+    expected = noise_m * np.sqrt(placed.shape[1] * (1 / own_seen + 1 / other_seen))
+    residual = np.divide(apart, expected, out=np.zeros(len(apart)), where=expected > 0)
+    return MergeResiduals(joint.landmarks[landmark], tracks, apart, residual)

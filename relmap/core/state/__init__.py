@@ -1,0 +1,1 @@
+"""What is known: landmarks, observations, and who is due."""

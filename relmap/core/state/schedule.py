@@ -1,0 +1,146 @@
+"""When landmarks are grouped: the three passes of section III."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.table import LandmarkState
+
+PASSES = (1, 3, 6)
+"""Observations from which levels 1, 2 and 3 are due, in units of those of level 1.
+
+The second pass needs enough to tell who moves.  The third waits for the end of the interval, but
+not longer than this: what stays in view has one interval after the other.
+"""
+WAIT = 2
+"""How long level 3 waits for others to leave the view too, in units of level 1's observations."""
+LONGEST_INTERVAL = 128
+"""Iterations that are kept at most, however long a landmark has found no group."""
+RIPE = 0.75
+"""Share of the longest interval from which one is whole when a neighbour's is."""
+
+
+class GroupingSchedule:
+    """The interval in which each landmark is being seen, and so who is due at which level.
+
+    A landmark is due at level 1 after a few observations, at level 2 when there are enough to tell
+    whether it moves, and at level 3 when it has left the view and its whole interval is known.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    group_after : int
+        Observations after which level 1 is due.
+    max_missed : int
+        A landmark unseen for more iterations than this has left the view.
+    """
+
+    def __init__(self, table: LandmarkState, group_after: int, max_missed: int) -> None:
+        self.group_after = group_after
+        self._table = table
+        self._max_missed = max_missed
+        self._wait = max_missed + WAIT * group_after
+        self._thresholds = group_after * np.array(PASSES)
+        self._in_view = np.empty(0, dtype=np.int64)
+        self._due = np.empty(0, dtype=np.int64)
+        self._gone = np.empty(0, dtype=np.int64)
+
+    @property
+    def in_view(self) -> NDArray[np.int64]:
+        """Landmarks in view, those missed for a moment included."""
+        return self._in_view
+
+    @property
+    def gone(self) -> NDArray[np.int64]:
+        """Those that have left the view and wait for level 3, in the order of leaving; (k,)."""
+        self._gone = self._gone[self._table.is_gone[self._gone]]
+        return self._gone
+
+    def needed_from(self, end: int) -> int:
+        """Return the first iteration that a group may still need, `end` being the next to come."""
+        begins = self._table.begin[np.concatenate([self._in_view, self.gone])]
+        return max(int(begins.min(initial=end)), end - LONGEST_INTERVAL)
+
+    def see(self, landmarks: NDArray[np.int64], iteration: int) -> NDArray[np.int64]:
+        """Note who is seen in this iteration; return who has left the view with it."""
+        table = self._table
+        arrived = landmarks[iteration - table.last[landmarks] > self._max_missed + 1]
+        if len(arrived):
+            self.begin_anew(arrived[~table.is_gone[arrived]], iteration)
+            table.is_gone[arrived] = False
+        table.see(landmarks, iteration)
+        stays = iteration - table.last[self._in_view] <= self._max_missed
+        left = self._in_view[~stays]
+        if len(left) or len(arrived):
+            self._in_view = np.concatenate([self._in_view[stays], arrived])
+            self._gone = np.concatenate([self.gone, left])
+            table.is_gone[left] = True
+        return left
+
+    def note_due(self, landmarks: NDArray[np.int64]) -> None:
+        """Queue those of the landmarks seen in this iteration that have become due.
+
+        One whose group fails for want of company is due again after as many more observations.
+        """
+        ready = landmarks[self._table.in_interval[landmarks] % self.group_after == 0]
+        ready = ready[self.level_due(ready) > 0]
+        self._due = np.concatenate([self._due, ready[~np.isin(ready, self._due)]])
+
+    def next_due(self) -> tuple[int, int] | None:
+        """Take a landmark off the queue that is still due, and its level.
+
+        The lower levels come first, and then the ones seen longest.
+        """
+        level = self.level_due(self._due)
+        self._due, level = self._due[level > 0], level[level > 0]
+        if not len(self._due):
+            return None
+        counts, begin = self._table.in_interval[self._due], self._table.begin[self._due]
+        first = np.lexsort((self._due, begin, -counts, level))[0]
+        seed = int(self._due[first])
+        self._due = np.delete(self._due, first)
+        return seed, int(level[first])
+
+    def level_due(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the level (n,) that landmarks in view should have by now; 0 if they have it."""
+        level = np.searchsorted(self._thresholds, self._table.in_interval[landmarks], side="right")
+        return np.where(level > self._table.level[landmarks], level, 0)
+
+    def waited(self, iteration: int) -> NDArray[np.int64]:
+        """Return who is due at level 3 for having left the view so long ago; (k,)."""
+        gone, last = self.gone, self._table.last
+        if not len(gone) or iteration - last[gone[0]] < self._wait:
+            return gone[:0]
+        return gone[iteration - last[gone] >= self._wait]
+
+    def end(self) -> None:
+        """Let everything in view have left it: nothing more is to come."""
+        stayed = self._in_view[~self._table.is_gone[self._in_view]]
+        self._gone = np.concatenate([self.gone, stayed])
+        self._table.is_gone[self._in_view] = True
+
+    def reached(
+        self, landmarks: NDArray[np.int64], n_averaged: NDArray[np.int64], level: int
+    ) -> NDArray[np.int64]:
+        """Return the level (n,) that a group of some level gives to the landmarks it averaged.
+
+        The third is for whole intervals only, and one that holds less than half of a landmark's
+        observations, as far as they are kept, gives it no more than the first.
+        """
+        counts = self._table.in_interval[landmarks]
+        whole = self._table.is_gone[landmarks] | (counts >= RIPE * self._thresholds[-1])
+        reached = np.where(whole, level, min(level, 2))
+        return np.where(2 * n_averaged >= np.minimum(counts, LONGEST_INTERVAL), reached, 1)
+
+    def relabel(self, new: int, old: int) -> None:
+        """Let an old landmark wait in place of a new one, which turned out to be it."""
+        self._in_view = self._in_view[self._in_view != old]
+        for waiting in (self._in_view, self._due, self._gone):
+            waiting[waiting == new] = old
+
+    def begin_anew(self, landmarks: NDArray[np.int64], iteration: int) -> None:
+        """End the interval of landmarks; those in view begin another."""
+        self._table.is_gone[landmarks] = False
+        self._table.begin[landmarks] = iteration
+        self._table.in_interval[landmarks] = 0

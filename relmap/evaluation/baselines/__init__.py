@@ -1,7 +1,0 @@
-"""What people would use instead of relmap."""
-
-from __future__ import annotations
-
-from relmap.evaluation.baselines.frame_to_map import FrameToMap
-
-__all__ = ["FrameToMap"]

@@ -1,0 +1,1 @@
+"""Result folders, tables, journals and saved states."""

@@ -1,0 +1,226 @@
+"""Reading and writing files: all or nothing, numbers in full, errors that name file and line."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.io.tables import MAX_RESULT_M
+
+MAX_TEXT = 1 << 26
+"""Characters of a text that is read at once; JSON takes twenty times as much memory."""
+
+
+def atomic_write(path: Path, content: str | bytes) -> None:
+    """Write a whole file or nothing: an earlier file of that name stays until the new one stands.
+
+    Parameters
+    ----------
+    path : Path
+        The file; its folder exists.
+    content : str or bytes
+        Text is written as UTF-8.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written; no part of it is left behind.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        try:
+            with partial.open("xb") as stream:
+                stream.write(data)
+                _flush_to_disk(stream.fileno())
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise RelmapError(f"cannot write {shown(path)}: {_reason(error)}") from error
+
+
+def _reason(error: OSError) -> str:
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return "a file stands where a folder must be"
+    return shown(error.strerror or error)
+
+
+@contextmanager
+def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
+    """Offer an empty folder to write into; its files move to ``folder`` when all went well.
+
+    Enter it before long work: a folder that cannot be written is found at once.  Where the body
+    fails, ``folder`` and the files in it are as they were before.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files go; it is made if need be, with the folders above it.
+    stale : sequence of str
+        Names of files in ``folder`` that the new files put out of date; deleted at the end, but
+        for those that were written anew.
+
+    Yields
+    ------
+    Path
+        The folder to write into; it may be given folders of its own.
+
+    Raises
+    ------
+    RelmapError
+        Where ``folder`` or a file in it cannot be written.
+    """
+    staging: Path | None = None
+    made: list[Path] = []
+    try:
+        made = [level for level in (folder, *folder.parents) if not level.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
+        staging = Path(tempfile.mkdtemp(prefix=".relmap-", dir=folder))
+        yield staging
+        written = {path.name for path in staging.iterdir()}
+        _move_files(staging, folder)
+        for name in set(stale) - written:
+            (folder / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise RelmapError(f"cannot write into {shown(folder)}: {_reason(error)}") from error
+    except RelmapError as error:
+        raise RelmapError(str(error).replace(str(staging), str(folder))) from error
+    finally:
+        if staging is not None:
+            shutil.rmtree(staging, ignore_errors=True)
+        for level in made:
+            with suppress(OSError):
+                level.rmdir()
+
+
+def _move_files(staging: Path, folder: Path) -> None:
+    names = sorted(path.relative_to(staging) for path in staging.rglob("*") if path.is_file())
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        if (folder / name).is_dir():
+            raise RelmapError(
+                f"cannot write {shown(folder / name)}: a folder of that name is there"
+            )
+        with (staging / name).open("rb") as stream:
+            _flush_to_disk(stream.fileno())
+    for name in names:
+        (staging / name).replace(folder / name)
+
+
+def _flush_to_disk(descriptor: int) -> None:
+    # Some file systems tell only here that the disk is full.
+    os.fsync(descriptor)
+
+
+def read_text(path: Path) -> str:
+    """Read a UTF-8 text file of moderate size, unpacking it where it is a gzip file.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be read, is damaged, is not text or has more than `MAX_TEXT` characters.
+    """
+    with open_text(path) as stream:
+        text = stream.read(MAX_TEXT + 1)
+    if len(text) > MAX_TEXT:
+        raise RelmapError(f"{shown(path)}: more than {MAX_TEXT} characters, expected at most that")
+    if not text.isascii():
+        for number, line in enumerate(text.split("\n"), 1):
+            require_utf8(path, number, line)
+    return text
+
+
+def _at(path: Path, line: int) -> str:
+    return f"{shown(path)}: line {line}"
+
+
+def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
+    """Write a trajectory as a TUM file: ``t x y z qx qy qz qw``, in full precision.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    stamps_s : (k,) float64
+        Seconds, or iteration numbers where there is no clock.
+    poses : (k, 4, 4) float64
+        T_map_robot, finite.
+
+    Raises
+    ------
+    RelmapError
+        Where a stamp or pose is not finite, a pose is beyond what `read_tum` takes, or the file
+        cannot be written.
+    """
+    if not (np.isfinite(stamps_s).all() and (np.abs(poses) <= MAX_RESULT_M).all()):
+        raise RelmapError(
+            f"cannot write {shown(path)}: a stamp or pose of the trajectory is not finite"
+        )
+    quaternions = np.empty((0, 4))
+    if len(poses):
+        quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
+    rows = np.column_stack([np.asarray(stamps_s, float), poses[:, :3, 3], quaternions])
+    lines = ["# t x y z qx qy qz qw", *(" ".join(map(repr, row)) for row in rows.tolist())]
+    atomic_write(path, "\n".join(lines) + "\n")
+
+
+def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Read a TUM file.
+
+    Parameters
+    ----------
+    path : Path
+        Lines of ``t x y z qx qy qz qw``; ``#`` begins a comment.
+
+    Returns
+    -------
+    stamps_s : (k,) float64
+    poses : (k, 4, 4) float64
+        T_map_robot.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be read or a line is not a pose.
+    """
+    rows = NumberRows(path, 8)
+    with open_text(path) as stream:
+        for number, line in enumerate(stream, 1):
+            require_utf8(path, number, line)
+            if line.strip() and not line.lstrip().startswith("#"):
+                rows.add(_tum_row(_at(path, number), line), number)
+    table = rows.values
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, 3] = table[:, 1:4]
+    if len(table):
+        poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
+    return table[:, 0], poses
+
+
+def _tum_row(where: str, line: str) -> list[float]:
+    cells = line.split()
+    if len(cells) != 8:
+        raise RelmapError(f"{where}: {len(cells)} fields; a pose has 8: t x y z qx qy qz qw")
+    row = []
+    for cell in cells:
+        try:
+            row.append(float(cell))
+        except ValueError:
+            raise RelmapError(f"{where}: {quoted(cell)} is not a number") from None
+    if not (np.isfinite(row).all() and max(map(abs, row[1:4])) <= MAX_RESULT_M):
+        raise RelmapError(f"{where}: {quoted(line)} holds a number that no pose can have")
+    if not 0.1 < max(map(abs, row[4:])) < 10:
+        raise RelmapError(f"{where}: the quaternion qx qy qz qw is not of unit length")
+    return row

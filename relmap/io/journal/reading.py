@@ -1,0 +1,200 @@
+"""Reading a journal: what is whole in it, and where it is damaged."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError, reason
+from relmap.io.journal.layout import APPLICATION, LAYOUTS, META, SCHEMA, Layout, checksum
+
+MOST_ROWS = 10_000_000
+"""Observations in one scan above which the number is damage."""
+_WRONG = (sqlite3.Error, TypeError, ValueError, OverflowError, UnicodeError, RecursionError)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedScan:
+    """One scan, as the mapper took it in.
+
+    Attributes
+    ----------
+    values : (n, c) float64
+        In the order of the layout's columns; of points (n, 2) in a planar world.
+    ids : (n,) int64 or None
+    labels : (n,) int64
+        What the mapper called the landmarks.
+    """
+
+    values: NDArray[np.float64]
+    ids: NDArray[np.int64] | None
+    labels: NDArray[np.int64]
+
+
+class JournalReader:
+    """Reads a journal from the beginning.
+
+    Parameters
+    ----------
+    path : Path
+
+    Attributes
+    ----------
+    layout : Layout
+    meta : dict
+        See `relmap.io.journal.layout`.
+
+    Raises
+    ------
+    RelmapError
+        Where it is no journal, or one of a newer relmap, or nothing of it can be recovered.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.is_file():
+            raise RelmapError(f"there is no journal {path}")
+        try:
+            self._connection = sqlite3.connect(
+                f"{path.absolute().as_uri()}?mode=rw", uri=True, isolation_level=None
+            )
+        except sqlite3.Error as error:
+            raise RelmapError(f"journal {path} cannot be opened: {reason(error)}") from error
+        try:
+            self._check_version()
+            self._require({"meta": META})
+            self.meta = self._read_meta()
+            self.layout: Layout = LAYOUTS[self.meta["variant"]]
+            self._require(self.layout.tables)
+            self.calls = self._read_calls()
+        except _WRONG as error:
+            self.close()
+            size, whole = path.stat().st_size, stated_size(path)
+            if size < whole:
+                raise RelmapError(
+                    f"journal {path} is cut short, {size} of {whole} bytes: what is left can be "
+                    "recovered: relmap resume --salvage does it"
+                ) from error
+            raise RelmapError(
+                f"{path} is no journal, or its head is damaged, without which nothing of it can be "
+                f"recovered: {reason(error)}"
+            ) from error
+        except RelmapError:
+            self.close()
+            raise
+
+    def __enter__(self) -> JournalReader:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the file go."""
+        self._connection.close()
+
+    def scans(self) -> Iterator[RecordedScan]:
+        """Yield every scan, the first first.
+
+        Raises
+        ------
+        RelmapError
+            Where the journal is damaged; all scans before that were yielded.
+        """
+        k = -1
+        try:
+            scans = self._connection.execute(
+                "SELECT iteration, rows, known, checksum FROM scans ORDER BY iteration"
+            )
+            rows = self._connection.execute(
+                f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
+            )
+            for k, (iteration, n, known, check) in enumerate(scans):
+                scan = self._scan(rows, k, n, bool(known))
+                if iteration != k or check != checksum(k, scan.values, scan.ids, scan.labels):
+                    raise ValueError("what was written is not what is there")
+                yield scan
+                k += 1
+            if rows.fetchone() is not None:
+                raise ValueError("there are observations of no scan")
+        except _WRONG as error:
+            k = max(k, 0)
+            raise RelmapError(
+                f"journal {self.path} is damaged at iteration {k}: {reason(error)}; the {k} scans "
+                "before can be recovered: relmap resume --salvage does it"
+            ) from error
+
+    def _scan(self, cursor: sqlite3.Cursor, k: int, n: int, known: bool) -> RecordedScan:
+        if not 0 <= n <= MOST_ROWS:
+            raise ValueError(f"a scan of {n} rows")
+        rows = cursor.fetchmany(n) if n else []
+        if [row[:2] for row in rows] != [(k, i) for i in range(n)]:
+            raise ValueError("observations are missing")
+        ids = self.layout.has_ids
+        columns = list(zip(*rows, strict=True))[2:] if n else []
+        labels = np.array(columns[-1] if n else [], dtype=np.int64)
+        seen = np.array(columns[: len(self.layout.values)], dtype=np.float64)
+        values = np.ascontiguousarray(seen.T).reshape(n, len(self.layout.values))
+        if ids and n and columns[2][0] is None:
+            values = np.ascontiguousarray(values[:, :2])
+        of = np.array(columns[-2] if n else [], dtype=np.int64) if ids and known else None
+        return RecordedScan(values, of, labels)
+
+    def _check_version(self) -> None:
+        (application,) = self._connection.execute("PRAGMA application_id").fetchone()
+        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        if application != APPLICATION:
+            raise RelmapError(f"{self.path} is an SQLite file, but no journal of relmap")
+        if version > SCHEMA:
+            raise RelmapError(
+                f"journal {self.path} is of version {version}, and this relmap reads up to "
+                f"{SCHEMA}: a newer relmap can resume it"
+            )
+        self._connection.execute("PRAGMA trusted_schema = OFF")
+
+    def _read_meta(self) -> dict[str, Any]:
+        meta = {
+            key: json.loads(value)
+            for key, value in self._connection.execute("SELECT key, value FROM meta")
+        }
+        if not isinstance(meta.get("configuration"), dict) or meta.get("variant") not in LAYOUTS:
+            raise ValueError("its table meta lacks variant or configuration")
+        return meta
+
+    def _require(self, tables: dict[str, str]) -> None:
+        """Make sure that tables are just what they should be: nothing hides behind their names."""
+        found = self._connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
+        made = {name: sql for kind, name, sql in found if kind == "table"}
+        for name, sql in tables.items():
+            if made.get(name) != sql:
+                raise ValueError(f"its table {name} is not as it should be")
+        if any(kind == "trigger" for kind, _, _ in found):
+            raise ValueError("it has a trigger")
+
+    def _read_calls(self) -> dict[int, list[str]]:
+        """Return what was asked of the mapper before each iteration."""
+        calls: dict[int, list[str]] = {}
+        for iteration, call in self._connection.execute(
+            "SELECT iteration, call FROM calls ORDER BY rowid"
+        ):
+            if call not in ("finish", "refine"):
+                raise ValueError(f"its table calls holds {call!r}")
+            calls.setdefault(int(iteration), []).append(call)
+        return calls
+
+
+def stated_size(path: Path) -> int:
+    """Return the bytes that an SQLite file should have by what it says; 0 where it says nothing."""
+    with path.open("rb") as stream:
+        head = stream.read(100)
+    if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):
+        return 0
+    page = int.from_bytes(head[16:18], "big")
+    return (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")

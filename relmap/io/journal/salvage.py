@@ -1,0 +1,88 @@
+"""Recovering what is whole of a damaged journal."""
+
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from relmap.core.errors import RelmapError
+from relmap.io.journal.reading import JournalReader, stated_size
+from relmap.io.journal.writing import Journal, create_file
+
+MOST_MISSING = 1 << 40
+"""Bytes beyond which the size that a file states is damage."""
+
+
+def salvage(path: Path) -> int:
+    """Replace a damaged journal by one that holds the scans before the damage.
+
+    The damaged file stays beside it, with ``.damaged`` behind its name.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    int
+        Number of scans recovered.
+
+    Raises
+    ------
+    RelmapError
+        Where nothing can be recovered, or a file cannot be written.
+    """
+    damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
+    if damaged.exists():
+        raise RelmapError(f"{damaged} is there already: move it away first")
+    if not path.is_file():
+        raise RelmapError(f"there is no journal {path}")
+    try:
+        _copy(path, rest)
+        n_scans = _recover(rest, whole)
+        for ending in ("-wal", "-shm", ""):
+            with suppress(FileNotFoundError):
+                _beside(path, ending).replace(_beside(damaged, ending))
+        whole.replace(path)
+    except RelmapError as error:
+        raise RelmapError(str(error).replace(str(rest), str(path))) from error
+    except OSError as error:
+        raise RelmapError(f"cannot recover {path}: {error.strerror}: {error.filename}") from error
+    finally:
+        for ending in ("-wal", "-shm", ""):
+            with suppress(OSError):
+                _beside(rest, ending).unlink(missing_ok=True)
+    return n_scans
+
+
+def _beside(path: Path, ending: str) -> Path:
+    return path.with_name(path.name + ending)
+
+
+def _copy(path: Path, copy: Path) -> None:
+    """Copy a journal, filled up to its size where it was cut short: SQLite wants it so."""
+    shutil.copyfile(path, copy)
+    with suppress(FileNotFoundError):
+        shutil.copyfile(_beside(path, "-wal"), _beside(copy, "-wal"))
+    missing = stated_size(copy) - copy.stat().st_size
+    if 0 < missing <= MOST_MISSING:
+        with copy.open("ab") as stream:
+            stream.truncate(copy.stat().st_size + missing)
+
+
+def _recover(damaged: Path, whole: Path) -> int:
+    """Write the scans before the damage to a journal; return how many they are."""
+    with JournalReader(damaged) as reader:
+        whole.unlink(missing_ok=True)
+        create_file(whole, reader.layout, reader.meta)
+        journal = Journal(whole, reader.layout)
+        try:
+            with suppress(RelmapError):
+                for scan in reader.scans():
+                    for call in reader.calls.get(journal.n_scans, []):
+                        journal.call(call)
+                    journal.append(scan.values, scan.ids, scan.labels)
+        finally:
+            journal.close()
+    return journal.n_scans

@@ -1,0 +1,194 @@
+"""What a run leaves behind: the result folder, written and read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkTable, Piece
+from relmap.io.files import atomic_write, read_text, read_tum, write_tum
+from relmap.io.tables import Kind, compressed, csv_text, read_table
+
+LANDMARKS = "landmarks.csv"
+TRACKS = "tracks.csv.gz"
+TRAJECTORY = "trajectory.tum"
+PIECES = "pieces.csv"
+MAP_PLY = "map.ply"
+MAP_PNG = "map.png"
+SUMMARY = "summary.json"
+MAPPER = "mapper.npz"
+EVALUATION = "evaluation.json"
+
+LANDMARK_COLUMNS: dict[str, Kind] = {
+    "landmark": "int",
+    "x": "float or empty",
+    "y": "float or empty",
+    "z": "float or empty",
+    "sd": "float or empty",
+    "observations": "int",
+    "first_iteration": "int",
+    "last_iteration": "int",
+    "level": "int",
+    "status": "text",
+    "piece": "int",
+    "moving_bin": "int",
+}
+PIECE_COLUMNS = ("piece", "landmark", "x", "y", "z")
+TRACK_COLUMNS: dict[str, Kind] = {"iteration": "int", "row": "int", "landmark": "int"}
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Which observation of the log is of which landmark; one entry per labelled observation.
+
+    Attributes
+    ----------
+    iteration : (n,) int64
+        The log's own numbers.
+    row : (n,) int64
+        0-based rows of the log.
+    landmark : (n,) int64
+    """
+
+    iteration: NDArray[np.int64]
+    row: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """A finished run, as the result folder holds it.
+
+    Attributes
+    ----------
+    landmarks : LandmarkTable
+        Every landmark ever seen; iterations are the log's own numbers.
+    tracks : Tracks
+    stamps_s : (p,) float64
+        Seconds, or iteration numbers where the log has no clock.
+    poses : (p, 4, 4) float64
+        T_map_robot of the iterations that have one.
+    summary : dict
+        Configuration, versions, counts and timing, ready for JSON.
+    pieces : tuple of Piece
+        Pieces of the map, the map itself first; empty in a result that was read.
+    """
+
+    landmarks: LandmarkTable
+    tracks: Tracks
+    stamps_s: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    summary: dict[str, Any]
+    pieces: tuple[Piece, ...] = ()
+
+    @property
+    def planar(self) -> bool:
+        """Whether the world is planar (3-DoF)."""
+        return self.summary.get("dimensions") == 2
+
+    @property
+    def mapped(self) -> NDArray[np.bool_]:
+        """Which landmarks have a place in the map, (n,)."""
+        return np.asarray(np.isfinite(self.landmarks.position).all(axis=1))
+
+
+def write_result(folder: Path, result: Result) -> None:
+    """Write the files of a result folder, all but the picture.
+
+    Parameters
+    ----------
+    folder : Path
+        An existing folder; see `relmap.io.files.staged_folder` for all or nothing.
+    result : Result
+
+    Raises
+    ------
+    RelmapError
+        Where a file cannot be written.
+    """
+    table, tracks = result.landmarks, result.tracks
+    x, y, z = table.position.T.tolist()
+    columns = [
+        table.landmark.tolist(),
+        *(x, y, z),
+        *(getattr(table, name).tolist() for name in list(LANDMARK_COLUMNS)[4:]),
+    ]
+    landmark_rows = zip(*columns, strict=True)
+    atomic_write(folder / LANDMARKS, csv_text(list(LANDMARK_COLUMNS), landmark_rows))
+    labels = [getattr(tracks, name).tolist() for name in TRACK_COLUMNS]
+    track_text = csv_text(list(TRACK_COLUMNS), zip(*labels, strict=True))
+    atomic_write(folder / TRACKS, compressed(track_text))
+    atomic_write(folder / PIECES, pieces_text(result.pieces))
+    write_tum(folder / TRAJECTORY, result.stamps_s, result.poses)
+    atomic_write(folder / MAP_PLY, ply_text(table.position[result.mapped]))
+    atomic_write(folder / SUMMARY, json_text(result.summary))
+
+
+def pieces_text(pieces: tuple[Piece, ...]) -> str:
+    """Return the landmarks that nothing ties to the map as CSV, each in the frame of its piece."""
+    rows = [
+        (number, label, *position)
+        for number, piece in enumerate(pieces[1:], start=1)
+        for label, position in zip(
+            piece.landmark_ids.tolist(), piece.positions.tolist(), strict=True
+        )
+    ]
+    return csv_text(list(PIECE_COLUMNS), rows)
+
+
+def ply_text(points_map: NDArray[np.float64]) -> str:
+    """Return points (n, 3), metres, as an ASCII PLY file in full precision."""
+    header = (
+        "ply\nformat ascii 1.0\ncomment map frame, metres\n"
+        f"element vertex {len(points_map)}\n"
+        "property double x\nproperty double y\nproperty double z\nend_header\n"
+    )
+    return header + "".join(" ".join(map(repr, point)) + "\n" for point in points_map.tolist())
+
+
+def json_text(content: dict[str, Any]) -> str:
+    """Return the content as indented JSON, which knows no NaN."""
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def read_result(folder: Path) -> Result:
+    """Read a result folder.
+
+    Raises
+    ------
+    RelmapError
+        Where a file is missing or not what `write_result` writes.
+    """
+    if not (folder / SUMMARY).is_file():
+        raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")
+    table = read_table(folder / LANDMARKS, LANDMARK_COLUMNS)
+    position = np.column_stack([table.pop("x"), table.pop("y"), table.pop("z")])
+    tracks = Tracks(**read_table(folder / TRACKS, TRACK_COLUMNS))
+    stamps_s, poses = read_tum(folder / TRAJECTORY)
+    landmarks = LandmarkTable(position=position, **table)
+    return Result(landmarks, tracks, stamps_s, poses, _read_summary(folder / SUMMARY))
+
+
+def _read_summary(path: Path) -> dict[str, Any]:
+    try:
+        summary = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise RelmapError(f"{path}: not JSON: {error}") from error
+    if not isinstance(summary, dict):
+        raise RelmapError(f"{path}: not a JSON object")
+    return summary
+
+
+def shifted(table: LandmarkTable, iterations: int) -> LandmarkTable:
+    """Return the table with its iteration numbers raised by so many."""
+    return replace(
+        table,
+        first_iteration=table.first_iteration + iterations,
+        last_iteration=table.last_iteration + iterations,
+    )

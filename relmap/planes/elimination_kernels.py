@@ -1,0 +1,110 @@
+"""The order in which the unknowns of a sum of cliques are eliminated; see `relmap.planes.cholesky`.
+
+The graph is kept as its cliques.  Eliminating a block makes one clique of all those that it is in
+(the quotient graph; George and Liu, "The evolution of the minimum degree ordering", 1989).
+That one is its column of the factor, whose pattern need not be looked for then.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+Index = NDArray[np.int64]
+
+
+@compiled
+def _union(
+    of: int, begin: Index, end: Index, member: Index, own: Index, mark: Index, stamp: int
+) -> Index:
+    """Return the members of some cliques, each once, but for one of them."""
+    size = 0
+    for e in own:
+        size += end[e] - begin[e]
+    found, n = np.empty(size, dtype=np.int64), 0
+    mark[of] = stamp
+    for e in own:
+        for m in member[begin[e] : end[e]]:
+            if mark[m] != stamp:
+                mark[m] = stamp
+                found[n] = m
+                n += 1
+    return found[:n]
+
+
+@compiled
+def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Index]:
+    """Return the cliques of each of n members: from where, up to where, and which."""
+    count = np.bincount(member, minlength=n)
+    last = np.cumsum(count)
+    first = last - count
+    last = first.copy()
+    of = np.empty(len(member), dtype=np.int64)
+    for e in range(len(begin) - 1):
+        for m in member[begin[e] : begin[e + 1]]:
+            of[last[m]] = e
+            last[m] += 1
+    return first, last, of
+
+
+@compiled
+def _absorb(
+    clique: int, u: int, first: Index, last: Index, of: Index, alive: NDArray[np.bool_]
+) -> None:
+    """Put a clique in place of those of member u that it has swallowed."""
+    kept = first[u]
+    for k in range(first[u], last[u]):
+        if alive[of[k]]:
+            of[kept] = of[k]
+            kept += 1
+    of[kept] = clique
+    last[u] = kept + 1
+
+
+@compiled
+def minimum_degree(width: Index, clique_begin: Index, cliques: Index) -> tuple[Index, Index, Index]:
+    """Return an order (b,) of elimination that fills little, and what each block is tied to then.
+
+    Parameters
+    ----------
+    width : (b,) int64
+        Unknowns of each block.
+    clique_begin, cliques : int64
+        Blocks of each clique, one clique after another.
+
+    Returns
+    -------
+    order : (b,) int64
+    begin (b + 1,), tied : int64
+        The blocks that are tied to the first, second, ... one of the order.
+    """
+    n, m, used = len(width), len(clique_begin) - 1, len(cliques)
+    first, last, of = _cliques_of(n, clique_begin, cliques)
+    begin, end = np.zeros(m + n + 1, dtype=np.int64), np.zeros(m + n, dtype=np.int64)
+    begin[: m + 1], end[:m] = clique_begin, clique_begin[1:]
+    member = np.concatenate((cliques, np.empty(len(cliques), dtype=np.int64)))
+    alive, mark = np.ones(m + n, dtype=np.bool_), np.full(n, -1)
+    degree, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for v in range(n):
+        own = _union(v, begin, end, member, of[first[v] : last[v]], mark, v)
+        degree[v] = width[own].sum()
+    stamp = n
+    for new in range(m, m + n):
+        v = int(np.argmin(degree))
+        order[new - m], degree[v] = v, np.iinfo(np.int64).max
+        tied = _union(v, begin, end, member, of[first[v] : last[v]], mark, stamp)
+        alive[of[first[v] : last[v]]] = False
+        if used + len(tied) > len(member):
+            member = np.concatenate((member, np.empty(len(member) + len(tied), dtype=np.int64)))
+        member[used : used + len(tied)] = tied
+        used += len(tied)
+        end[new] = begin[new + 1] = used
+        for u in tied:
+            stamp += 1
+            _absorb(new, u, first, last, of, alive)
+            own = _union(u, begin, end, member, of[first[u] : last[u]], mark, stamp)
+            degree[u] = width[own].sum()
+        stamp += 1
+    return order, begin[m:] - len(cliques), member[len(cliques) : used]

@@ -1,1 +1,0 @@
-"""The hot loops of mapping walls, compiled; see `relmap.core.kernels`."""

@@ -1,0 +1,285 @@
+"""Matching walls, compiled; see `relmap.planes.matching` and `relmap.planes.placement`.
+
+`tracks` are angle (n,), offset (n,), ends (n, 2, 2), sd (n,) and corner_at (n, 2, 2) of tracks;
+`seen` are ends (m, 2, 2), along (m, 2), normal (m, 2), size (m,), sd (m,) and static (m, 2) of the
+walls of a scan; a `motion` is yaw, x, y.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+from relmap.planes.matching import (
+    ACROSS_M,
+    BEYOND,
+    CLOSE,
+    GAP_M,
+    SIGMAS,
+    TURN_RAD,
+    WIDEST_TURN_RAD,
+)
+
+Array = NDArray[np.float64]
+Tracks = tuple[Array, Array, Array, Array, Array]
+Seen = tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]
+
+NEAR_M = 0.5
+"""A corner farther off than this, along its wall, does not pull at a motion."""
+CORNER = 0.3
+"""How much a corner pulls, for 1 of an end of a wall."""
+
+
+@compiled
+def carried(tracks: Tracks, motion: Array) -> Tracks:
+    """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
+    angle, offset, ends, sd, corner_at = tracks
+    c, s, x, y = math.cos(motion[0]), math.sin(motion[0]), motion[1], motion[2]
+    n = len(angle)
+    new_angle, new_offset = np.empty(n), np.empty(n)
+    new_ends, new_corner = np.empty((n, 2, 2)), np.empty((n, 2, 2))
+    for i in range(n):
+        new_angle[i] = angle[i] + motion[0]
+        new_offset[i] = offset[i] + math.cos(new_angle[i]) * x + math.sin(new_angle[i]) * y
+        for e in range(2):
+            a, b = ends[i, e, 0], ends[i, e, 1]
+            new_ends[i, e, 0], new_ends[i, e, 1] = c * a - s * b + x, s * a + c * b + y
+            a, b = corner_at[i, e, 0], corner_at[i, e, 1]
+            new_corner[i, e, 0], new_corner[i, e, 1] = c * a - s * b + x, s * a + c * b + y
+    return new_angle, new_offset, new_ends, sd, new_corner
+
+
+@compiled
+def _half_turn(angle: float) -> float:
+    """Return an angle within a half turn of 0."""
+    return (angle + math.pi) % (2 * math.pi) - math.pi
+
+
+@compiled
+def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
+    """Return how well each track agrees with each wall, (n, m); 0 for not at all."""
+    angle, offset, ends, sd, corner_at = tracks
+    wall_ends, along, normal, size, wall_sd, static = seen
+    n, m = len(angle), len(size)
+    found = np.zeros((n, m))
+    for i in range(n):
+        nx, ny = math.cos(angle[i]), math.sin(angle[i])
+        own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
+        for j in range(m):
+            spread = math.hypot(sd[i], wall_sd[j])
+            turn = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            blunt = SIGMAS * math.sqrt(12.0) * spread / min(own, size[j])
+            turn_gate = TURN_RAD * widened + min(blunt, WIDEST_TURN_RAD)
+            x = 0.5 * (wall_ends[j, 0, 0] + wall_ends[j, 1, 0])
+            y = 0.5 * (wall_ends[j, 0, 1] + wall_ends[j, 1, 1])
+            across = nx * x + ny * y - offset[i]
+            across_gate = ACROSS_M * widened + SIGMAS * spread
+            ux, uy = along[j]
+            right = ux * wall_ends[j, 0, 0] + uy * wall_ends[j, 0, 1]
+            left = ux * wall_ends[j, 1, 0] + uy * wall_ends[j, 1, 1]
+            gap = max(
+                right - (ux * ends[i, 1, 0] + uy * ends[i, 1, 1]),
+                ux * ends[i, 0, 0] + uy * ends[i, 0, 1] - left,
+            )
+            gap_gate = GAP_M * widened
+            if abs(turn) >= turn_gate or abs(across) >= across_gate or gap >= gap_gate:
+                continue
+            worth = 1 - CLOSE * ((turn / turn_gate) ** 2 + (across / across_gate) ** 2)
+            worth -= BEYOND * max(gap / gap_gate, 0.0)
+            for e in range(2):
+                if static[j, e]:
+                    at = left if e else right
+                    off = (ux * corner_at[i, e, 0] + uy * corner_at[i, e, 1] - at) / gap_gate
+                    if abs(off) < 1:  # not where there is no corner: NaN
+                        worth += 1 - off**2
+            found[i, j] = worth
+    return found
+
+
+@compiled
+def _cheapest_path(
+    worth: Array, start: int, column_of: NDArray[np.int64], price_column: Array, price_row: Array
+) -> tuple[int, NDArray[np.int64]]:
+    """Find the shortest path from a column to a free row, and make prices follow (Dijkstra).
+
+    Returns that row, and for each row the column before it on its path.
+    """
+    rows, n = len(price_row), len(worth)
+    least, before = np.full(rows, np.inf), np.full(rows, -1)
+    done = np.zeros(rows, dtype=np.bool_)
+    column, total = start, 0.0
+    while True:
+        best, row = np.inf, -1
+        for r in range(rows):
+            if done[r]:
+                continue
+            if r < n or r == n + column:
+                cost = -worth[r, column] if r < n else 0.0
+                reach = total + cost - price_column[column] - price_row[r]
+                if reach < least[r]:
+                    least[r], before[r] = reach, column
+            if least[r] < best:
+                best, row = least[r], r
+        total = best
+        if column_of[row] < 0:
+            break
+        done[row] = True
+        column = column_of[row]
+    for r in range(rows):
+        if done[r]:
+            price_column[column_of[r]] += total - least[r]
+            price_row[r] -= total - least[r]
+    price_column[start] += total
+    return row, before
+
+
+@compiled
+def assigned(worth: Array) -> NDArray[np.int64]:
+    """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
+
+    -1 where a column gets none or one that is worth 0.  Shortest augmenting paths (Jonker and
+    Volgenant, 1987); every column could also take a row of its own, n + j, that is worth nothing.
+    """
+    n, m = worth.shape
+    row_of, column_of = np.full(m, -1), np.full(n + m, -1)
+    price_column, price_row = np.zeros(m), np.zeros(n + m)
+    for start in range(m):
+        row, before = _cheapest_path(worth, start, column_of, price_column, price_row)
+        column = -1
+        while column != start:
+            column = before[row]
+            column_of[row] = column
+            row, row_of[column] = row_of[column], row
+    for j in range(m):
+        if row_of[j] >= n or worth[row_of[j], j] <= 0:
+            row_of[j] = -1
+    return row_of
+
+
+@compiled
+def _then(first: Array, second: Array) -> Array:
+    """Return a motion followed by another."""
+    c, s = math.cos(second[0]), math.sin(second[0])
+    x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
+    return np.array([first[0] + second[0], x + second[1], y + second[2]])
+
+
+@compiled
+def _pull(
+    A: Array, b: Array, nx: float, ny: float, x: float, y: float, off: float, w: float
+) -> None:
+    """Add to normal equations: a point (x, y) should move by `off` along (nx, ny)."""
+    row = (ny * x - nx * y, nx, ny)
+    for i in range(3):
+        for j in range(3):
+            A[i, j] += w * row[i] * row[j]
+        b[i] += w * row[i] * off
+
+
+@compiled
+def correction(
+    tracks: Tracks, seen: Seen, track_of: NDArray[np.int64], held: float, least_m: float
+) -> Array:
+    """Return the small motion that brings tracks onto the walls that they match (least squares).
+
+    Both ends of a wall seen lie on the line of its track, and a corner seen again at its place
+    along the wall; `held` is the weight of not moving, `least_m` the noise of a corner.  The line
+    of a short track is the less sure the farther it is extended.
+    """
+    angle, offset, ends, sd, corner_at = tracks
+    wall_ends, along, _, _, _, static = seen
+    A, b = np.zeros((3, 3)), np.zeros(3)
+    for j in range(len(track_of)):
+        i = track_of[j]
+        if i < 0:
+            continue
+        nx, ny = math.cos(angle[i]), math.sin(angle[i])
+        own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
+        mid_x, mid_y = (ends[i, 0, 0] + ends[i, 1, 0]) / 2, (ends[i, 0, 1] + ends[i, 1, 1]) / 2
+        for e in range(2):
+            x, y = wall_ends[j, e]
+            beyond = max(abs(ny * (x - mid_x) - nx * (y - mid_y)) / own - 0.5, 0.0)
+            w = 1 / (1 + (1 + 12 * beyond**2) * (sd[i] / least_m) ** 2)
+            _pull(A, b, nx, ny, x, y, nx * x + ny * y - offset[i], w)
+            if static[j, e]:
+                ux, uy = along[j]
+                cx, cy = corner_at[i, e]
+                off = ux * (x - cx) + uy * (y - cy)
+                if abs(off) < NEAR_M:
+                    _pull(A, b, ux, uy, cx, cy, off, CORNER)
+    A[1, 1] += held
+    A[2, 2] += held
+    for i in range(3):
+        A[i, i] += 1e-9
+    return np.asarray(np.linalg.solve(A, b))
+
+
+@compiled
+def settled(
+    tracks: Tracks,
+    seen: Seen,
+    guess: Array,
+    roughly: float,
+    rounds: int,
+    held: float,
+    least_m: float,
+) -> tuple[Array, NDArray[np.int64], float]:
+    """Fit a motion to what agrees with it, in rounds, and see again what agrees.
+
+    Returns the motion, the track of each wall (-1: none), and how well all agree.
+    """
+    motion, widened = guess, roughly
+    for _ in range(rounds):
+        there = carried(tracks, motion)
+        track_of = assigned(agreement(there, seen, widened))
+        if track_of.max() < 0:
+            return motion, track_of, 0.0
+        motion = _then(motion, correction(there, seen, track_of, held, least_m))
+        widened = max(1.0, widened / 2)
+    worth = agreement(carried(tracks, motion), seen, 1.0)
+    track_of, score = assigned(worth), 0.0
+    for j in range(len(track_of)):
+        if track_of[j] >= 0:
+            score += worth[track_of[j], j]
+    return motion, track_of, score
+
+
+@compiled
+def guesses(
+    tracks: Tracks, seen: Seen, roughly: float, reach_m: float, reach_rad: float, most: int
+) -> tuple[Array, Array]:
+    """Return the motions (most, 3) that bring a corner onto a corner and make most agree.
+
+    With how well at most all agree then, best first; unused rows are 0.
+    """
+    angle, _, _, _, corner_at = tracks
+    wall_ends, _, normal, _, _, static = seen
+    best, found = np.zeros(most), np.zeros((most, 3))
+    for i in range(len(angle)):
+        for j in range(len(static)):
+            yaw = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            if abs(yaw) >= reach_rad:
+                continue
+            c, s = math.cos(yaw), math.sin(yaw)
+            for e in range(2):
+                a, b = corner_at[i, e]
+                x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
+                # Of a track without that corner this is NaN.
+                if not (static[j, e] and math.hypot(x, y) < reach_m):
+                    continue
+                motion = np.array([yaw, x, y])
+                worth = agreement(carried(tracks, motion), seen, roughly)
+                score = 0.0
+                for k in range(worth.shape[1]):
+                    score += worth[:, k].max()
+                at = most
+                while at > 0 and score > best[at - 1]:
+                    at -= 1
+                if at < most:
+                    for k in range(most - 1, at, -1):
+                        best[k], found[k] = best[k - 1], found[k - 1]
+                    best[at], found[at] = score, motion
+    return found, best

@@ -1,0 +1,57 @@
+"""The consistent basis, compiled; see `relmap.points.basis`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def _scale(axis: NDArray[np.float64]) -> None:
+    """Give an axis (d,) the length 1."""
+    square = 0.0
+    for a in range(len(axis)):
+        square += axis[a] * axis[a]
+    for a in range(len(axis)):
+        axis[a] /= np.sqrt(square)
+
+
+@compiled
+def _axes(
+    block: NDArray[np.float64], i: int, basis: NDArray[np.int64], axes: NDArray[np.float64]
+) -> None:
+    """Enter the axes (d, d) of one iteration's basis."""
+    d, first, last, along = len(axes), axes[0], axes[len(axes) - 1], 0.0
+    for a in range(d):
+        first[a] = block[basis[0], i, a] - block[basis[1], i, a]
+    _scale(first)
+    if d == 2:
+        last[0], last[1] = -first[1], first[0]
+        return
+    for a in range(3):
+        last[a] = block[basis[2], i, a] - block[basis[0], i, a]
+        along += last[a] * first[a]
+    for a in range(3):
+        last[a] -= along * first[a]
+    _scale(last)
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        axes[1, a] = last[b] * first[c] - last[c] * first[b]
+
+
+@compiled
+def into_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Bring every iteration of a block (g, i, d) into the basis of some rows; see `to_basis`."""
+    g, m, d = block.shape
+    placed, axes = np.empty((g, m, d)), np.empty((d, d))
+    for i in range(m):
+        _axes(block, i, basis, axes)
+        for k in range(g):
+            for a in range(d):
+                place = 0.0
+                for b in range(d):
+                    place += axes[a, b] * (block[k, i, b] - block[basis[0], i, b])
+                placed[k, i, a] = place
+    return placed

@@ -1,0 +1,98 @@
+"""Vertical planes of a 3-D scan by open3d: RANSAC in sequence, and growing planar patches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.segmentation.em.moves import widest_gap
+
+UPRIGHT = np.cos(np.deg2rad(75.0))
+"""The normal of a vertical plane points up or down by no more than this."""
+BAND = 2.5
+DRAWS = 300
+MOST_PLANES = 60
+PATCH_LEAST = 30
+
+
+def _open3d() -> Any:
+    """Return the library.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be loaded, as where a system library that it needs is missing.
+    """
+    try:
+        import open3d
+    except ImportError as error:
+        raise RelmapError(
+            f"open3d, which the methods ransac3d and patches need, does not load: {error}"
+        ) from error
+    return open3d
+
+
+def _cloud(points: NDArray[np.float64]) -> Any:
+    open3d = _open3d()
+    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+
+
+def sequential_labels(
+    points: NDArray[np.float64], sigma: float, least: int, seed: int
+) -> NDArray[np.int64]:
+    """Return the plane (n,) of each point (n, 3): the largest first, split at gaps along it.
+
+    Planes that are not vertical take their points away, but are not planes of the result.
+    """
+    _open3d().utility.random.seed(seed)
+    labels, free, count = np.full(len(points), -1), np.arange(len(points)), 0
+    band = BAND * max(sigma, 1e-6)
+    for _ in range(MOST_PLANES):
+        if len(free) < max(least, 3):
+            break
+        plane, inliers = _cloud(points[free]).segment_plane(band, 3, DRAWS)
+        own = free[inliers]
+        if len(own) < least:
+            break
+        normal = np.asarray(plane[:3])
+        if abs(normal[2]) <= UPRIGHT:
+            t = points[own, :2] @ (-normal[1], normal[0])
+            for part in _parts(own, t, sigma):
+                if len(part) >= least:
+                    labels[part], count = count, count + 1
+        free = np.setdiff1d(free, own, assume_unique=True)
+    return labels
+
+
+def _parts(own: NDArray[np.int64], t: NDArray[np.float64], sigma: float) -> list[NDArray[np.int64]]:
+    """Return points as the parts between gaps in their positions t along the plane."""
+    gap = widest_gap(np.sort(t), sigma) if len(t) > 5 else None
+    if gap is None:
+        return [own]
+    upper = t > 0.5 * sum(gap)
+    return _parts(own[~upper], t[~upper], sigma) + _parts(own[upper], t[upper], sigma)
+
+
+def patch_labels(points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the vertical patch (n,) of each point (n, 3), -1 for none.
+
+    open3d's `detect_planar_patches` (Araujo and Oliveira, "A robust statistics approach for plane
+    detection in unorganized point clouds", 2020). A point in two patches belongs to the larger.
+    """
+    labels = np.full(len(points), -1)
+    if len(points) <= PATCH_LEAST:
+        return labels
+    cloud = _cloud(points)
+    cloud.estimate_normals()
+    boxes = cloud.detect_planar_patches(min_num_points=PATCH_LEAST)
+    inside = [
+        np.asarray(box.get_point_indices_within_bounding_box(cloud.points), dtype=np.int64)
+        for box in boxes
+        if abs(np.asarray(box.R)[2, 2]) <= UPRIGHT
+    ]
+    for k, rows in enumerate(sorted((rows for rows in inside if len(rows)), key=len)):
+        labels[rows] = k
+    return labels

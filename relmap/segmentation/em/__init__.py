@@ -1,0 +1,1 @@
+"""The wall-shaped mixture and its search."""

@@ -1,0 +1,85 @@
+"""Lines in the ground plane by RANSAC in local windows, with a density split along each.
+
+A window holds few walls, so two of its points lie on the same wall far more often than two of the
+scan's (local sampling: Torr and Davidson, "IMPSAC", PAMI 2003).  From the window a line grows along
+its own band as long as points follow one another; the best lines claim their points first.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.noise import neighbour_distance, points_per_beam
+
+TRIES = 100
+BEAMS = 0.5
+"""What is seen under a smaller angle, in beams, is no wall but the noise of one column."""
+UNCLAIMED = 0.6
+"""A line keeps its claim where this share of its points is still free; else it is grown anew."""
+
+
+def find_lines(
+    xy: NDArray[np.float64], sigma: float, least: int, rng: np.random.Generator, beam: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return lines and the line of each point.
+
+    Parameters
+    ----------
+    xy : (n, 2) float64, robot frame, metres
+    sigma : float
+        Noise, metres.
+    least : int
+        Points a line must have at least.
+    rng : numpy.random.Generator
+    beam : float
+        Angle between beams, radians; 0 where there are none.
+
+    Returns
+    -------
+    walls : (k, WALL) float64
+        See `relmap.segmentation.em.wall_kernels`; best first.
+    labels : (n,) int64
+        Row of `walls`, -1 for none.
+    """
+    from relmap.segmentation.em.wall_kernels import SHARE, WALL
+    from relmap.segmentation.em.window_kernels import grow_lines
+
+    labels, found = np.full(len(xy), -1), [np.zeros((0, WALL))]
+    if len(xy) < max(least, 3):
+        return found[0], labels
+    window, repeat = max(6 * sigma, 2 * neighbour_distance(xy)), points_per_beam(xy)
+    narrow, count = BEAMS * beam, 0
+    while (labels < 0).sum() >= least:
+        free = np.flatnonzero(labels < 0)
+        grown = grow_lines(xy[free], rng.random((TRIES, 2)), sigma, window, repeat, narrow)
+        chosen, claims = _best_first(*grown[1:], least)
+        if not chosen:
+            break
+        for k, claim in zip(chosen, claims, strict=True):
+            labels[free[claim]] = count
+            grown[0][k, SHARE] = claim.sum() / len(xy)
+            count += 1
+        found.append(grown[0][chosen])
+    return np.concatenate(found), labels
+
+
+def _best_first(
+    members: NDArray[np.bool_], scores: NDArray[np.float64], least: int
+) -> tuple[list[int], list[NDArray[np.bool_]]]:
+    """Return which lines claim points, best first, and which points (n,) each claims."""
+    size = members.sum(axis=1)
+    quality = scores / np.maximum(size, 1)
+    chosen: list[int] = []
+    claims: list[NDArray[np.bool_]] = []
+    left = size
+    while True:
+        score = np.where(left >= UNCLAIMED * size, left * quality, 0)
+        best = int(score.argmax())
+        if left[best] < least or score[best] <= 0:
+            return chosen, claims
+        claim = members[best].copy()
+        chosen.append(best)
+        claims.append(claim)
+        members &= ~claim
+        left = members.sum(axis=1)

@@ -1,0 +1,152 @@
+"""Walls by expectation maximisation: the mixture whose component is the shape of a wall.
+
+Gaussian in the direction of the noise, along the wall the sensor's own density between two unsharp
+ends, plus a uniform class of points of no wall.  A Gaussian mixture takes a wall apart, because a
+wall is not Gaussian along itself; this one does not.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.noise import FLOOR_M
+
+PARAMETERS = 5
+"""Of a wall: two of its line, two ends, its share."""
+STRAY_AT_FIRST = 0.05
+STRAY_LEAST = 1e-4
+TOLERANCE = 1e-4
+CONCERNED = 0.01
+"""A point concerns a wall if so much of its density is that wall's."""
+
+
+@dataclass(frozen=True, eq=False)
+class WallMixture:
+    """Walls and what else a scan is made of.
+
+    Attributes
+    ----------
+    walls : (k, WALL) float64
+        See `relmap.segmentation.em.wall_kernels`.
+    sigma : float
+        Noise, metres.
+    stray : float
+        Share of points of no wall.
+    area : float
+        What they are spread over, square metres.
+    beam : float
+        Angle (radians) between the beams that points lie on; 0 where they lie evenly on the walls.
+    repeat : float
+        Points at one bearing, which tell of the extent of a wall only once.
+    fixed_noise : bool
+        Whether the noise was given.
+    rest : (n,) float64 or None
+        Of a part of a scan's walls: the density of everything else at the points concerned.
+    """
+
+    walls: NDArray[np.float64]
+    sigma: float
+    stray: float
+    area: float
+    beam: float = 0.0
+    repeat: float = 1.0
+    fixed_noise: bool = False
+    rest: NDArray[np.float64] | None = None
+
+    @property
+    def along(self) -> float:
+        """How far (metres) noise carries points along a wall: of beams none off its beam."""
+        return 0.0 if self.beam > 0 else self.sigma
+
+    def density(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the density (k, n) of points (n, 2) under each wall, and of all together (n,)."""
+        from relmap.segmentation.em.wall_kernels import expect
+
+        return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.beam)
+
+    def beside(self, n: int) -> NDArray[np.float64]:
+        """Return the density of everything but the walls at n points."""
+        return np.full(n, self.stray / self.area) if self.rest is None else self.rest
+
+    def likelihood(self, xy: NDArray[np.float64]) -> float:
+        """Return the log likelihood of points (n, 2)."""
+        return float(np.log(self.density(xy)[1]).sum())
+
+    def evidence(self, xy: NDArray[np.float64]) -> float:
+        """Return the log likelihood of points (n, 2) less what the parameters cost (BIC)."""
+        return self.likelihood(xy) - len(self.walls) * wall_cost(len(xy))
+
+    def labels(self, xy: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the likeliest wall (n,) of each point (n, 2), -1 for none."""
+        density, _ = self.density(xy)
+        if len(density) == 0:
+            return np.full(len(xy), -1)
+        best = density.argmax(axis=0)
+        known = density[best, np.arange(len(xy))] > self.stray / self.area
+        return np.where(known, best, -1)
+
+    def only(self, rows: NDArray[np.bool_] | list[int]) -> WallMixture:
+        """Return the mixture of some of the walls."""
+        chosen = np.asarray(rows, dtype=np.int64) if isinstance(rows, list) else rows
+        return replace(self, walls=self.walls[chosen])
+
+    def with_walls(self, walls: NDArray[np.float64]) -> WallMixture:
+        """Return the mixture with other walls (k, WALL)."""
+        return replace(self, walls=walls)
+
+    def around(
+        self, rows: list[int], xy: NDArray[np.float64]
+    ) -> tuple[WallMixture, NDArray[np.float64]]:
+        """Return the mixture of a few walls, all else held, and the points (m, 2) it concerns."""
+        density, total = self.density(xy)
+        theirs = density[rows].sum(axis=0)
+        near = theirs > CONCERNED * total
+        scale = len(xy) / max(int(near.sum()), 1)
+        few = self.walls[rows]
+        few[:, -1] *= scale
+        rest = scale * np.maximum(total - theirs, self.stray / self.area)[near]
+        return replace(self, walls=few, rest=rest), xy[near]
+
+
+def wall_cost(n: int) -> float:
+    """Return the log likelihood that a wall must bring among n points, by the Bayesian criterion.
+
+    Schwarz, "Estimating the dimension of a model", 1978.
+    """
+    return 0.5 * PARAMETERS * math.log(max(n, 2))
+
+
+def scan_area(xy: NDArray[np.float64], sigma: float) -> float:
+    """Return the area (square metres) of the box about points (n, 2), blurred by the noise."""
+    return float(np.prod(np.ptp(xy, axis=0) + 6 * sigma + 1e-3))
+
+
+def maximise(
+    mixture: WallMixture,
+    xy: NDArray[np.float64],
+    steps: int,
+    held: bool = False,
+    tolerance: float = TOLERANCE,
+) -> WallMixture:
+    """Return the mixture after some steps of EM, fewer where the likelihood rises no more.
+
+    With `held` the ends of the walls stay.
+    """
+    from relmap.segmentation.em.step_kernels import em_step
+
+    walls, sigma, stray = mixture.walls.copy(), mixture.sigma, mixture.stray
+    before = -np.inf
+    for _ in range(steps if len(walls) else 0):
+        rest = np.full(len(xy), stray / mixture.area) if mixture.rest is None else mixture.rest
+        likelihood, spread, loose = em_step(xy, walls, sigma, rest, mixture.beam, held)
+        if not mixture.fixed_noise:
+            sigma = min(max(spread, FLOOR_M), 1.5 * sigma)
+        stray = max(loose, STRAY_LEAST)
+        if abs(likelihood - before) < tolerance * len(walls):
+            break
+        before = likelihood
+    return replace(mixture, walls=walls, sigma=sigma, stray=stray)

@@ -1,0 +1,292 @@
+"""How many walls there are: walls that explain nothing go, pieces of one wall join, gaps split.
+
+EM never changes the number of its components.  Each move here is judged by what the likelihood of
+the points concerned gains or loses by it, against the parameters it costs (as BIC does), except
+that touching pieces of one line are one wall whatever the density of points along it.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wall_cost
+from relmap.segmentation.ends.pairs import (
+    corners,
+    flush,
+    one_hides_other,
+    side_by_side,
+    within_reach,
+)
+from relmap.segmentation.ends.shadows import parted
+
+BENT = 10.0
+"""Loss of log likelihood above which two walls do not lie on one line."""
+EMPTY = 6.0
+"""Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
+MISSED = 0.6
+"""Columns of beams missing in a gap: one tells of it, for no noise moves a point off its beam."""
+CURVED = 3.0
+"""Standard deviations of curvature from which on a wall is tried as two."""
+SETTLE = 6
+"""Steps of EM after a move."""
+TRIAL = 8
+"""Steps of EM to see what a move is worth."""
+GLANCE = 4
+"""Steps of EM to see which of several moves are worth more of them."""
+FINALISTS = 2
+FAR_M = 1e3
+"""Points from beams that do not meet a wall are so far off it."""
+LEG = 3.0
+"""Standard deviations from a wall's end within which another may begin unseen."""
+ROUGH = 0.05
+"""Gain of log likelihood per wall and step below which a trial has settled."""
+
+
+def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixture:
+    """Take away walls that the rest explains about as well, weakest first."""
+    from relmap.segmentation.em.wall_kernels import SHARE
+
+    penalty = wall_cost(len(xy))
+    while len(mixture.walls):
+        density, total = mixture.density(xy)
+        gain = -np.log1p(-np.minimum(density / total, 1 - 1e-12)).sum(axis=1)
+        weak = np.minimum(gain - penalty, mixture.walls[:, SHARE] * len(xy) - least)
+        worst = int(weak.argmin())
+        if weak[worst] >= 0:
+            break
+        keep = np.arange(len(mixture.walls)) != worst
+        mixture = maximise(mixture.only(keep), xy, SETTLE)
+    return mixture
+
+
+def merge(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+    """Join walls that are one: pieces of one line without a gap, and pairs not worth their cost."""
+    names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
+    while True:
+        labels = mixture.labels(xy)
+        joined = None
+        for i, j in combinations(range(len(names)), 2):
+            if (names[i], names[j]) in parted:
+                continue
+            joined = _join(mixture, xy, labels, i, j)
+            if joined is not None:
+                break
+            parted.add((names[i], names[j]))
+        if joined is None:
+            return mixture
+        walls = np.delete(mixture.walls, j, axis=0)
+        walls[i] = joined
+        mixture = mixture.with_walls(walls)
+        names[i] = max(names) + 1
+        del names[j]
+
+
+def _join(
+    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64], i: int, j: int
+) -> NDArray[np.float64] | None:
+    """Return two walls as one, given the wall of each point; None where they are two."""
+    from relmap.segmentation.em.wall_kernels import SHARE, sightings
+
+    w, v = mixture.walls[i], mixture.walls[j]
+    if not within_reach(w, v, mixture.sigma):
+        return None
+    own = xy[(labels == i) | (labels == j)]
+    if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
+        return None
+    whole = wall_through(own, w, mixture.beam)
+    whole[SHARE] = w[SHARE] + v[SHARE]
+    if _hangs_together(mixture, w, v, len(own) / whole[SHARE]):
+        across = sightings(own, whole, mixture.beam)[2]
+        density, total = mixture.only([i, j]).density(own)
+        apart = 0.0
+        for k, wall in enumerate((w, v)):
+            d = np.minimum(np.abs(sightings(own, wall, mixture.beam)[2]), FAR_M)
+            apart += float(density[k] / total @ d**2)
+        if 0.5 * (across @ across - apart) < BENT * mixture.sigma**2:
+            return whole
+    if flush(w, v, mixture.sigma) and (one_hides_other(w, v, mixture.sigma) or side_by_side(w, v)):
+        return whole
+    two, near = mixture.around([i, j], xy)
+    scale = len(xy) / len(near)
+    whole[SHARE] *= scale
+    two = maximise(two, near, TRIAL, tolerance=ROUGH)
+    one = maximise(two.with_walls(whole[None]), near, TRIAL, tolerance=ROUGH)
+    if one.evidence(near) < two.evidence(near):
+        return None
+    one.walls[0, SHARE] /= scale
+    return np.asarray(one.walls[0])
+
+
+def bend(mixture: WallMixture, xy: NDArray[np.float64], suspects_only: bool = True) -> WallMixture:
+    """Split walls that are two: bent ones somewhere along, thick ones lengthwise."""
+    labels, walls = mixture.labels(xy), []
+    for k, wall in enumerate(mixture.walls):
+        own = xy[labels == k]
+        suspect = len(own) > 2 * PARAMETERS
+        suspect = suspect and not (suspects_only and not _suspect(mixture, own, wall))
+        pieces = _bent(mixture, xy, own, k) if suspect else None
+        walls.append(wall[None] if pieces is None else pieces)
+    return mixture.with_walls(np.concatenate(walls)) if walls else mixture
+
+
+def _suspect(mixture: WallMixture, own: NDArray[np.float64], wall: NDArray[np.float64]) -> bool:
+    """Tell whether points (m, 2) look bent, or thicker than the noise, about their wall."""
+    from relmap.segmentation.em.wall_kernels import sightings
+
+    _, t, d = sightings(own, wall, mixture.beam)
+    z = (t - t.mean()) / max(t.std(), 1e-12)
+    curve = z * z - z * (z**3).mean() - 1
+    spread = max(float(d.std()), 1e-12)
+    bent = abs(d @ curve) / (spread * max(float(np.linalg.norm(curve)), 1e-12))
+    return bool(bent > CURVED or spread > mixture.sigma * (1 + 2 / np.sqrt(len(own))))
+
+
+def _bent(
+    mixture: WallMixture, xy: NDArray[np.float64], own: NDArray[np.float64], k: int
+) -> NDArray[np.float64] | None:
+    """Return the two walls that a wall's points are better explained by, if they are."""
+    from relmap.segmentation.em.wall_kernels import SHARE, sightings
+
+    one, near = mixture.around([k], xy)
+    wall, trials = one.walls[0], []
+    _, t, d = sightings(own, wall, mixture.beam)
+    for upper in _halves(t, d, mixture.sigma):
+        if min(upper.sum(), (~upper).sum()) < PARAMETERS:
+            continue
+        halves = np.array([wall_through(own[side], wall, one.beam) for side in (upper, ~upper)])
+        halves[:, SHARE] *= [upper.mean(), 1 - upper.mean()]
+        trials.append(maximise(one.with_walls(halves), near, GLANCE, tolerance=ROUGH))
+    best, pieces = maximise(one, near, TRIAL, tolerance=ROUGH).evidence(near), None
+    for trial in sorted(trials, key=lambda two: -two.likelihood(near))[:FINALISTS]:
+        two = maximise(trial, near, 2 * TRIAL, tolerance=ROUGH)
+        if two.evidence(near) > best and not one_hides_other(two.walls[0], two.walls[1], two.sigma):
+            best, pieces = two.evidence(near), two.walls.copy()
+    if pieces is not None:
+        pieces[:, SHARE] *= len(near) / len(xy)
+    return pieces
+
+
+def _halves(
+    t: NDArray[np.float64], d: NDArray[np.float64], sigma: float
+) -> list[NDArray[np.bool_]]:
+    """Return ways (m,) to part points at t along and d across a wall: ends, middle, sides."""
+    low, first, middle, last, high = np.quantile(t, [0, 0.25, 0.5, 0.75, 1])
+    cuts = [first, middle, last]
+    if high - low > 12 * sigma:
+        cuts += [low + LEG * sigma, high - LEG * sigma]
+    return [*(t > cut for cut in cuts), d > np.median(d)]
+
+
+def wall_through(
+    own: NDArray[np.float64], like: NDArray[np.float64], beam: float = 0.0
+) -> NDArray[np.float64]:
+    """Return the wall through points (m, 2), which goes the way of another."""
+    from relmap.segmentation.em.step_kernels import fit_line
+    from relmap.segmentation.em.wall_kernels import BEGIN, END, EXACT_M, sightings
+
+    wall = like.copy()
+    fit_line(own, wall, beam)
+    t = sightings(own, wall, beam)[1]
+    wall[BEGIN], wall[END] = t.min(), max(t.max(), t.min() + EXACT_M)
+    return wall
+
+
+def _hangs_together(
+    mixture: WallMixture, w: NDArray[np.float64], v: NDArray[np.float64], n: float
+) -> bool:
+    """Tell whether no gap shows between two walls along the longer one, among n points in all.
+
+    Of columns of beams those that are missing count, not points: a wall farther off has fewer.
+    """
+    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, beam_spacing, local_density
+
+    if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
+        w, v = v, w
+    t = (corners(v) - w[:2]) @ w[2:4]
+    gap = max(t.min() - w[END], w[BEGIN] - t.max())
+    edge = w[END] if t.mean() > 0.5 * (w[BEGIN] + w[END]) else w[BEGIN]
+    near = BEGIN if abs(t[0] - edge) < abs(t[1] - edge) else END
+    if mixture.repeat > 1:
+        return bool(gap < MISSED * beam_spacing(w, edge, mixture.beam))
+    density = n * min(
+        w[SHARE] * local_density(w, edge, mixture.beam),
+        v[SHARE] * local_density(v, v[near], mixture.beam),
+    )
+    return bool(gap * density < EMPTY + density * mixture.along)
+
+
+def split(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+    """Split walls at doors: stretches too empty to belong to an evenly filled wall."""
+    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, sightings
+
+    labels, walls = mixture.labels(xy), []
+    for k, wall in enumerate(mixture.walls):
+        u, t, _ = sightings(xy[labels == k], wall, mixture.beam)
+        hole = _hole(np.sort(u), wall, mixture)
+        if hole is None:
+            walls.append(wall)
+            continue
+        part = float(np.mean(t < 0.5 * sum(hole)))
+        for begin, end, amount in ((wall[BEGIN], hole[0], part), (hole[1], wall[END], 1 - part)):
+            piece = wall.copy()
+            piece[BEGIN], piece[END], piece[SHARE] = begin, end, wall[SHARE] * amount
+            walls.append(piece)
+    return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
+
+
+def _hole(
+    u: NDArray[np.float64], wall: NDArray[np.float64], mixture: WallMixture
+) -> tuple[float, float] | None:
+    """Return the gap along a wall (metres) among the sorted measures of its points."""
+    from relmap.segmentation.em.wall_kernels import foot_and_height, place
+
+    hole = missed_beams(u, mixture.beam) if mixture.repeat > 1 else widest_gap(u, mixture.along)
+    if hole is None:
+        return None
+    foot, height = foot_and_height(wall)
+    first, last = (place(edge, foot, height, mixture.beam) for edge in hole)
+    return first, last
+
+
+def missed_beams(bearing: NDArray[np.float64], beam: float) -> tuple[float, float] | None:
+    """Return the widest step between sorted bearings (m,) if beams are missing in it.
+
+    Without half a beam at each side, which belongs to the wall.
+    """
+    if len(bearing) < 2:
+        return None
+    step = np.diff(bearing)
+    at = int(step.argmax())
+    if step[at] < (1 + MISSED) * beam:
+        return None
+    return float(bearing[at] + 0.5 * beam), float(bearing[at + 1] - 0.5 * beam)
+
+
+def widest_gap(t: NDArray[np.float64], sigma: float) -> tuple[float, float] | None:
+    """Return the emptiest stretch of sorted positions (m,) along a wall, if it is a gap.
+
+    The number of points in a stretch is compared, as Poisson counts, with what an even wall would
+    have there and with what the noise carries in from both sides of a gap (0.8 sigma of wall).
+    """
+    if len(t) < 6:
+        return None
+    length = t[-1] - t[0]
+    width = max(0.5 * sigma, length / min(len(t), 400), 1e-12)
+    edges = t[0] + width * np.arange(int(length / width) + 1)
+    below = np.searchsorted(t, edges)
+    inside = below[None, :] - below[:, None]
+    gap = edges[None, :] - edges[:, None]
+    outside = np.maximum(len(t) - inside, 1) / np.maximum(length - gap, width)
+    even, leaked = outside * gap, np.maximum(0.8 * sigma * outside, 0.2)
+    gain = even - leaked - inside * np.log(np.maximum(even, 1e-9) / leaked)
+    margin = 2 * sigma
+    possible = (gap > 2 * sigma) & (even > leaked) & (inside < even)
+    possible &= (edges[:, None] > t[0] + margin) & (edges[None, :] < t[-1] - margin)
+    gain = np.where(possible, gain, -np.inf)
+    i, j = np.unravel_index(int(gain.argmax()), gain.shape)
+    if gain[i, j] < EMPTY + wall_cost(len(t)):
+        return None
+    return float(edges[i]), float(edges[j])

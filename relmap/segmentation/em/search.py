@@ -1,0 +1,183 @@
+"""From points to the wall mixture that explains them best."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.segmentation.em.lines import find_lines
+from relmap.segmentation.em.mixture import STRAY_AT_FIRST, WallMixture, maximise, scan_area
+from relmap.segmentation.em.moves import ROUGH, bend, merge, prune, split
+from relmap.segmentation.ends.shadows import part_at_shadows
+from relmap.segmentation.noise import FLOOR_M, beam_angle, points_per_beam, window_noise
+
+FEW = 1000
+MOST = 3000
+MORE = 6000
+"""More points than these tell no more of how many walls there are; a random part is searched."""
+POLISHED = 20000
+"""With so many, of all points, the lines and ends are made accurate."""
+LEAST = 8
+"""Points of a wall, at least."""
+SHORTEST = 1.5
+"""Of a scan at least one wall is longer than so many times the noise."""
+STRAYS = 0.1
+"""Share of a wall's points that may be a neighbour's."""
+STARTS = (0.5, 0.8)
+"""Lines are first looked for as if the noise were so many times what windows say: pieces of walls
+join more easily than walls taken for one part."""
+ROUNDS = 4
+LOOSER = 12.0
+"""Spacings of points by which an end may have been missed."""
+FIRST, BETWEEN, LAST = 20, 10, 40
+"""Steps of EM."""
+
+
+def fit_walls(
+    xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
+) -> WallMixture:
+    """Return the walls of points (n, 2), robot frame, metres, however many they are.
+
+    Several starts on a few points; the best of them is improved on more and more.
+    """
+    few = part(xy, FEW, rng)
+    mixture = search_walls(few, noise, rng)
+    for most in (MOST, MORE):
+        mixture, few = loosened(mixture, len(few)), part(xy, most, rng)
+        mixture = replace(mixture, repeat=points_per_beam(few))
+        mixture = improve(mixture, few, rng, thorough=True)
+        if len(few) == len(xy):
+            break
+    mixture = plausible(maximise(mixture, few, LAST), few)
+    if len(few) == len(xy):
+        return mixture
+    return maximise(mixture, part(xy, POLISHED, rng), BETWEEN)
+
+
+def loosened(mixture: WallMixture, n: int) -> WallMixture:
+    """Return walls found among n points a little longer, so that more points can show their ends.
+
+    With no noise at all nothing beyond an end would ever be counted in.
+    """
+    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE
+
+    walls = mixture.walls.copy()
+    spacing = (walls[:, END] - walls[:, BEGIN]) / np.maximum(walls[:, SHARE] * n, 1.0)
+    more = np.where(spacing > mixture.sigma, LOOSER * spacing, 0.0)
+    walls[:, BEGIN] -= more
+    walls[:, END] += more
+    return mixture.with_walls(walls)
+
+
+def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+    """Return the mixture, without walls if the points have none.
+
+    A scan without walls is one that points spread evenly over its area explain as well, or whose
+    walls are all as thick as long.
+    """
+    if not long_enough(mixture).any():
+        return mixture.only([])
+    spread = -len(xy) * np.log(scan_area(xy, 0.0))
+    return mixture if mixture.evidence(xy) > spread else mixture.only([])
+
+
+def long_enough(mixture: WallMixture) -> NDArray[np.bool_]:
+    """Tell which walls (k,) are longer than thick."""
+    from relmap.segmentation.em.wall_kernels import BEGIN, END
+
+    length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
+    return np.asarray(length > SHORTEST * mixture.sigma)
+
+
+def seen_broad(
+    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Tell which walls (k,) have points (n, 2) on more than one beam: one tells no direction.
+
+    Some of them may be a neighbour's.
+    """
+    from relmap.segmentation.em.wall_kernels import sightings
+
+    broad = np.zeros(len(mixture.walls), dtype=np.bool_)
+    for k in np.unique(labels[labels >= 0]):
+        u = sightings(xy[labels == k], mixture.walls[k], mixture.beam)[0]
+        broad[k] = np.ptp(np.quantile(u, [STRAYS, 1 - STRAYS])) > 0.5 * mixture.beam
+    return broad
+
+
+def search_walls(
+    xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
+) -> WallMixture:
+    """Return the walls of points (n, 2): of several starts what has the best evidence."""
+    from relmap.segmentation.em.wall_kernels import WALL
+
+    sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
+    nothing = WallMixture(
+        np.zeros((0, WALL)),
+        sigma,
+        STRAY_AT_FIRST,
+        scan_area(xy, sigma),
+        beam=beam_angle(xy),
+        repeat=points_per_beam(xy),
+        fixed_noise=noise is not None,
+    )
+    found = [search_from(nothing, xy, start * sigma, rng) for start in STARTS]
+    return max(found, key=lambda one: one.evidence(xy))
+
+
+def part(xy: NDArray[np.float64], most: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return points (n, 2), or so many of them if there are more."""
+    return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
+
+
+def search_from(
+    nothing: WallMixture, xy: NDArray[np.float64], sigma: float, rng: np.random.Generator
+) -> WallMixture:
+    """Return the walls found from lines of some noise by EM and moves between numbers of walls."""
+    walls, _ = find_lines(xy, sigma, LEAST, rng, nothing.beam)
+    start = replace(nothing, walls=walls)
+    if not nothing.fixed_noise:
+        start = replace(start, sigma=sigma)
+    return improve(maximise(start, xy, FIRST, tolerance=ROUGH), xy, rng)
+
+
+def improve(
+    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator, thorough: bool = False
+) -> WallMixture:
+    """Return the mixture after moves between numbers of walls, until none is worth it."""
+    for _ in range(ROUNDS):
+        sizes = [len(mixture.walls)]
+        mixture = prune(mixture, xy, LEAST)
+        sizes.append(len(mixture.walls))
+        mixture = merge(mixture, xy)
+        sizes.append(len(mixture.walls))
+        mixture = split(maximise(mixture, xy, BETWEEN, tolerance=ROUGH), xy)
+        sizes.append(len(mixture.walls))
+        mixture = bend(mixture, xy, not thorough or mixture.repeat > 1)
+        if thorough:
+            mixture = part_at_shadows(mixture, xy)
+        sizes.append(len(mixture.walls))
+        mixture = _with_strays(mixture, xy, rng)
+        mixture = maximise(mixture, xy, BETWEEN, tolerance=ROUGH)
+        sizes.append(len(mixture.walls))
+        if min(sizes) == max(sizes):
+            return mixture
+    return merge(prune(mixture, xy, LEAST), xy)
+
+
+def _with_strays(
+    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator
+) -> WallMixture:
+    """Add lines among points that belong to no wall yet."""
+    from relmap.segmentation.em.wall_kernels import SHARE
+
+    _, total = mixture.density(xy)
+    loose = mixture.stray / mixture.area > 0.5 * total
+    strays = np.ascontiguousarray(xy[loose])
+    walls, _ = find_lines(strays, mixture.sigma, LEAST, rng, mixture.beam)
+    if len(walls) == 0:
+        return mixture
+    walls[:, SHARE] *= loose.mean()
+    return mixture.with_walls(np.concatenate([mixture.walls, walls]))

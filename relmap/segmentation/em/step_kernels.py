@@ -1,0 +1,169 @@
+"""Compiled: a step of expectation and maximisation, and the likeliest line of a wall's points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+from relmap.segmentation.em.wall_kernels import (
+    BEGIN,
+    END,
+    EXACT_M,
+    PEAK,
+    PX,
+    PY,
+    SHARE,
+    UX,
+    UY,
+    bell,
+    end_blur,
+    expect,
+    foot_and_height,
+    gauss_step,
+    measure,
+    place,
+    sighted,
+    weighted_line,
+)
+
+NEWTON = 3
+"""Steps to the likeliest line."""
+
+
+@compiled
+def _gather(
+    xy: NDArray[np.float64],
+    share: NDArray[np.float64],
+    total: NDArray[np.float64],
+    wall: NDArray[np.float64],
+    sigma: float,
+    beam: float,
+) -> NDArray[np.float64]:
+    """Return what a step of EM needs of a wall's points, in the wall's own frame.
+
+    Their weight, that with their precision across the wall, with this precision sums of t, d, tt,
+    td and dd; the pull on both ends, and the outermost measures.
+    """
+    s = np.zeros(11)
+    s[9], s[10] = np.inf, -np.inf
+    foot, height = foot_and_height(wall)
+    begin, end = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
+    blur = end_blur(sigma, beam)
+    for i in range(len(xy)):
+        if share[i] <= 0:
+            continue
+        w = share[i] / total[i]
+        u, t, d, steep = sighted(xy[i, 0], xy[i, 1], wall, foot, height, beam)
+        sure = w * steep * steep
+        s[0] += w
+        s[1] += sure
+        s[2] += sure * t
+        s[3] += sure * d
+        s[4] += sure * t * t
+        s[5] += sure * t * d
+        s[6] += sure * d * d
+        if w > 0.01:
+            s[9], s[10] = min(s[9], u), max(s[10], u)
+        low, high = (u - begin) / blur, (u - end) / blur
+        if low < 5 or high > -5:
+            box = max(gauss_step(low) - gauss_step(high), 1e-7)
+            s[7] += w * bell(low) / box
+            s[8] += w * bell(high) / box
+    return s
+
+
+@compiled
+def _turn(
+    wall: NDArray[np.float64], s: NDArray[np.float64], begin: float, end: float, beam: float
+) -> float:
+    """Move a wall to its points' line of least squares, between two measures; return the scatter.
+
+    Total least squares across the wall; along beams, whose bearings are exact, plain ones.
+    """
+    t, d = s[2] / s[1], s[3] / s[1]
+    tt, td, dd = s[4] - s[1] * t * t, s[5] - s[1] * t * d, s[6] - s[1] * d * d
+    angle = math.atan2(td, tt) if beam > 0 else 0.5 * math.atan2(2 * td, tt - dd)
+    c, q = math.cos(angle), math.sin(angle)
+    ux, uy = wall[UX], wall[UY]
+    ahead = wall[PY] * ux - wall[PX] * uy
+    wall[PX] += t * ux - d * uy
+    wall[PY] += t * uy + d * ux
+    wall[UX], wall[UY] = c * ux - q * uy, q * ux + c * uy
+    if beam > 0:  # the ends keep their bearings
+        turn = angle if ahead > 0 else -angle
+        foot, height = foot_and_height(wall)
+        wall[BEGIN] = place(begin + turn, foot, height, beam)
+        wall[END] = place(end + turn, foot, height, beam)
+    else:
+        shift = t * c + d * q
+        wall[BEGIN], wall[END] = begin - shift, end - shift
+    wall[END] = max(wall[END], wall[BEGIN] + EXACT_M)
+    return float(max(tt * q * q - 2 * td * q * c + dd * c * c, 0.0))
+
+
+@compiled
+def fit_line(xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float) -> None:
+    """Move a wall to the likeliest line of points (n, 2), all of them its own."""
+    ones = np.ones(len(xy))
+    weighted_line(xy, ones, wall)
+    for _ in range(NEWTON if beam > 0 else 0):
+        s = _gather(xy, ones, ones, wall, 1.0, beam)
+        if not np.isfinite(s[1]):
+            return
+        _turn(wall, s, 0.0, 0.0, beam)
+
+
+@compiled
+def _score_ends(
+    s: NDArray[np.float64], begin: float, end: float, blur: float
+) -> tuple[float, float]:
+    """Return both ends, in the wall's measure, after a step of Fisher scoring, at most the blur.
+
+    With points of density rho at an end, its information is rho / blur times the integral of
+    phi**2 / Phi, which is 0.9032.
+    """
+    if blur < EXACT_M:
+        return s[9], s[10]
+    rho = s[0] / max(end - begin, 1e-9)
+    first = (rho - PEAK * s[7] / blur) * blur / (0.9032 * rho)
+    last = (PEAK * s[8] / blur - rho) * blur / (0.9032 * rho)
+    limit = min(blur, 0.2 * (end - begin))
+    return begin + min(max(first, -blur), limit), end + min(max(last, -limit), blur)
+
+
+@compiled
+def em_step(
+    xy: NDArray[np.float64],
+    walls: NDArray[np.float64],
+    sigma: float,
+    rest: NDArray[np.float64],
+    beam: float,
+    held: bool,
+) -> tuple[float, float, float]:
+    """Take one step of expectation and maximisation; walls (k, WALL) are changed in place.
+
+    `held` ends stay where they are along their walls. Returns the log likelihood before the step,
+    the noise after it, and the share of points that belong to the `rest` (n,), see `expect`.
+    """
+    density, total = expect(xy, walls, sigma, rest, beam)
+    n, likelihood, loose = len(xy), 0.0, 0.0
+    for i in range(n):
+        likelihood += math.log(total[i])
+        loose += rest[i] / total[i]
+    squares, amount = 0.0, 0.0
+    for j in range(len(walls)):
+        s = _gather(xy, density[j], total, walls[j], sigma, beam)
+        walls[j, SHARE] = s[0] / n
+        if s[0] <= 1e-9:
+            continue
+        foot, height = foot_and_height(walls[j])
+        begin = measure(walls[j, BEGIN], foot, height, beam)
+        end = measure(walls[j, END], foot, height, beam)
+        if not held:
+            begin, end = _score_ends(s, begin, end, end_blur(sigma, beam))
+        squares += _turn(walls[j], s, begin, end, beam)
+        amount += s[0]
+    return likelihood, math.sqrt(squares / max(amount - 2 * len(walls), 1.0)), loose / n

@@ -1,0 +1,233 @@
+"""The hot loops of segmentation, compiled.
+
+A wall is a row of `WALL` numbers: a point on it and its direction (metres, robot frame), where it
+begins and ends along that direction, and its share of the scan's points.
+
+Points lie evenly on the walls, each with noise in all directions; or on beams, evenly spaced and
+`beam` radians apart, each with noise along its beam: its bearing is exact, and tells where on the
+wall it was measured.
+
+Compiled code is cached, see `relmap.core.linalg.compiling`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from relmap.core.linalg.compiling import compiled
+
+PX, PY, UX, UY, BEGIN, END, SHARE = range(7)
+WALL = 7
+REACH = 6.0
+"""Beyond this many standard deviations a Gaussian is taken for nothing."""
+EXACT_M = 1e-7
+"""Below this noise the ends are the outermost points: the blur is lost in rounding."""
+PEAK = 1.0 / math.sqrt(2.0 * math.pi)
+GRAZING = 1.56
+"""Of beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
+BLUR = 0.5
+"""Of beams, how unsharp an end is while it is looked for, in their spacing."""
+NEXT = 1.0 / BLUR
+"""So far an end reaches to the next beam, and not to those beyond."""
+
+
+_CELLS = 512
+"""Cells of the tables below per standard deviation."""
+_GRID = np.arange(int(2 * REACH) * _CELLS + 2) / _CELLS - REACH
+_STEP = ndtr(_GRID)
+_BELL = np.exp(-0.5 * _GRID**2)
+
+
+@compiled
+def gauss_step(x: float) -> float:
+    """Return the normal distribution function at x, from a table: to 5e-7."""
+    if x >= REACH:
+        return 1.0
+    if x <= -REACH:
+        return 0.0
+    place = (x + REACH) * _CELLS
+    cell = int(place)
+    return float(_STEP[cell] + (place - cell) * (_STEP[cell + 1] - _STEP[cell]))
+
+
+@compiled
+def bell(x: float) -> float:
+    """Return exp(-x**2 / 2), from a table: to 5e-7."""
+    if abs(x) >= REACH:
+        return 0.0
+    place = (x + REACH) * _CELLS
+    cell = int(place)
+    return float(_BELL[cell] + (place - cell) * (_BELL[cell + 1] - _BELL[cell]))
+
+
+@compiled
+def foot_and_height(wall: NDArray[np.float64]) -> tuple[float, float]:
+    """Return where along a wall the sensor stands, and how far off its line."""
+    foot = -(wall[PX] * wall[UX] + wall[PY] * wall[UY])
+    height = abs(wall[PX] * wall[UY] - wall[PY] * wall[UX])
+    return foot, max(height, 1e-3)
+
+
+@compiled
+def measure(t: float, foot: float, height: float, beam: float) -> float:
+    """Return a place along a wall in what points fill evenly: metres, or of beams the angle."""
+    return math.atan((t - foot) / height) if beam > 0 else t
+
+
+@compiled
+def place(u: float, foot: float, height: float, beam: float) -> float:
+    """Return the place along a wall of a `measure`."""
+    return foot + height * math.tan(min(max(u, -GRAZING), GRAZING)) if beam > 0 else u
+
+
+@compiled
+def span(wall: NDArray[np.float64], beam: float) -> float:
+    """Return how much of its `measure` a wall takes."""
+    foot, height = foot_and_height(wall)
+    begin, end = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
+    return max(end - begin, 1e-9)
+
+
+@compiled
+def beam_spacing(wall: NDArray[np.float64], at: float, beam: float) -> float:
+    """Return how far apart beams meet a wall about a place along it, metres."""
+    foot, height = foot_and_height(wall)
+    return beam * (height * height + (at - foot) * (at - foot)) / height
+
+
+@compiled
+def local_density(wall: NDArray[np.float64], at: float, beam: float) -> float:
+    """Return the share of a wall's points that lie about a place on it, per metre."""
+    spread = beam_spacing(wall, at, beam) / beam if beam > 0 else 1.0
+    return 1.0 / max(span(wall, beam) * spread, 1e-12)
+
+
+@compiled
+def end_blur(sigma: float, beam: float) -> float:
+    """Return how unsharp ends are, in the `measure` of a wall.
+
+    By the noise; but noise moves no point off its beam: there an end is as unsharp as beams are
+    apart.
+    """
+    return BLUR * beam if beam > 0 else sigma
+
+
+@compiled
+def sighted(
+    x: float, y: float, wall: NDArray[np.float64], foot: float, height: float, beam: float
+) -> tuple[float, float, float, float]:
+    """Return what a point says of a wall.
+
+    Its place along the wall, as a `measure` and in metres; its distance from the line; and how many
+    times as far off it is in the direction of its noise: across the wall, or along its beam, which
+    meets the wall at that place. Infinitely many times where the beam does not meet the wall.
+    """
+    x -= wall[PX]
+    y -= wall[PY]
+    t, d = x * wall[UX] + y * wall[UY], y * wall[UX] - x * wall[UY]
+    if beam <= 0:
+        return t, t, d, 1.0
+    ahead = wall[PY] * wall[UX] - wall[PX] * wall[UY]
+    out = ahead + d if ahead > 0 else -ahead - d
+    if out <= 0:
+        return 0.0, 0.0, d, np.inf
+    steep = math.hypot(t - foot, out) / out
+    return math.atan((t - foot) / out), foot + (t - foot) * height / out, d, steep
+
+
+@compiled
+def sightings(
+    xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return of points (n, 2) the places along a wall, as `measure` and in metres, and how far off.
+
+    See `sighted`; how far off is in the direction of the noise.
+    """
+    n = len(xy)
+    u, t, off = np.empty(n), np.empty(n), np.empty(n)
+    foot, height = foot_and_height(wall)
+    for i in range(n):
+        u[i], t[i], d, steep = sighted(xy[i, 0], xy[i, 1], wall, foot, height, beam)
+        off[i] = d * steep
+    return u, t, off
+
+
+@compiled
+def expect(
+    xy: NDArray[np.float64],
+    walls: NDArray[np.float64],
+    sigma: float,
+    rest: NDArray[np.float64],
+    beam: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the density (k, n) of each point under each wall, and of all together (n,).
+
+    Gaussian in the direction of the noise, along the wall even between two unsharp ends: the
+    convolution of a box with a Gaussian is a difference of two normal distribution functions.
+    `beam` is the angle between beams, 0 where points lie evenly on the walls. `rest` (n,) is the
+    density of everything but these walls.
+    """
+    n, k = len(xy), len(walls)
+    density, total = np.zeros((k, n)), rest.copy()
+    blur, reach = end_blur(sigma, beam), NEXT if beam > 0 else REACH
+    for j in range(k):
+        w = walls[j]
+        foot, height = foot_and_height(w)
+        low, high = measure(w[BEGIN], foot, height, beam), measure(w[END], foot, height, beam)
+        scale = w[SHARE] * PEAK / sigma / max(high - low, 1e-9)
+        for i in range(n):
+            d = (xy[i, 1] - w[PY]) * w[UX] - (xy[i, 0] - w[PX]) * w[UY]
+            if abs(d) > REACH * sigma:  # no noise is greater across a wall than along a beam
+                continue
+            u, _, d, steep = sighted(xy[i, 0], xy[i, 1], w, foot, height, beam)
+            z, first, last = abs(d) * steep / sigma, (u - low) / blur, (u - high) / blur
+            if z > REACH or first < -reach or last > reach:
+                continue
+            density[j, i] = scale * bell(z) * (gauss_step(first) - gauss_step(last))
+            if beam > 0:
+                density[j, i] /= math.hypot(xy[i, 0], xy[i, 1])
+            total[i] += density[j, i]
+    return density, total
+
+
+@compiled
+def weighted_line(
+    xy: NDArray[np.float64], weight: NDArray[np.float64], wall: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Fit a wall's point and direction to weighted points; return their weight and scatter across.
+
+    Total least squares; the direction keeps its sense, the ends are moved along.
+    """
+    total, x, y = 0.0, 0.0, 0.0
+    for i in range(len(xy)):
+        total += weight[i]
+        x += weight[i] * (xy[i, 0] - wall[PX])
+        y += weight[i] * (xy[i, 1] - wall[PY])
+    if total <= 0:
+        return 0.0, 0.0
+    px, py = wall[PX] + x / total, wall[PY] + y / total
+    xx, xy_, yy = 0.0, 0.0, 0.0
+    for i in range(len(xy)):
+        if weight[i] > 0:
+            dx, dy = xy[i, 0] - px, xy[i, 1] - py
+            xx += weight[i] * dx * dx
+            xy_ += weight[i] * dx * dy
+            yy += weight[i] * dy * dy
+    angle = 0.5 * math.atan2(2 * xy_, xx - yy)
+    ux, uy = math.cos(angle), math.sin(angle)
+    if ux * wall[UX] + uy * wall[UY] < 0:
+        ux, uy = -ux, -uy
+    shift = (px - wall[PX]) * ux + (py - wall[PY]) * uy
+    wall[PX], wall[PY], wall[UX], wall[UY] = px, py, ux, uy
+    wall[BEGIN] -= shift
+    wall[END] -= shift
+    across = 0.0
+    for i in range(len(xy)):
+        if weight[i] > 0:
+            d = (xy[i, 1] - py) * ux - (xy[i, 0] - px) * uy
+            across += weight[i] * d * d
+    return total, across

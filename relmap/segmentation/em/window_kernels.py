@@ -1,0 +1,203 @@
+"""Compiled loops over local windows: how thick the walls are, and lines grown from a few points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+from relmap.segmentation.em.wall_kernels import BEGIN, END, PX, PY, UX, UY, WALL, weighted_line
+
+ROUNDS = 2
+"""So often a line is grown along its band and fitted to what it met."""
+BAND = 2.5
+"""Half width, in standard deviations, of the band of a line's own points."""
+LEAST = 30
+"""Points from which on the spread of a window says how thick it is."""
+IN_A_ROW = 3
+ELONGATED = 9.0
+"""A window shows a wall where its variance along is so many times that across."""
+
+
+@compiled
+def window_thickness(
+    xy: NDArray[np.float64], seeds: NDArray[np.int64], radii: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the standard deviation across the wall about each seed (s,); NaN where none shows.
+
+    Discs about the seed grow until two in a row are elongated: smaller ones lie within the noise.
+    """
+    result = np.full(len(seeds), np.nan)
+    squares, levels = radii**2, len(radii)
+    for s in range(len(seeds)):
+        moments = np.zeros((levels, 6))
+        x0, y0 = xy[seeds[s], 0], xy[seeds[s], 1]
+        for i in range(len(xy)):
+            x, y = xy[i, 0] - x0, xy[i, 1] - y0
+            square = x * x + y * y
+            if square > squares[-1]:
+                continue
+            level = np.searchsorted(squares, square)
+            m = moments[level]
+            m[0] += 1
+            m[1] += x
+            m[2] += y
+            m[3] += x * x
+            m[4] += x * y
+            m[5] += y * y
+        total, running = np.zeros(6), 0
+        for level in range(levels):
+            total += moments[level]
+            n = total[0]
+            if n < LEAST:
+                continue
+            xx, yy = total[3] - total[1] ** 2 / n, total[5] - total[2] ** 2 / n
+            xy_ = total[4] - total[1] * total[2] / n
+            half, root = 0.5 * (xx + yy), math.sqrt(0.25 * (xx - yy) ** 2 + xy_ * xy_)
+            running = running + 1 if half + root > ELONGATED * (half - root) else 0
+            if running == IN_A_ROW:
+                result[s] = math.sqrt(max(half - root, 0.0) / (n - 2))
+                break
+    return result
+
+
+@compiled
+def _filled_run(filled: NDArray[np.bool_], cell: int) -> tuple[int, int]:
+    """Return the first and last cell of the run about one; single empty cells do not end it."""
+    first = last = cell
+    while first > 0 and (filled[first - 1] or (first > 1 and filled[first - 2])):
+        first -= 1
+    n = len(filled)
+    while last < n - 1 and (filled[last + 1] or (last < n - 2 and filled[last + 2])):
+        last += 1
+    return first, last
+
+
+@compiled
+def _run_about(
+    xy: NDArray[np.float64],
+    wall: NDArray[np.float64],
+    seed: int,
+    band: float,
+    gap: float,
+    member: NDArray[np.bool_],
+) -> int:
+    """Mark the points of a line's band that hang together with the seed's; return their number.
+
+    Sets the ends of the line too.
+    """
+    n = len(xy)
+    along, inside = np.empty(n), np.zeros(n, dtype=np.bool_)
+    lowest, highest = np.inf, -np.inf
+    for i in range(n):
+        x, y = xy[i, 0] - wall[PX], xy[i, 1] - wall[PY]
+        member[i] = False
+        if abs(y * wall[UX] - x * wall[UY]) <= band:
+            inside[i] = True
+            along[i] = x * wall[UX] + y * wall[UY]
+            lowest, highest = min(lowest, along[i]), max(highest, along[i])
+    if not inside[seed]:
+        return 0
+    width = max(0.5 * gap, (highest - lowest) / 4096)
+    n_bins = int((highest - lowest) / width) + 1
+    filled = np.zeros(n_bins, dtype=np.bool_)
+    for i in range(n):
+        if inside[i]:
+            filled[int((along[i] - lowest) / width)] = True
+    first, last = _filled_run(filled, int((along[seed] - lowest) / width))
+    count, wall[BEGIN], wall[END] = 0, np.inf, -np.inf
+    for i in range(n):
+        if inside[i]:
+            cell = int((along[i] - lowest) / width)
+            if first <= cell <= last:
+                member[i] = True
+                count += 1
+                wall[BEGIN], wall[END] = min(wall[BEGIN], along[i]), max(wall[END], along[i])
+    return count
+
+
+@compiled
+def _angle(wall: NDArray[np.float64]) -> float:
+    """Return the angle under which the sensor sees a wall."""
+    ax, ay = wall[PX] + wall[BEGIN] * wall[UX], wall[PY] + wall[BEGIN] * wall[UY]
+    bx, by = wall[PX] + wall[END] * wall[UX], wall[PY] + wall[END] * wall[UY]
+    return abs(math.atan2(ax * by - ay * bx, ax * bx + ay * by))
+
+
+@compiled
+def _start_line(
+    xy: NDArray[np.float64],
+    seed: int,
+    chance: float,
+    band: float,
+    window: float,
+    w: NDArray[np.float64],
+) -> int:
+    """Fit a line to the window about a seed, through it and a chance neighbour at first.
+
+    Returns the number of points in its band; 0 where the seed has no neighbours.
+    """
+    n, m = len(xy), 0
+    near = np.empty(n, dtype=np.int64)
+    for i in range(n):
+        x, y = xy[i, 0] - xy[seed, 0], xy[i, 1] - xy[seed, 1]
+        if 0 < x * x + y * y < window * window:
+            near[m] = i
+            m += 1
+    if m < 2:
+        return 0
+    other = near[int(chance * m)]
+    w[PX], w[PY] = xy[seed, 0], xy[seed, 1]
+    length = math.hypot(xy[other, 0] - w[PX], xy[other, 1] - w[PY])
+    w[UX], w[UY] = (xy[other, 0] - w[PX]) / length, (xy[other, 1] - w[PY]) / length
+    local, weight, inside = xy[near[:m]], np.empty(m), 0
+    for _ in range(ROUNDS):
+        inside = 0
+        for i in range(m):
+            d = (local[i, 1] - w[PY]) * w[UX] - (local[i, 0] - w[PX]) * w[UY]
+            weight[i] = 1.0 if abs(d) <= band else 0.0
+            inside += 1 if abs(d) <= band else 0
+        weighted_line(local, weight, w)
+    return inside
+
+
+@compiled
+def grow_lines(
+    xy: NDArray[np.float64],
+    chances: NDArray[np.float64],
+    sigma: float,
+    window: float,
+    repeat: float,
+    narrow: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Grow a line from each pair of near points that the chances (tries, 2) draw.
+
+    Of points at one bearing, `repeat` count as one along the line; lines that the sensor sees under
+    a `narrow` angle are none.
+
+    Returns lines (tries, WALL), their points (tries, n) and scores (tries,): each point counts by
+    how near it is (MSAC; Torr and Zisserman, 2000).
+    """
+    tries, n, band = len(chances), len(xy), BAND * sigma
+    walls, members = np.zeros((tries, WALL)), np.zeros((tries, n), dtype=np.bool_)
+    scores = np.zeros(tries)
+    for k in range(tries):
+        seed, w = int(chances[k, 0] * n), walls[k]
+        inside = _start_line(xy, seed, chances[k, 1], band, window, w)
+        if inside == 0:
+            continue
+        gap = max(16 * window * repeat / (inside + 1), sigma)
+        for _ in range(ROUNDS):
+            if _run_about(xy, w, seed, band, gap, members[k]) < 3:
+                break
+            weighted_line(xy, members[k].astype(np.float64), w)
+        if _run_about(xy, w, seed, band, gap, members[k]) < 3 or _angle(w) < narrow:
+            members[k] = False
+            continue
+        for i in range(n):
+            if members[k, i]:
+                d = (xy[i, 1] - w[PY]) * w[UX] - (xy[i, 0] - w[PX]) * w[UY]
+                scores[k] += 1 - (d / band) ** 2
+    return walls, members, scores

@@ -1,0 +1,1 @@
+"""Where walls end, and why."""

@@ -1,0 +1,195 @@
+"""Compiled: the ends of a box that noise has blurred, by maximum likelihood.
+
+Along a wall points lie evenly between two ends; noise carries some of them beyond. The outermost
+points would put the ends too far out, by more the more points there are; the maximum of the
+likelihood is unbiased, and without noise it is the outermost points.
+
+Of beams each stands for all bearings that are nearer to it than to its neighbours; the most likely
+end is then half way between the last beam that meets the wall and the next one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+from relmap.segmentation.em.wall_kernels import (
+    BEGIN,
+    END,
+    EXACT_M,
+    PEAK,
+    REACH,
+    foot_and_height,
+    measure,
+    place,
+    sightings,
+)
+
+INWARD = 5.0
+"""An end is looked for no more than so many standard deviations inwards of where it was."""
+FEW = 4
+"""Of beams, so many at an end tell how many points lie there."""
+LEAST = 0.05
+"""Of beams, a point that is less a wall's does not draw its end."""
+_ROOT = math.sqrt(2.0)
+
+
+@compiled
+def exact_step(x: float) -> float:
+    """Return the normal distribution function at x."""
+    return 0.5 * math.erfc(-x / _ROOT)
+
+
+@compiled
+def _end_slope(
+    at: float,
+    other: float,
+    t: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    blur: float,
+    density: float,
+    beams: bool,
+) -> float:
+    """Return how fast the log likelihood falls when the lower end of a box moves up."""
+    slope = 0.0
+    for i in range(len(t)):
+        z = (t[i] - at) / blur
+        if beams:
+            slope += weight[i] / blur / max(z + 0.5, 1e-3) if z < 0.5 else 0.0
+        elif z > 5:
+            continue
+        elif z < -5:  # the ratio's asymptote, where the difference below underflows
+            slope += weight[i] * -z / blur
+        else:
+            beyond = (t[i] - other) / blur
+            box = exact_step(z) - (exact_step(beyond) if beyond > -REACH else 0.0)
+            slope += weight[i] * PEAK * math.exp(-0.5 * z * z) / blur / max(box, 1e-12)
+    return slope - density
+
+
+@compiled
+def _bracket(
+    begin: float,
+    end: float,
+    t: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    blur: float,
+    density: float,
+    beams: bool,
+) -> tuple[float, float]:
+    """Return places about the lower end between which the likelihood is greatest."""
+    top = min(end - 0.5 * blur, begin + INWARD * blur)
+    low = high = min(begin, top - blur)
+    step = 0.5 * blur
+    for _ in range(60):
+        if _end_slope(low, end, t, weight, blur, density, beams) < 0:
+            break
+        low -= step
+        step *= 2
+    step = 0.5 * blur
+    for _ in range(60):
+        if high >= top or _end_slope(high, end, t, weight, blur, density, beams) > 0:
+            break
+        high = min(high + step, top)
+        step *= 2
+    return low, high
+
+
+@compiled
+def _outermost(t: NDArray[np.float64], weight: NDArray[np.float64], otherwise: float) -> float:
+    """Return the lowest position that belongs to the wall at all."""
+    lowest = np.inf
+    for i in range(len(t)):
+        if weight[i] > 0.01 and t[i] < lowest:
+            lowest = t[i]
+    return lowest if lowest < np.inf else otherwise
+
+
+@compiled
+def lower_end(
+    begin: float,
+    end: float,
+    t: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    blur: float,
+    density: float,
+    beams: bool,
+) -> float:
+    """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
+
+    Places and blur are in the `measure` of the wall, the density in points per measure. Of beams
+    the blur is their spacing.
+    """
+    if blur < EXACT_M:
+        return _outermost(t, weight, begin)
+    near = t < begin + (INWARD + REACH) * blur
+    t, weight = t[near], weight[near]
+    low, high = _bracket(begin, end, t, weight, blur, density, beams)
+    for _ in range(14):
+        middle = 0.5 * (low + high)
+        if _end_slope(middle, end, t, weight, blur, density, beams) < 0:
+            low = middle
+        else:
+            high = middle
+        if high - low < 1e-3 * blur:
+            break
+    return 0.5 * (low + high)
+
+
+@compiled
+def _density_at(
+    begin: float, end: float, t: NDArray[np.float64], weight: NDArray[np.float64], beam: float
+) -> float:
+    """Return how many points lie on a measure about the lower end: of the first few beams.
+
+    Fewer of a column of beams meet a wall that is farther off: half as many make a whole column.
+    """
+    reach = max(min(FEW * beam, end - begin), beam)
+    return float(0.5 * weight[t < begin + reach].sum() / reach)
+
+
+@compiled
+def fit_ends(
+    xy: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    wall: NDArray[np.float64],
+    sigma: float,
+    density: float,
+    beam: float,
+) -> None:
+    """Move both ends of a wall to where its weighted points make them most likely.
+
+    The density is in points per `measure`; where points lie by beams, what it is at each end is
+    seen from them.
+    """
+    own = weight > (LEAST if beam > 0 else 1e-6)
+    if not own.any():
+        return
+    u, w = sightings(xy[own], wall, beam)[0], weight[own]
+    foot, height = foot_and_height(wall)
+    low, high = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
+    blur = beam if beam > 0 else sigma
+    dense = _density_at(low, high, u, w, beam) if beam > 0 else density
+    low = lower_end(low, high, u, w, blur, dense, beam > 0)
+    dense = _density_at(-high, -low, -u, w, beam) if beam > 0 else density
+    high = -lower_end(-high, -low, -u, w, blur, dense, beam > 0)
+    wall[BEGIN] = place(low, foot, height, beam)
+    wall[END] = max(place(high, foot, height, beam), wall[BEGIN] + EXACT_M)
+
+
+@compiled
+def box_extent(t: NDArray[np.float64], sigma: float) -> tuple[float, float]:
+    """Return the ends of an evenly filled, blurred box from positions (n,); of many, a part."""
+    t = t[:: len(t) // 2000 + 1]
+    low, high, weight = t.min(), t.max(), np.ones(len(t))
+    if high - low <= 4 * sigma or len(t) < 8:
+        return low, high
+    first, last = low + sigma, high - sigma
+    for _ in range(2):
+        density = len(t) / max(last - first, sigma)
+        first = lower_end(first, last, t, weight, sigma, density, False)
+        last = -lower_end(-last, -first, -t, weight, sigma, density, False)
+    return first, last

@@ -1,0 +1,67 @@
+"""How two walls lie to one another."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+HIDDEN = 0.7
+"""Share of a wall's view before which there cannot be another wall."""
+FLUSH = 4.0
+"""Standard deviations within which a wall before another is the same one."""
+PARALLEL_SINE = 0.3
+
+
+def flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+    """Tell whether the shorter of two walls lies along the longer one's line, within the noise."""
+    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
+        w, v = v, w
+    if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
+        return False
+    return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
+
+
+def side_by_side(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
+    """Tell whether most of the shorter of two walls lies beside the longer one."""
+    if np.ptp(w[4:6]) < np.ptp(v[4:6]):
+        w, v = v, w
+    t = np.sort((corners(v) - w[:2]) @ w[2:4])
+    return bool(min(w[5], t[1]) - max(w[4], t[0]) > HIDDEN * (t[1] - t[0]))
+
+
+def one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+    """Tell whether two walls share most of the smaller one's view: the sensor sees only one.
+
+    By more than the noise can make them seem to.
+    """
+    spans, blur = [], 0.0
+    for wall in (w, v):
+        ends = corners(wall)
+        middle = ends.mean(axis=0)
+        turned = ends @ np.array([[middle[0], -middle[1]], [middle[1], middle[0]]])
+        bearing = np.arctan2(turned[:, 1], turned[:, 0]) + np.arctan2(middle[1], middle[0])
+        spans.append((bearing.min(), bearing.max()))
+        blur = max(blur, sigma / max(float(np.hypot(*middle)), 1e-9))
+    (a, b), (c, d) = spans
+    shift = 2 * np.pi * round(((a + b) - (c + d)) / (4 * np.pi))
+    shared = min(b, d + shift) - max(a, c + shift)
+    return bool(shared > HIDDEN * min(b - a, d - c) + blur)
+
+
+def within_reach(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+    """Tell whether two walls come so close that they may be one."""
+    from relmap.segmentation.em.wall_kernels import BEGIN, END
+
+    reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
+    for one, other in ((w, v), (v, w)):
+        offset = corners(other) - one[:2]
+        t, d = offset @ one[2:4], offset @ (-one[3], one[2])
+        beyond = np.maximum(np.maximum(one[BEGIN] - t, t - one[END]), 0)
+        if (np.hypot(beyond, d) < reach).any():
+            return True
+    return False
+
+
+def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the two ends (2, 2) of a wall."""
+    return wall[:2] + wall[4:6, None] * wall[2:4]

@@ -1,0 +1,1 @@
+"""Walls in 2-D laser scans."""

@@ -1,0 +1,243 @@
+"""Compiled loops over the beams of a 2-D laser scan."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+from relmap.segmentation.em.wall_kernels import (
+    BEGIN,
+    END,
+    PX,
+    PY,
+    SHARE,
+    UX,
+    UY,
+    WALL,
+    weighted_line,
+)
+
+STEEP = math.radians(4.0)
+"""A wall that a beam meets at a smaller angle is not followed from beam to beam."""
+SKIPPED = 2.5
+"""Beams without a return, in a row, that break a wall."""
+STRAYS = 3
+"""So many beams of something else, in a row, do not part the pieces of a wall."""
+DOOR_M = 0.5
+"""Gaps as wide as this, through which beams go, part the pieces of a wall."""
+OPEN = 0.9
+"""Beams that go through."""
+OFF = 5.0
+"""A line does not fit where a point lies so many standard deviations off it."""
+LIMIT = 4.0
+"""Nor where the mean square of two neighbours, in common, exceeds the noise's so many times."""
+
+
+@compiled
+def _fit(xy: NDArray[np.float64], first: int, last: int) -> NDArray[np.float64]:
+    """Return the wall through points first to last (excluded), from the first to the last."""
+    wall = np.zeros(WALL)
+    wall[PX], wall[PY] = xy[first, 0], xy[first, 1]
+    wall[UX], wall[UY] = xy[last - 1, 0] - xy[first, 0], xy[last - 1, 1] - xy[first, 1]
+    weighted_line(xy[first:last], np.ones(last - first), wall)
+    for end, i in ((BEGIN, first), (END, last - 1)):
+        wall[end] = (xy[i, 0] - wall[PX]) * wall[UX] + (xy[i, 1] - wall[PY]) * wall[UY]
+    return wall
+
+
+@compiled
+def _off(xy: NDArray[np.float64], i: int, wall: NDArray[np.float64]) -> float:
+    return float(abs((xy[i, 1] - wall[PY]) * wall[UX] - (xy[i, 0] - wall[PX]) * wall[UY]))
+
+
+@compiled
+def _turns(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the angles (n - 1,) from each point to the next as the sensor sees them."""
+    turn = np.empty(len(xy) - 1)
+    for i in range(len(turn)):
+        x = xy[i, 0] * xy[i + 1, 0] + xy[i, 1] * xy[i + 1, 1]
+        turn[i] = abs(math.atan2(xy[i, 0] * xy[i + 1, 1] - xy[i, 1] * xy[i + 1, 0], x))
+    return turn
+
+
+@compiled
+def _breaks(xy: NDArray[np.float64], turn: NDArray[np.float64], sigma: float) -> NDArray[np.bool_]:
+    """Tell after which points (n,) the next one is not on the same surface."""
+    n, usual = len(xy), np.median(turn)
+    radius = np.empty(n)
+    for i in range(n):
+        radius[i] = math.hypot(xy[i, 0], xy[i, 1])
+    broken = np.zeros(n, dtype=np.bool_)
+    for i in range(n - 1):
+        gap = math.hypot(xy[i + 1, 0] - xy[i, 0], xy[i + 1, 1] - xy[i, 1])
+        near = min(radius[i], radius[i + 1])
+        steep = math.sin(max(STEEP - turn[i], 0.3 * STEEP))
+        limit = near * math.sin(min(turn[i], STEEP)) / steep + 6 * sigma
+        broken[i] = turn[i] > SKIPPED * usual + 1e-9 or gap > limit
+    return broken
+
+
+@compiled
+def range_breaks(xy: NDArray[np.float64], sigma: float) -> NDArray[np.int64]:
+    """Tell after which points (n,) the next beam meets something else: 1, else 0."""
+    broken = np.zeros(len(xy), dtype=np.int64)
+    if len(xy) > 1:
+        turn = _turns(xy)
+        near = turn < SKIPPED * np.median(turn)
+        broken[:-1] = _breaks(xy, turn, sigma)[:-1] & near
+    return broken
+
+
+@compiled
+def _split_at(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> int:
+    """Return where points first to last (excluded) bend most; -1 where one line fits them."""
+    wall = _fit(xy, first, last)
+    worst = 0.0
+    for i in range(first, last):
+        worst = max(worst, _off(xy, i, wall))
+    if worst <= OFF * sigma:
+        return -1
+    cx, cy = xy[last - 1, 0] - xy[first, 0], xy[last - 1, 1] - xy[first, 1]
+    length, at, most = max(math.hypot(cx, cy), 1e-12), -1, -1.0
+    for i in range(first + 1, last - 1):
+        off = abs((xy[i, 1] - xy[first, 1]) * cx - (xy[i, 0] - xy[first, 0]) * cy) / length
+        if off > most:
+            most, at = off, i
+    return at
+
+
+@compiled
+def _scatter(xy: NDArray[np.float64], first: int, last: int) -> float:
+    """Return the sum of squares of points first to last (excluded) about their line."""
+    wall, total = _fit(xy, first, last), 0.0
+    for i in range(first, last):
+        total += _off(xy, i, wall) ** 2
+    return total
+
+
+@compiled
+def _shift_breaks(
+    xy: NDArray[np.float64], broken: NDArray[np.bool_], pieces: list[tuple[int, int]]
+) -> None:
+    """Give each point beside a bend to the line it is nearer to."""
+    for k in range(len(pieces) - 1):
+        (a, b), (c, d) = pieces[k], pieces[k + 1]
+        if b != c or broken[b - 1] or b - a < 4 or d - c < 4:
+            continue
+        left, right = _fit(xy, a, b - 1), _fit(xy, c + 1, d)
+        while b - a > 3 and _off(xy, b - 1, right) < _off(xy, b - 1, left):
+            b -= 1
+        if b == c:
+            while d - b > 3 and _off(xy, b, left) < _off(xy, b, right):
+                b += 1
+        pieces[k], pieces[k + 1] = (a, b), (b, d)
+
+
+@compiled
+def _straight(
+    xy: NDArray[np.float64], first: int, last: int, sigma: float, pieces: list[tuple[int, int]]
+) -> None:
+    """Split points first to last (excluded) where they bend, and add the pieces in order."""
+    waiting = [(first, last)]
+    while len(waiting) > 0:
+        a, b = waiting.pop()
+        if b - a < 3:
+            continue
+        at = _split_at(xy, a, b, sigma)
+        if at < 0:
+            pieces.append((a, b))
+        else:
+            waiting.append((at, b))
+            waiting.append((a, at))
+
+
+@compiled
+def _open_between(
+    xy: NDArray[np.float64], turn: NDArray[np.float64], b: int, c: int, sigma: float
+) -> bool:
+    """Tell whether beams go through between point b - 1 and point c, to meet something or nothing.
+
+    What lies nearer than the wall only hides it.
+    """
+    wide = math.hypot(xy[c, 0] - xy[b - 1, 0], xy[c, 1] - xy[b - 1, 1])
+    if wide < DOOR_M:
+        return False
+    unseen = turn[b - 1 : c].sum() / np.median(turn) - (c - b) - 1
+    line = _fit(xy[np.array([b - 1, c])], 0, 2)
+    side = line[PX] * line[UY] - line[PY] * line[UX]  # where the sensor stands
+    through = 0
+    for i in range(b, c):
+        off = (xy[i, 1] - line[PY]) * line[UX] - (xy[i, 0] - line[PX]) * line[UY]
+        if off * side < 0 and abs(off) > OFF * sigma:
+            through += 1
+    return bool(unseen + through >= OPEN)
+
+
+@compiled
+def _join(
+    xy: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    pieces: list[tuple[int, int]],
+    sigma: float,
+) -> None:
+    """Join neighbours that one line fits."""
+    k = 0
+    while k < len(pieces) - 1:
+        (a, b), (c, d) = pieces[k], pieces[k + 1]
+        fits = c - b <= STRAYS and _scatter(xy, a, d) < LIMIT * sigma**2 * (d - a)
+        fits = fits and not _open_between(xy, turn, b, c, sigma)
+        if fits and _split_at(xy, a, d, 1.5 * sigma) < 0:
+            pieces[k] = (a, d)
+            pieces.pop(k + 1)
+        else:
+            k += 1
+
+
+@compiled
+def _by_chance(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> float:
+    """Return how probable it is that points first to last (excluded) form a line by chance.
+
+    The first and the last of them define a line; each of the others lies within the band that they
+    fill, out of a room as wide as the line is long.
+    """
+    wall, worst = _fit(xy, first, last), sigma
+    for i in range(first, last):
+        worst = max(worst, _off(xy, i, wall))
+    return float(min(2 * worst / max(wall[END] - wall[BEGIN], 1e-12), 1.0) ** (last - first - 2))
+
+
+@compiled
+def line_pieces(xy: NDArray[np.float64], sigma: float, chance: float) -> NDArray[np.int64]:
+    """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
+
+    Those that are at least as probable as `chance` to be none are left out.
+    """
+    if len(xy) < 3:
+        return np.zeros((0, 2), dtype=np.int64)
+    pieces = [(0, 0)][:0]
+    turn, start = _turns(xy), 0
+    broken = _breaks(xy, turn, sigma)
+    for i in range(len(xy)):
+        if broken[i] or i == len(xy) - 1:
+            _straight(xy, start, i + 1, sigma, pieces)
+            start = i + 1
+    _shift_breaks(xy, broken, pieces)
+    _join(xy, turn, pieces, sigma)
+    kept = [(a, b) for a, b in pieces if _by_chance(xy, a, b, sigma) < chance]
+    result = np.zeros((len(kept), 2), dtype=np.int64)
+    for k in range(len(kept)):
+        result[k, 0], result[k, 1] = kept[k]
+    return result
+
+
+@compiled
+def piece_walls(xy: NDArray[np.float64], pieces: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the walls (m, WALL) through pieces (m, 2) of a scan."""
+    walls = np.zeros((len(pieces), WALL))
+    for k in range(len(pieces)):
+        walls[k] = _fit(xy, pieces[k, 0], pieces[k, 1])
+        walls[k, SHARE] = (pieces[k, 1] - pieces[k, 0]) / len(xy)
+    return walls
