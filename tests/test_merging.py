@@ -51,6 +51,37 @@ def test_landmarks_seen_again_are_merged_and_none_wrongly(density: float, iterat
     assert refined <= 1.5 * limit
 
 
+@pytest.mark.parametrize("seed", [0, 2])
+def test_refining_merges_what_the_drift_kept_apart(seed: int) -> None:
+    world = simulate_figure_eight(density=25, seed=seed)
+    mapper, _ = mapped_without_ids(world)
+    n = len(world.landmark_ids)
+    assert len(mapper.map.landmark_ids) > n
+    mapper.refine()
+    assert len(mapper.map.landmark_ids) == n
+
+
+def test_old_landmarks_are_found_where_the_map_has_moved_them() -> None:
+    table = LandmarkState()
+    table.resize(12, 0, 2)
+    global_map, merger = GlobalMap(table), Merger(table, PointModel(), 5)
+    old, new = np.arange(6), np.arange(6, 12)
+    places = np.random.default_rng(0).uniform(0, 20, (6, 2))
+    submap = global_map.new_submap()
+    global_map.place(submap, old, places, np.full(6, 10.0))
+    table.see(old, 1)
+    assert not len(merger.find(old, np.full(6, 3), 0.01))
+    merger.leave(old)
+    global_map.move(old, places + 100.0)
+    merger.look_again()
+    merger.go_on()
+    table.first[new] = 50
+    table.see(new, 60)
+    global_map.place(submap, new, places + 100.0, np.full(6, 10.0))
+    found = merger.find(new, np.full(6, 3), 0.01)
+    assert sorted(found.tolist()) == np.column_stack([new, old]).tolist()
+
+
 def test_labels_given_earlier_are_brought_up_to_date() -> None:
     world = simulate_figure_eight(seed=1)
     mapper, labels = mapped_without_ids(world)
