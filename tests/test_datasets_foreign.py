@@ -7,10 +7,12 @@ import io
 import lzma
 import zipfile
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 
+from relmap import PointMapper
 from relmap.datasets import FORMATS, SCAN_FORMATS
 from tests import logs, scanlogs
 from tests.logs import put
@@ -29,6 +31,12 @@ def zipped(name: str) -> bytes:
     return stream.getvalue()
 
 
+def saved_map() -> bytes:
+    with TemporaryDirectory() as folder:
+        PointMapper().save(Path(folder) / "mapper.npz")
+        return (Path(folder) / "mapper.npz").read_bytes()
+
+
 REST = bytes(range(256))
 KITTI = np.array([[12.5, -3, 0.5, 0.25]] * 9, dtype="<f4").tobytes()
 FILES = [
@@ -41,6 +49,7 @@ FILES = [
     ("a.e57", b"ASTM-E57" + REST, "an E57 file"),
     ("a.npy", saved(np.eye(9)), "a NumPy array"),
     ("a.zip", zipped("readme.txt"), "a zip archive"),
+    ("mapper.npz", saved_map(), "a saved map of relmap"),
     ("a.png", b"\x89PNG\r\n\x1a\n" + REST, "a PNG image"),
     ("a.tar", b"a".ljust(257, b"\0") + b"ustar\0" + REST, "a tar archive"),
     ("a.gz", gzip.compress(saved(np.eye(9))), "a NumPy array (.npy), packed by gzip"),

@@ -219,6 +219,22 @@ def test_corners_are_counted_alike_everywhere(broken: Path, tmp_path: Path) -> N
     assert f"{mapped.sum()} walls, {at_ends} corners" in title
 
 
+def test_the_summary_tells_where_the_largest_submap_is_weak(broken: Path, tmp_path: Path) -> None:
+    out = tmp_path / "result"
+    assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
+    summary = json.loads((out / "summary.json").read_text())
+    weak, spans = summary["refinement"], [each["iterations"] for each in summary["submaps"]]
+    assert all(each["refined"] for each in summary["submaps"])
+    assert weak["segments"] >= 3
+    assert 0.0 < weak["segment_residual_median"] < 3.0
+    residuals = [each["residual"] for each in weak["weakest_segments"]]
+    assert residuals == sorted(residuals, reverse=True)
+    (begin, end), *_ = [span for span in spans if span[0] == weak["anchor_iteration"]]
+    assert all(begin <= each["first_iteration"] <= end for each in weak["weakest_segments"])
+    assert main(["map", str(broken), "-o", str(out), "--variant", "planes", "--no-refine"]) == 0
+    assert json.loads((out / "summary.json").read_text())["refinement"] is None
+
+
 def test_time_is_told_whole_and_readable(broken: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0

@@ -32,7 +32,7 @@ FILE_NAME = "scans.npz"
 MAX_BYTES, MAX_NUMBERS = 1 << 29, 1 << 26
 """A log unpacks to at most 512 MiB, and each array has no more numbers: 22 million points."""
 
-_MAGIC, _END_MAGIC = b"PK\x03\x04", b"PK\x05\x06"
+_END_MAGIC = b"PK\x05\x06"
 _HEADER_BYTES = 10_000
 _DIRECTORY = struct.Struct("<4s8sLL2s")
 """The end of a zip file: its magic number, and in third place the bytes of its directory."""
@@ -66,13 +66,12 @@ class ScansNpz:
     description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a zip file with arrays, as .npz files are, or a damaged one."""
+        """Tell whether it is a zip file with arrays, as .npz files are, or a damaged one.
+
+        A saved map is a zip file with arrays as well, and none.
+        """
         file = _file_of(path)
-        try:
-            with file.open("rb") as stream:
-                return stream.read(len(_MAGIC)) == _MAGIC and not _without_arrays(file)
-        except (OSError, ValueError):
-            return False
+        return foreign_at(file) == ZIP and not _without_arrays(file)
 
     def load(self, path: Path) -> ScanLog:
         """Read the log.

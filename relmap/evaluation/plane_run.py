@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from relmap.core.landmarks import Piece
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation.run import interruption, timing, versions
+from relmap.evaluation.weakness import weakness
 from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.submaps import Submap
@@ -125,6 +126,7 @@ def run_plane_mapper(
         "submaps": [_submap(submap, first) for submap in mapper.submaps],
         "weak_links": (mapper.weak_links + first).tolist(),
         "refined": refine,
+        "refinement": weakness(mapper.refined, first),
         "timing": _timing(durations_s, refine_s),
     }
     result = Result(

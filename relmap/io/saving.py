@@ -220,7 +220,9 @@ def load_state(path: Path, cls: type, saved_by: str = "versions") -> Any:
             raise RelmapError(f"{path} holds a {type(root).__name__}, not a {cls.__name__}")
         _check_attributes(root, cls(), content.get(saved_by))
     except _WRONG as error:
-        raise RelmapError(f"saved map {path} is damaged or none: {reason(error)}") from error
+        raise RelmapError(
+            f"saved map {path} is damaged or none, or of another version of relmap: {reason(error)}"
+        ) from error
     return root
 
 

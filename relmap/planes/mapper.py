@@ -226,8 +226,9 @@ class PlaneMapper(Mapper):
         for submap in self.submaps:
             corners = corner_map(submap.assembled, None)
             rows = np.searchsorted(table.landmark, corners.landmark_ids)
-            first = table.first_iteration[rows].min(initial=submap.span[1] - 1)
-            last = table.last_iteration[rows].max(initial=submap.span[0])
+            first, last = submap.span[0], submap.span[1] - 1
+            if len(rows):
+                first, last = table.first_iteration[rows].min(), table.last_iteration[rows].max()
             found.append(Piece(corners.landmark_ids, corners.positions, int(first), int(last)))
         return found if any(len(piece.landmark_ids) for piece in found) else []
 

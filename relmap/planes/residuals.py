@@ -72,7 +72,7 @@ def _stretches(
     middle = state.centre[given.wall]
     centre = np.column_stack([np.bincount(of, axis, minlength=s) for axis in middle.T])
     return SegmentResiduals(
-        first_iteration=STRETCH * stretches,
+        first_iteration=np.maximum(STRETCH * stretches, assembled.iterations[0]),
         middle=centre / np.bincount(of, minlength=s)[:, None],
         residual=np.sqrt(squares / np.maximum(n - 3 * poses, 1)),
     )

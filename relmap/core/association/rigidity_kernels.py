@@ -1,4 +1,4 @@
-"""Laying the landmarks of one scan on those of another, compiled; see `registration.rigidity`."""
+"""Laying the landmarks of one scan on those of another, compiled; see `rigidity`."""
 
 from __future__ import annotations
 
