@@ -21,7 +21,7 @@ from speed import on_one_core, table
 
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
-from relmap.comparison.sources import EightSource, Landmarks
+from relmap.evaluation.sources import Data, EightSource
 
 Errors = dict[str, list[float]]
 MAPPING = [
@@ -41,11 +41,11 @@ def installed() -> list[str]:
     return [name for name in MAPPING if not missing[name]]
 
 
-def worlds(seeds: int, **settings) -> list[Landmarks]:
+def worlds(seeds: int, **settings) -> list[Data]:
     return [EightSource(seed=seed, **settings).load() for seed in range(seeds)]
 
 
-def measured(names, data: list[Landmarks]) -> dict[str, list[dict[str, float]]]:
+def measured(names, data: list[Data]) -> dict[str, list[dict[str, float]]]:
     """Return the figures of each method in each world."""
     found = {name: [] for name in names}
     for world in data:
@@ -84,13 +84,13 @@ def accuracy_and_time(names: list[str], seeds: int) -> None:
         table(f"{noise} noise, density 25, sigma 0.05, seeds 0-{seeds - 1}, medians", header, rows)
 
 
-def without_moving(world: Landmarks) -> Landmarks:
+def without_moving(world: Data) -> Data:
     """Take out what was seen of moving landmarks."""
     log, truth = world.log, world.truth
     seen = np.isin(log.ids, truth.landmark_ids[truth.status == "static"])
     columns = ("points_robot", "iteration", "rows", "ids")
     kept = {name: getattr(log, name)[seen] for name in columns}
-    return Landmarks(replace(log, **kept), truth)
+    return Data(replace(log, **kept), truth)
 
 
 def moving(seeds: int) -> None:

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.comparison.methods.base import Association
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
-from relmap.comparison.sources import BuildingSource, EightSource, Source
+from relmap.evaluation.run import Association
+from relmap.evaluation.sources import BuildingSource, EightSource, Source
 
 BASELINE = Path(__file__).with_name("gate_baseline.json")
 SEEDS = range(5)

@@ -20,9 +20,11 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_scans
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation import metrics
-from relmap.evaluation.plane_evaluate import WallTruth, evaluate_planes
-from relmap.evaluation.plane_relations import relation_errors, relations_by_clocks
-from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.relations import relation_errors, relations_by_clocks
+from relmap.evaluation.run import Run, run_mapper
+from relmap.evaluation.sources import truth_of
+from relmap.evaluation.truth import Truth
 from relmap.planes.pairwise import pairwise_map
 from relmap.simulation import Building, simulate_building
 
@@ -126,16 +128,16 @@ def _row(runs: list[Figures]) -> str:
 
 def _simulated(world: str, sigma: float, seed: int) -> Figures:
     building = simulate_building(sigma=sigma, seed=seed, world=world, sample_ends=sigma == 0.0)
-    log, truth = _log_of(building), _truth_of(building)
+    log, truth = _log_of(building), truth_of(building)
     mapper = PlaneMapper()
-    run = run_plane_mapper(mapper, log, refine=False)
-    chained = evaluate_planes(run.result, run.planes, truth)
+    run = run_mapper(mapper, log)
+    chained = evaluate(run.result, truth)
     literal = _literal(mapper, run, truth)
     began = process_time()
     mapper.refine()
     refine_ms = 1e3 * (process_time() - began) * 700 / len(log)
-    result = replace(run.result, poses=mapper.trajectory, stamps_s=log.stamps_s)
-    refined = evaluate_planes(result, mapper.planes, truth)
+    told = {"poses": mapper.trajectory, "stamps_s": log.stamps_s, "planes": mapper.planes}
+    refined = evaluate(replace(run.result, **told), truth)
     return Figures(
         chained.corner_rmse_m or np.nan,
         refined.corner_rmse_m or np.nan,
@@ -156,12 +158,7 @@ def _log_of(building: Building) -> ScanLog:
     return stored_scans(points, offsets, building.stamps_s, building.trajectory, view)
 
 
-def _truth_of(building: Building) -> WallTruth:
-    ends = building.walls[:, :4].reshape(-1, 2, 2)
-    return WallTruth(ends, building.times_seen()[:, 1:], building.stamps_s, building.trajectory)
-
-
-def _literal(mapper: PlaneMapper, run: PlaneRun, truth: WallTruth) -> float:
+def _literal(mapper: PlaneMapper, run: Run, truth: Truth) -> float:
     """Return the corner RMSE of the paper's literal recipe, from the same observations.
 
     Who is who is taken from the mapper's own map: corners are compared where it has them.
@@ -188,12 +185,12 @@ def _print_logs(data: Path) -> None:
     for name, path, interval in LOGS:
         log = open_scans(data / path)
         part = log if interval is None else log.between(*interval)
-        run = run_plane_mapper(PlaneMapper(), part)
+        run = run_mapper(PlaneMapper(), part, refine=True)
         scans = "all" if interval is None else f"{interval[0]}:{interval[1]}"
         print(f"| {name} | {scans} " + _logged(run, part, data, name), flush=True)
 
 
-def _logged(run: PlaneRun, log: ScanLog, data: Path, name: str) -> str:
+def _logged(run: Run, log: ScanLog, data: Path, name: str) -> str:
     result = run.result
     assert log.poses is not None
     mine, other = metrics.match_stamps(result.stamps_s, log.stamps_s)

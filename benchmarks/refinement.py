@@ -26,7 +26,7 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation import metrics
-from relmap.evaluation.evaluate import identify
+from relmap.evaluation.landmarks import identify
 from relmap.evaluation.run import run_mapper
 from relmap.simulation import FigureEight, simulate_figure_eight
 

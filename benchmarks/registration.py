@@ -26,7 +26,7 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log, slsjf
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation import metrics
-from relmap.evaluation.evaluate import Identified, identify
+from relmap.evaluation.landmarks import Identified, identify
 from relmap.evaluation.run import run_mapper
 from relmap.io.results import Result
 from relmap.simulation import FigureEight, simulate_figure_eight

@@ -2,21 +2,14 @@
 
 from relmap import PointMapper
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.run import run_mapper, stamps_of
-from relmap.evaluation.truth import Truth
+from relmap.evaluation.run import run_mapper
+from relmap.evaluation.sources import truth_of
 from relmap.simulation import simulate_figure_eight
 
 world = simulate_figure_eight(density=25.0, iterations=300, sigma=0.05, seed=0)
 run = run_mapper(PointMapper(), world.log, association="known")
 
-truth = Truth(
-    landmark_ids=world.landmark_ids,
-    landmarks_map=world.landmarks_map,
-    status=world.status,
-    stamps_s=stamps_of(world.log),
-    poses=world.trajectory,
-)
-evaluation = evaluate(run.result, truth, world.log)
+evaluation = evaluate(run.result, truth_of(world), world.log)
 
 print(f"landmark RMSE {evaluation.landmark_rmse_m:.3f} m, ATE {evaluation.ate_m:.3f} m")
 print(f"{evaluation.coverage:.0%} of the landmarks seen at least ten times are in the map")

@@ -17,12 +17,11 @@ from scipy.io import savemat
 
 from relmap.cli.arguments import read_config
 from relmap.cli.evaluate import evaluate_folder
-from relmap.cli.map_points import map_input
+from relmap.cli.mapping import map_input
 from relmap.datasets import open_log, open_scans, read_relations
-from relmap.evaluation.plane_evaluate import evaluate_planes, read_wall_truth
+from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
-from relmap.io.results import read_result
-from relmap.planes.files import read_planes
+from relmap.planes.files import read_any
 from tests.logs import PLAIN, TREES
 from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
 
@@ -122,7 +121,7 @@ def evaluate(folder: Path) -> None:
 
 
 def _evaluate_walls(folder: Path) -> None:
-    evaluate_planes(read_result(folder), read_planes(folder), read_wall_truth(folder / "truth"))
+    evaluation.evaluate(read_any(folder), read_truth(folder / "truth", "planes"))
 
 
 def _log(name: str, form: str | None = None) -> Callable[[Path], object]:

@@ -17,10 +17,11 @@ import pytest
 from relmap.cli import main
 from relmap.cli.compare import HELP
 from relmap.comparison.compare import CSV_COLUMNS, compare
-from relmap.comparison.methods.base import Association, MethodInfo
+from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
-from relmap.comparison.sources import EightSource, Landmarks
+from relmap.evaluation.run import Association
+from relmap.evaluation.sources import Data, EightSource
 from tests.commands import RELMAP, Check, names, table
 
 ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")
@@ -211,7 +212,7 @@ def test_a_map_in_pieces_is_judged_by_the_largest() -> None:
         ids=log.ids[kept],
     )
     for association in ASSOCIATIONS:
-        data = Landmarks(parted, world.truth)
+        data = Data(parted, world.truth)
         run = run_method(find_method("relmap-points"), data, association)
         assert len(run.result.poses) == 50
         assert run.figures["path_coverage"] == pytest.approx(50 / 90)

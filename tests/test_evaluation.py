@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.evaluation.evaluate import evaluate, overlay
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.landmarks import overlay
 from relmap.io.results import Tracks
 from tests.judged import TRUE_MAP, K, N, make_log, make_result, make_truth, with_table
 

@@ -12,7 +12,8 @@ from scipy.io import savemat
 from relmap import PointMapper, RelmapError
 from relmap.comparison.baselines.known import least_squares_map
 from relmap.datasets import ObservationLog, open_log
-from relmap.evaluation.evaluate import evaluate, overlay
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.landmarks import overlay
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.truth import read_truth
 from relmap.io.results import Result

@@ -10,7 +10,8 @@ import pytest
 
 from relmap import MapperConfig, PointMapper, RelmapError
 from relmap.datasets.base import Scan
-from relmap.evaluation.run import run_mapper, stamps_of, timing
+from relmap.evaluation.run import run_mapper, stamps_of
+from relmap.evaluation.summary import timing_of
 from relmap.simulation import simulate_figure_eight
 from tests.judged import K, make_log
 
@@ -79,7 +80,7 @@ def test_stamps_are_those_of_the_clock_where_there_is_one() -> None:
 
 def test_timing_in_milliseconds() -> None:
     durations_s = np.concatenate([np.full(100, 1e-3), np.full(300, 2e-3), np.full(100, 3e-3)])
-    assert timing(durations_s) == pytest.approx(
+    assert timing_of(durations_s) == pytest.approx(
         {"median_ms": 2, "p95_ms": 3, "first_100_median_ms": 1, "last_100_median_ms": 3}
     )
-    assert set(timing(np.empty(0)).values()) == {None}
+    assert set(timing_of(np.empty(0)).values()) == {None}

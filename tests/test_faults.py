@@ -17,7 +17,7 @@ from relmap.cli import main
 from relmap.core.association.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.core.errors import RelmapError
 from relmap.datasets import ObservationLog, write_observation_csv
-from relmap.evaluation.run import MANY, rejected_iterations
+from relmap.evaluation.summary import MANY, rejected_iterations
 from relmap.simulation import faults, simulate_figure_eight
 from tests.worlds import aligned_rmse, random_rotation
 

@@ -182,7 +182,14 @@ def test_blocks_have_the_share_that_moves() -> None:
 
 def test_a_map_of_the_eight_is_judged_by_error_and_merging() -> None:
     picture = replace(tiny_eight(), rmse_m=0.02)
-    good = Evaluation(0.02, 1.0, 1.05, 1.0, 0.05, 0.01, {})
+    good = Evaluation(
+        landmark_rmse_m=0.02,
+        coverage=1.0,
+        landmarks_per_true=1.05,
+        purity=1.0,
+        ate_m=0.05,
+        rpe_m=0.01,
+    )
     found = figure13.outcome(picture, good)
     assert (found.verdict, found.value) == (YES, 0.02)
     assert len(found.table.rows) == 12 + 9 + 12 + 9

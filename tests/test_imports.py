@@ -42,7 +42,7 @@ FIGURES_FROM = {"relmap.cli.figures"}
 """The figures of the paper are made by one command; whoever else needs them is upside down."""
 
 KNOWN = {
-    ("relmap.cli.map_planes", "relmap.figures.bench"),
+    ("relmap.cli.mapping", "relmap.figures.bench"),
     ("relmap.mapper", "relmap"),
     ("relmap.plots.bench", "relmap.figures.bench"),
     ("relmap.plots.corner_test", "relmap.figures.corner_test"),

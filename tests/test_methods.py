@@ -20,14 +20,15 @@ from relmap.comparison.methods.running import (
     run_method,
     setup_for,
 )
-from relmap.comparison.sources import BuildingSource, EightSource, Landmarks
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation.metrics import align, rms
+from relmap.evaluation.sources import BuildingSource, Data, EightSource
 from relmap.evaluation.truth import Truth
 
 EIGHT = EightSource(iterations=150)
 WITHOUT_A_MAP = ("kiss-icp", "small-gicp")
+Landmarks = Data[ObservationLog]
 OF_LANDMARKS = [method for method in METHODS if "landmarks" in method.logs]
 
 
@@ -126,7 +127,7 @@ def test_unidentified_observations_count_for_nobody(eight: Landmarks) -> None:
     assert eight.log.ids is not None
     ids = eight.log.ids.copy()
     ids[::7] = -1
-    data = Landmarks(replace(eight.log, ids=ids), eight.truth)
+    data = Data(replace(eight.log, ids=ids), eight.truth)
     for name in ("frame-to-map", "frame-to-frame", "ekf", "batch"):
         run = run_method(find_method(name), data, "known")
         assert len(run.result.tracks.row) == (ids >= 0).sum()
@@ -191,7 +192,7 @@ def test_planar_worlds(name: str) -> None:
     poses[:, :2, 3] = path
     flat = np.column_stack([places, np.zeros(25)])
     truth = Truth(np.arange(25), flat, np.full(25, "static"), np.arange(60.0), poses)
-    run = run_method(find_method(name), Landmarks(log, truth), "known")
+    run = run_method(find_method(name), Data(log, truth), "known")
     if name in WITHOUT_A_MAP:
         assert run.figures["landmark_rmse_m"] is None
     else:

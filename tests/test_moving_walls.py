@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PlaneMapper, RelmapError
-from relmap.evaluation.plane_evaluate import WallTruth, match_corners
+from relmap.evaluation.corners import match_corners
+from relmap.evaluation.truth import Truth
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.moving_walls import make_moving
@@ -88,7 +89,7 @@ def assert_exact(mapper: PlaneMapper, building: Building) -> None:
     still = ~building.moving
     ends = building.walls[still, :4].reshape(-1, 2, 2)
     due = building.times_seen()[still, 1:] >= SEEN
-    truth = WallTruth(ends, due.astype(np.int64), building.stamps_s, building.trajectory)
+    truth = Truth(ends=ends, corner_scans=due.astype(np.int64))
     matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
     assert matched is not None
     off = matched.position @ matched.R.T + matched.t - matched.truth

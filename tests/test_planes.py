@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from relmap import PlaneMapper, RelmapError
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.evaluation.plane_evaluate import WallTruth, match_corners
+from relmap.evaluation.corners import match_corners
+from relmap.evaluation.sources import truth_of
 from relmap.simulation import Building, simulate_building
 from relmap.simulation.visibility import seen_walls
 
@@ -33,11 +34,6 @@ def mapped(building: Building) -> PlaneMapper:
         mapper.update(scan.seen)
     mapper.finish()
     return mapper
-
-
-def truth_of(building: Building) -> WallTruth:
-    ends = building.walls[:, :4].reshape(-1, 2, 2)
-    return WallTruth(ends, building.times_seen()[:, 1:], building.stamps_s, building.trajectory)
 
 
 def figures(mapper: PlaneMapper, building: Building) -> tuple[float, float, int]:

@@ -12,7 +12,7 @@ import pytest
 from relmap.cli import main
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
-from relmap.evaluation.plane_run import run_plane_mapper
+from relmap.evaluation.run import run_mapper
 from relmap.planes import PlaneMapper
 from relmap.planes.files import read_planes
 from relmap.segmentation import PlaneSegmenter
@@ -84,7 +84,7 @@ def test_a_map_of_points_takes_away_what_only_walls_have(building: Path, tmp_pat
 def test_first_metres_of_freiburg_079(shared_data: Path) -> None:
     source = shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz"
     log = open_scans(source).between(0, 150)
-    run = run_plane_mapper(PlaneMapper(), log, PlaneSegmenter())
+    run = run_mapper(PlaneMapper(), log, refine=True, segmenter=PlaneSegmenter())
     assert len(run.result.poses) >= 0.95 * len(log)
     mine, other = metrics.match_stamps(run.result.stamps_s, log.stamps_s)
     assert log.poses is not None

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from relmap.core.landmarks import LandmarkTable
-from relmap.evaluation.evaluate import Overlay
+from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result, Tracks
 from relmap.plots.run import broken_at_gaps, plot_run, write_map_png
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from relmap.cli import main
 from relmap.core.errors import RelmapError
-from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.evaluation.sources import truth_of
 from relmap.figures.bench import BenchFrame, BenchRecorder, frame_step
 from relmap.figures.corner_test import CornerTest, clearest, corner_tests
 from relmap.figures.figure04 import outcome as corner_outcome
@@ -117,8 +117,7 @@ def test_verdict_on_the_corner_test_is_that_of_all_pairs() -> None:
 def bench() -> BenchRecorder:
     """A recorder after 40 scans of a building."""
     building = simulate_building(points=800, sigma=0.02, iterations=40, seed=3)
-    ends = building.walls[:, :4].reshape(-1, 2, 2)
-    truth = WallTruth(ends, building.times_seen()[:, 1:], building.stamps_s, building.trajectory)
+    truth = truth_of(building)
     mapper, segmenter = PlaneMapper(), PlaneSegmenter()
     recorder = BenchRecorder(mapper, segmenter, truth, every=frame_step(40, 8))
     scans = [

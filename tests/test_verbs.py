@@ -16,11 +16,11 @@ import pytest
 from relmap.cli import main
 from relmap.cli.simulate import Sampling, World
 from relmap.comparison.compare import Compared
-from relmap.comparison.methods.base import Association
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
-from relmap.comparison.sources import Source
 from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans
+from relmap.evaluation.run import Association
+from relmap.evaluation.sources import Source
 from relmap.io.files import read_tum, write_tum
 from relmap.io.results import read_result, write_result
 from relmap.planes import PlaneMapper

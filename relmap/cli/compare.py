@@ -14,7 +14,8 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.comparison.compare import Compared
-    from relmap.comparison.sources import Data, Source
+    from relmap.evaluation.run import Log
+    from relmap.evaluation.sources import Data, Source
 
 Association = Literal["nearest", "known"]
 World = Literal["figure-eight", "building"]
@@ -143,7 +144,7 @@ def compare_command(
 ) -> None:
     """Compare; the arguments are explained in the help text."""
     from relmap.cli.arguments import parse_scans
-    from relmap.comparison.sources import FileSource
+    from relmap.evaluation.sources import FileSource
 
     given: Source
     if (source is None) == (simulate is None):
@@ -177,7 +178,7 @@ def _simulated(
     dynamic: float,
     seed: int,
 ) -> Source:
-    from relmap.comparison.sources import BuildingSource, EightSource
+    from relmap.evaluation.sources import BuildingSource, EightSource
 
     spread = 0.05 if sigma is None else sigma
     if world == "building":
@@ -216,14 +217,13 @@ def compare_into(
     """
     from relmap.cli.console import busy
     from relmap.comparison.compare import CSV_COLUMNS, chosen_methods, compare
-    from relmap.comparison.sources import has_ids
     from relmap.io.files import atomic_write, staged_folder, write_tum
     from relmap.io.tables import csv_text
 
     with busy("reading or simulating"):
         data = source.load()
     if association is None:
-        association = "known" if has_ids(data) else "nearest"
+        association = "nearest" if data.ids is None else "known"
     methods = chosen_methods(names, data, association)
     with staged_folder(out) as staging:
         rows: list[Compared] = []
@@ -247,12 +247,11 @@ def compare_into(
     return rows
 
 
-def draw(folder: Path, rows: Iterable[Compared], data: Data, title: str) -> None:
+def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison and the map of every method that ran."""
     from relmap.comparison.compare import overlay_of
-    from relmap.comparison.sources import Landmarks
-    from relmap.evaluation.metrics import match_stamps
-    from relmap.evaluation.plane_evaluate import match_corners
+    from relmap.evaluation.evaluate import match_walls
+    from relmap.planes.files import PlaneResult
     from relmap.plots.comparison import write_comparison_png
     from relmap.plots.planes import write_planes_png
     from relmap.plots.run import write_map_png
@@ -262,19 +261,12 @@ def draw(folder: Path, rows: Iterable[Compared], data: Data, title: str) -> None
     write_comparison_png(folder / "comparison.png", figures, title)
     for name, run in ran:
         picture, result = folder / f"map-{name}.png", run.result
-        if isinstance(data, Landmarks):
+        if not isinstance(result, PlaneResult):
             write_map_png(picture, result, truth=overlay_of(run, data), title=name)
             continue
-        if run.planes is None:
-            write_map_png(picture, result, title=name)
-            continue
-        truth = None
-        if data.truth is not None:
-            mine, other = match_stamps(result.stamps_s, data.truth.stamps_s)
-            poses, true_poses = result.poses[mine], data.truth.poses[other]
-            matched = match_corners(run.planes, data.truth, poses, true_poses)
-            truth = (data.truth, matched) if matched else None
-        write_planes_png(picture, run.planes, result.poses, truth, name)
+        matched = match_walls(result, data.truth) if data.truth else None
+        truth = (data.truth, matched) if data.truth and matched else None
+        write_planes_png(picture, result.planes, result.poses, truth, name)
 
 
 def print_rows(title: str, rows: Iterable[Compared]) -> None:

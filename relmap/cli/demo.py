@@ -32,8 +32,8 @@ def demo_command(
 ) -> None:
     """Run the demonstration; the arguments are explained in the help text."""
     from relmap.cli.console import print_table
-    from relmap.cli.evaluate import FIGURES, evaluate_folder, figure
-    from relmap.cli.map_points import map_input
+    from relmap.cli.evaluate import evaluate_folder, figure, rows_of
+    from relmap.cli.mapping import map_input
     from relmap.cli.simulate import write_figure_eight
 
     typer.echo(f"simulated {write_figure_eight(out, seed=seed)}")
@@ -41,9 +41,7 @@ def demo_command(
     known = map_input(log, out, "known")
     nearest = map_input(log, out / "nearest", "nearest")
     evaluations = evaluate_folder(out, out), evaluate_folder(out / "nearest", out)
-    rows = [
-        (name, *(figure(getattr(e, key)) for e in evaluations)) for key, name in FIGURES.items()
-    ]
+    rows = rows_of(*evaluations)
     timings = [run.result.summary["timing"]["median_ms"] for run in (known, nearest)]
     rows.append(("median time per iteration [ms]", *map(figure, timings)))
     print_table("the map against the truth, by association", ("figure", "known", "nearest"), rows)
@@ -54,7 +52,7 @@ def demo_command(
 def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
     """Draw the map again, now with the truth in it."""
     from relmap.cli.evaluate import figure, find_log
-    from relmap.evaluation.evaluate import overlay
+    from relmap.evaluation.landmarks import overlay
     from relmap.evaluation.truth import read_truth
     from relmap.io.results import MAP_PNG
     from relmap.plots.run import write_map_png

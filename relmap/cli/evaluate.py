@@ -12,7 +12,6 @@ from relmap.core.errors import RelmapError
 if TYPE_CHECKING:
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.evaluate import Evaluation
-    from relmap.evaluation.plane_evaluate import PlaneEvaluation
     from relmap.io.results import Result
 
 HELP = """Tell how good a result is where the truth is known.
@@ -50,17 +49,12 @@ give it, the reason is told.
 
 FIGURES = {
     "landmark_rmse_m": "landmark RMSE [m]",
+    "corner_rmse_m": "corner RMSE [m]",
     "coverage": "coverage",
     "landmarks_per_true": "landmarks per true one",
     "purity": "purity",
     "ate_m": "ATE [m]",
     "rpe_m": "RPE [m]",
-}
-
-
-PLANE_FIGURES = {
-    "corner_rmse_m": "corner RMSE [m]",
-    **{k: name for k, name in FIGURES.items() if k not in ("landmark_rmse_m", "purity")},
     "relation_m": "relations [m]",
     "relation_rad": "relations [rad]",
 }
@@ -89,25 +83,35 @@ def evaluate_command(
     from relmap.cli.console import busy, print_table
     from relmap.planes.files import PLANES
 
-    evaluation: Evaluation | PlaneEvaluation
-    walls = (folder / PLANES).exists()
-    if walls and log is not None:
+    if (folder / PLANES).exists() and log is not None:
         raise RelmapError("walls have no ids: --log is for a map of points")
     with busy("evaluating"):
-        if walls:
-            evaluation = _evaluate_planes(folder, truth)
-        else:
-            evaluation = evaluate_folder(folder, truth, log)
-    names = PLANE_FIGURES if walls else FIGURES
-    rows = [(name, figure(getattr(evaluation, key))) for key, name in names.items()]
-    if walls:
-        rows.insert(1, ("false corners", _false_corners(evaluation.counts)))
-    print_table(f"{folder} against {truth}", ("figure", "value"), rows)
+        evaluation = evaluate_folder(folder, truth, log)
+    print_table(f"{folder} against {truth}", ("figure", "value"), rows_of(evaluation))
     for note in evaluation.notes:
         typer.echo(note)
-    if evaluation.purity is None and not walls:
+    if evaluation.purity is None and evaluation.variant == "points":
         typer.echo("no log with ids was found: give it with --log to have every figure")
     typer.echo(f"wrote evaluation.json to {folder}")
+
+
+def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:
+    """Return the rows of a table of evaluations of one variant: names, and figures of each."""
+    told = evaluations[0].as_dict()
+    walls = evaluations[0].variant == "planes"
+    rows = [
+        (name, *(figure(getattr(each, key)) for each in evaluations))
+        for key, name in FIGURES.items()
+        if key in told and not (walls and key == "purity")
+    ]
+    if walls:
+        rows.insert(1, ("false corners", *(_false_corners(each.counts) for each in evaluations)))
+    return rows
+
+
+def figure(value: float | None) -> str:
+    """Return a figure as a person reads it."""
+    return "-" if value is None else f"{value:.4f}"
 
 
 def _false_corners(counts: dict[str, int]) -> str:
@@ -118,47 +122,28 @@ def _false_corners(counts: dict[str, int]) -> str:
     return f"{false} of {false + counts['matched_corners']}"
 
 
-def figure(value: float | None) -> str:
-    """Return a figure as a person reads it."""
-    return "-" if value is None else f"{value:.4f}"
-
-
 def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evaluation:
-    """Evaluate a result folder and write its ``evaluation.json``.
+    """Evaluate a result folder and write its ``evaluation.json``; draw walls in the true ones.
 
     Raises
     ------
     RelmapError
         Where the result, the truth or the log cannot be used, or the file cannot be written.
     """
-    from relmap.evaluation.evaluate import evaluate
+    from relmap.evaluation.evaluate import evaluate, match_walls
     from relmap.evaluation.truth import read_truth
     from relmap.io.files import atomic_write
-    from relmap.io.results import EVALUATION, json_text, read_result
-
-    result = read_result(folder)
-    evaluation = evaluate(result, read_truth(truth), find_log(result, truth, log))
-    atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
-    return evaluation
-
-
-def _evaluate_planes(folder: Path, truth: Path) -> PlaneEvaluation:
-    from relmap.evaluation.metrics import match_stamps
-    from relmap.evaluation.plane_evaluate import evaluate_planes, match_corners
-    from relmap.evaluation.plane_truth import read_plane_truth
-    from relmap.io.files import atomic_write
-    from relmap.io.results import EVALUATION, MAP_PNG, json_text, read_result
-    from relmap.planes.files import read_planes
+    from relmap.io.results import EVALUATION, MAP_PNG, json_text
+    from relmap.planes.files import PlaneResult, read_any
     from relmap.plots.planes import write_planes_png
 
-    result = read_result(folder)
-    planes, walls = read_planes(folder), read_plane_truth(truth)
-    evaluation = evaluate_planes(result, planes, walls)
+    result = read_any(folder)
+    walls = isinstance(result, PlaneResult)
+    known = read_truth(truth, "planes" if walls else "points")
+    evaluation = evaluate(result, known, None if walls else find_log(result, truth, log))
     atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
-    mine, other = match_stamps(result.stamps_s, walls.stamps_s)
-    matched = match_corners(planes, walls, result.poses[mine], walls.poses[other])
-    if matched is not None:
-        write_planes_png(folder / MAP_PNG, planes, result.poses, (walls, matched))
+    if isinstance(result, PlaneResult) and (matched := match_walls(result, known)):
+        write_planes_png(folder / MAP_PNG, result.planes, result.poses, (known, matched))
     return evaluation
 
 
@@ -170,15 +155,15 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     RelmapError
         Where the log given cannot be read, or the one found is damaged.
     """
-    from relmap.cli.map_points import recognised_format
     from relmap.datasets import open_log
-    from relmap.evaluation.evaluate import mapped_part
+    from relmap.evaluation.landmarks import mapped_part
+    from relmap.evaluation.sources import recognised_format
 
     form = result.summary.get("format")
     if not isinstance(form, str):
         form = None
     if log is not None:
-        return open_log(log, recognised_format(log) or form)
+        return open_log(log, recognised_format(log, "points") or form)
     source = result.summary.get("input")
     beside = truth if truth.is_dir() else truth.parent
     if beside.name == "truth":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -15,15 +15,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from relmap.core.config import MapperConfig
-    from relmap.mapper import Mapper
+    from relmap.evaluation.run import AnyMapper, Log
 
 Association = Literal["nearest", "known"]
+Variant = Literal["points", "planes"]
 T = TypeVar("T")
-M = TypeVar("M", bound="Mapper")
-
-
-def _never() -> bool:
-    return False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +30,7 @@ class Job:
     ----------
     source, out : Path
     settings : MapperConfig
+    variant : "points" or "planes"
     association : "nearest" or "known"
     interval : (int, int) or None
         Iterations to be mapped, half-open.
@@ -55,6 +52,7 @@ class Job:
     source: Path
     out: Path
     settings: MapperConfig
+    variant: Variant = "points"
     association: Association = "nearest"
     interval: tuple[int, int] | None = None
     log_format: str | None = None
@@ -64,7 +62,7 @@ class Job:
     resumed: bool = False
     onto: Path | None = None
     animate: bool = False
-    stopped: Callable[[], bool] = _never
+    stopped: Callable[[], bool] = lambda: False
 
     @property
     def noted(self) -> dict[str, Any]:
@@ -81,7 +79,7 @@ class Job:
         }
 
     @classmethod
-    def of_journal(cls, path: Path, meta: dict[str, Any]) -> Job:
+    def of_journal(cls, path: Path, meta: dict[str, Any], variant: Variant) -> Job:
         """Return the job that a journal was kept for.
 
         Raises
@@ -103,6 +101,7 @@ class Job:
                 source=Path(run["input"]),
                 out=Path(run["out"]),
                 settings=MapperConfig.from_mapping(meta["configuration"]),
+                variant=variant,
                 association="known" if run["association"] == "known" else "nearest",
                 interval=None if interval is None else (int(interval[0]), int(interval[1])),
                 log_format=run["format"],
@@ -119,8 +118,12 @@ class Job:
         """Return where a path of the job is."""
         return self.folder / path if self.resumed else path
 
-    def mapper(self, kind: type[M]) -> M:
+    def mapper(self) -> AnyMapper:
         """Return the mapper to begin or to go on with."""
+        from relmap.planes import PlaneMapper
+        from relmap.points import PointMapper
+
+        kind: type[AnyMapper] = PlaneMapper if self.variant == "planes" else PointMapper
         if self.resumed and self.journal is not None:
             return kind.resume(self.journal)
         if self.onto is not None:
@@ -134,46 +137,42 @@ class Job:
             if self.stopped():
                 return
 
-    def to(self, out: Path) -> Job:
-        """Return the same with another folder to write to."""
-        return replace(self, out=out.absolute())
 
-
-def journaled_labels(job: Job, scans: Iterable[Any] | None = None) -> list[NDArray[Any]]:
+def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
     """Return the labels (n,) of each scan in the journal of a resumed job.
-
-    Parameters
-    ----------
-    job : Job
-    scans : iterable of relmap.datasets.Scan, optional
-        Those that the log has now.
 
     Raises
     ------
     RelmapError
         Where the journal is damaged or the log is no longer the one that it was begun with.
     """
-    import numpy as np
-
     from relmap.io.journal import JournalReader
 
     if not job.resumed or job.journal is None:
         return []
-    with JournalReader(job.journal) as reader:
-        if scans is None:
-            return [scan.labels for scan in reader.scans()]
-        labels, now = [], iter(scans)
-        for k, was in enumerate(reader.scans()):
-            scan = next(now, None)
-            same = scan is not None and np.array_equal(
-                was.values.ravel(), scan.points_robot.ravel()
+    if job.variant == "planes":  # the journal holds what was segmented, not the scans
+        with JournalReader(job.journal) as reader:
+            labels = [scan.labels for scan in reader.scans()]
+        if len(labels) > len(log):
+            raise RelmapError(
+                f"{job.at(job.source)} has {len(log)} scans, fewer than journal {job.journal}"
             )
-            if scan is not None and was.ids is not None:
-                same &= np.array_equal(was.ids, scan.ids)
-            if not same:
+        return labels
+    labels, now = [], iter(log.scans())
+    with JournalReader(job.journal) as reader:
+        for k, was in enumerate(reader.scans()):
+            if not _is_same(was, next(now, None)):
                 raise RelmapError(
                     f"{job.source} is not what journal {job.journal} was begun with: its scan {k} "
                     "is another"
                 )
             labels.append(was.labels)
     return labels
+
+
+def _is_same(was: Any, scan: Any) -> bool:
+    import numpy as np
+
+    if scan is None or not np.array_equal(was.values.ravel(), scan.points_robot.ravel()):
+        return False
+    return was.ids is None or np.array_equal(was.ids, scan.ids)

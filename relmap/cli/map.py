@@ -10,14 +10,13 @@ import typer
 from relmap.cli.arguments import parse_scans, read_config
 from relmap.cli.console import Out
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Association, Job
-from relmap.cli.map_points import report_points
+from relmap.cli.job import Association, Job, Variant
+from relmap.cli.outcome import report
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
 
-Variant = Literal["points", "planes"]
 Registration = Literal["constellation", "nearest-previous"]
 
 HELP = """Make a map from a log of landmarks that a moving robot saw.
@@ -134,6 +133,7 @@ def map_command(
         job = Job(
             source=source,
             out=out,
+            variant=variant,
             settings=_settings(config, registration, planes, association),
             association=association,
             interval=parse_scans(scans),
@@ -144,12 +144,7 @@ def map_command(
             animate=animate,
             stopped=stopped,
         )
-        if planes:
-            from relmap.cli.map_planes import report_planes
-
-            report_planes(job)
-        else:
-            report_points(job)
+        report(job)
 
 
 def _check_onto(

@@ -1,22 +1,49 @@
-"""What is said of a run that has ended, early or not."""
+"""Run a job, and say what became of it, early or not."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
 from relmap.cli.console import INTERRUPTED
+from relmap.cli.job import Job
+from relmap.cli.mapping import map_log
 
-if TYPE_CHECKING:
-    from relmap.cli.job import Job
 
+def report(job: Job) -> None:
+    """Map a log, and tell what came out.
 
-def stopped_after(summary: dict[str, Any]) -> str:
-    """Return how far an interrupted run came, as the beginning of a message."""
-    if not summary["interrupted"]:
-        return ""
-    return f"stopped after {summary['counts']['iterations']} of {summary['input_iterations']}: "
+    Raises
+    ------
+    typer.Exit
+        Where the run was interrupted.
+    """
+    run, n_files = map_log(job)
+    summary = run.result.summary
+    counts, timing = summary["counts"], summary["timing"]
+    iterations = counts["iterations"]
+    begun = f"stopped after {iterations} of {summary['input_iterations']}: "
+    told = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
+    if job.variant == "planes":
+        told += (
+            f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
+            f"{iterations} iterations, {each(timing['scan_median_ms'])}{torn(summary)}"
+        )
+    else:
+        told += (
+            f"{counts['mapped']} of {counts['landmarks']} landmarks mapped from "
+            f"{counts['observations']} observations in {iterations} iterations, "
+            f"{each(timing['median_ms'])}{untied(len(run.result.pieces) - 1)}"
+            f"{unconverged(summary['refinement'])}"
+        )
+    typer.echo(told)
+    if job.onto and job.association == "nearest" and summary["tied_at"] is None:
+        typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")
+    if summary["interrupted"]:
+        if job.journal is not None:
+            typer.echo(f"'relmap resume {job.journal}' goes on with it")
+        raise typer.Exit(INTERRUPTED)
 
 
 def each(median_ms: float | None) -> str:
@@ -32,7 +59,7 @@ def readable(ms: float) -> str:
 
 
 def torn(summary: dict[str, Any]) -> str:
-    """Return into which submaps a run of walls broke, as the end of a message."""
+    """Return into which submaps a run of walls broke, and its weak links: the end of a message."""
     submaps = summary["submaps"]
     failed = sum(not submap["refined"] for submap in submaps) if summary["refined"] else 0
     told = ""
@@ -44,6 +71,8 @@ def torn(summary: dict[str, Any]) -> str:
         )
     if failed:
         told += f"; {failed} of {len(submaps)} submaps could not be refined"
+    if weak := len(summary["weak_links"]):
+        told += f"; scans between which the robot was taken to go on as before: {weak}"
     return told
 
 
@@ -62,17 +91,3 @@ def unconverged(refinement: dict[str, Any] | None) -> str:
         "\nWARNING: the refinement did not converge, so the map is the best that was found and may "
         "be wrong; look for wrong ids or matches, or compare with --no-refine"
     )
-
-
-def leave(job: Job, summary: dict[str, Any]) -> None:
-    """End the program as what became of the run demands.
-
-    Raises
-    ------
-    typer.Exit
-        Where the run was interrupted.
-    """
-    if summary["interrupted"]:
-        if job.journal is not None:
-            typer.echo(f"'relmap resume {job.journal}' goes on with it")
-        raise typer.Exit(INTERRUPTED)

@@ -10,7 +10,8 @@ import typer
 
 from relmap.cli.console import folder
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Job
+from relmap.cli.job import Job, Variant
+from relmap.cli.outcome import report
 
 HELP = """Go on with a run of 'relmap map --journal FILE' that was ended before its time.
 
@@ -46,16 +47,14 @@ def resume_command(
     ] = False,
 ) -> None:
     """Resume a run; the arguments are explained in the help text."""
-    from relmap.cli.map_planes import report_planes
-    from relmap.cli.map_points import report_points
     from relmap.io.journal import JournalReader, salvage
 
     if repair:
         typer.echo(f"recovered {salvage(journal)} scans of {journal}")
     with JournalReader(journal) as reader:
-        job, variant = Job.of_journal(journal, reader.meta), reader.layout.variant
+        variant: Variant = "planes" if reader.layout.variant == "planes" else "points"
+        job = Job.of_journal(journal, reader.meta, variant)
     if out is not None:
-        job = job.to(out)
+        job = replace(job, out=out.absolute())
     with stoppable() as stopped:
-        job = replace(job, stopped=stopped)
-        (report_planes if variant == "planes" else report_points)(job)
+        report(replace(job, stopped=stopped))

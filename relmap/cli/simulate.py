@@ -87,8 +87,8 @@ def write_figure_eight(
     """
     from relmap.cli.console import busy
     from relmap.datasets.observation_csv import write_observation_csv
-    from relmap.evaluation.run import stamps_of
-    from relmap.evaluation.truth import Truth, write_truth
+    from relmap.evaluation.sources import truth_of
+    from relmap.evaluation.truth import write_truth
     from relmap.io.files import staged_folder
     from relmap.simulation import simulate_figure_eight
 
@@ -96,14 +96,7 @@ def write_figure_eight(
         world = simulate_figure_eight(density, iterations, noise, sigma, dynamic, seed)
         write_observation_csv(staging / "observations.csv", world.log)
         (staging / "truth").mkdir()
-        truth = Truth(
-            world.landmark_ids,
-            world.landmarks_map,
-            world.status,
-            stamps_of(world.log),
-            world.trajectory,
-        )
-        write_truth(staging / "truth", truth)
+        write_truth(staging / "truth", truth_of(world))
     return (
         f"{len(world.landmark_ids)} landmarks, {len(world.log)} iterations, "
         f"{len(world.log.points_robot)} observations"

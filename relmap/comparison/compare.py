@@ -13,14 +13,15 @@ from multiprocessing.connection import Connection
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import Association, LogKind, Method, MethodInfo
+from relmap.comparison.methods.base import Method, MethodInfo
 from relmap.comparison.methods.registry import check_method, find_method, fitting_methods
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, run_method
-from relmap.comparison.sources import Data, Landmarks, Source, require_ids
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
-from relmap.evaluation.evaluate import Overlay, overlay
+from relmap.evaluation.landmarks import Overlay, overlay
+from relmap.evaluation.run import Association, Log
+from relmap.evaluation.sources import Data, Source
 from relmap.evaluation.truth import Truth
 
 FIGURES = (*ACCURACY, *PATH, *COST)
@@ -53,7 +54,7 @@ class Compared:
 
 
 def chosen_methods(
-    names: Sequence[str] | None, data: Data, association: Association
+    names: Sequence[str] | None, data: Data[Log], association: Association
 ) -> list[MethodInfo]:
     """Return the methods that are asked for, or all that fit the data.
 
@@ -62,16 +63,17 @@ def chosen_methods(
     RelmapError
         Where a name is unknown or stands there twice, or a method cannot be given such data.
     """
-    kind: LogKind = "landmarks" if isinstance(data, Landmarks) else "scans"
-    if association == "known":
-        require_ids(data)
+    if association == "known" and data.ids is None:
+        if data.kind == "scans":
+            raise RelmapError("--association known is for landmarks: point scans have no ids")
+        raise RelmapError("--association known needs a log with ids, and this one has none")
     if names is None:
-        return fitting_methods(kind, association)
+        return fitting_methods(data.kind, association)
     methods = [find_method(name) for name in names]
     for method in methods:
         if methods.count(method) > 1:
             raise RelmapError(f"method {method.name} is named twice")
-        check_method(method, kind, association)
+        check_method(method, data.kind, association)
     return methods
 
 
@@ -156,13 +158,13 @@ def _run_and_send(
     sender.send(outcome)
 
 
-def overlay_of(run: MethodRun, data: Landmarks) -> Overlay | None:
-    """Return the truth in the frame of a run: of its map, or of its path where it has no map."""
-    truth, result = data.truth, run.result
-    if truth is None:
+def overlay_of(run: MethodRun, data: Data[Log]) -> Overlay | None:
+    """Return true landmarks in the frame of a run: of its map, or of its path if it has no map."""
+    truth, result, log = data.truth, run.result, data.log
+    if truth is None or not isinstance(log, ObservationLog):
         return None
     if result.mapped.any():
-        return overlay(result, truth, data.log)
+        return overlay(result, truth, log)
     mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
     if len(mine) < 3:
         return None

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from relmap.comparison.methods.registry import check_method, find_method
-from relmap.comparison.sources import BuildingSource, EightSource, Source
 from relmap.core.errors import RelmapError
+from relmap.evaluation.sources import BuildingSource, EightSource, Source
 from relmap.io.files import read_text
 
 MOST_CELLS = 1_000_000

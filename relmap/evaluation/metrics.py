@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,26 @@ from relmap.core.geometry.alignment import fit_rigid
 NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01
 """Two stamps this close belong to one instant (the tolerance of the TUM benchmark's tools)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """What is mapped of the truth, paired with it and aligned.
+
+    Attributes
+    ----------
+    position, truth : (p, d) float64, metres
+        In the map frame of the result, and in that of the truth.
+    R, t : (d, d), (d,) float64
+        ``truth ~ position @ R.T + t``.
+    rmse_m : float or None
+    """
+
+    position: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
+    rmse_m: float | None
 
 
 def rms(errors: NDArray[np.float64]) -> float | None:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import quoted, require_path, shown
-from relmap.io.files import atomic_write, read_tum, write_tum
+from relmap.evaluation.relations import RELATIONS, relations_by_clocks
+from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.results import SUMMARY
 from relmap.io.tables import Kind, csv_text, read_table
 
-LANDMARKS = "landmarks.csv"
+Variant = Literal["points", "planes"]
+
+TABLES: dict[Variant, str] = {"points": "landmarks.csv", "planes": "planes.csv"}
+"""What the true landmarks stand in."""
 TRAJECTORY = "trajectory.tum"
 _EXPECTED = (
-    f"truth/{LANDMARKS} or {LANDMARKS} in it, MRPT's ..._ground_truth.txt, "
+    f"truth/{TABLES['points']} or {TABLES['points']} in it, MRPT's ..._ground_truth.txt, "
     "or the folder of a known data set"
 )
 _COLUMNS: dict[str, Kind] = {
@@ -27,11 +33,12 @@ _COLUMNS: dict[str, Kind] = {
     "z": "float",
     "status": "text",
 }
+_ENDS = ("x0", "y0", "x1", "y1")
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """True landmarks and, where it is known, the true path.
+    """What is known of landmarks or walls, and of the path; what is not known is empty.
 
     Attributes
     ----------
@@ -41,33 +48,50 @@ class Truth:
     status : (m,) str
         "static" or "dynamic".
     stamps_s : (k,) float64
-        Seconds, or iteration numbers where there is no clock; empty where no path is known.
+        Seconds, or iteration numbers where there is no clock.
     poses : (k, 4, 4) float64
         T_map_robot.
+    ends : (w, 2, 2) float64, map frame of the truth, metres
+        Of walls that stand still, right to left as seen from the front.
+    corner_scans : (w, 2) int64
+        In how many scans each true end was seen.
+    relations : tuple of Relations
+        Checked relations between poses, by several clocks; see `relation_errors`.
     """
 
-    landmark_ids: NDArray[np.int64]
-    landmarks_map: NDArray[np.float64]
-    status: NDArray[np.str_]
-    stamps_s: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    landmarks_map: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    status: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
+    stamps_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+    poses: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4, 4)))
+    ends: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
+    corner_scans: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    relations: tuple[Relations, ...] = ()
 
 
-def read_truth(path: Path) -> Truth:
+def read_truth(path: Path, variant: Variant = "points") -> Truth:
     """Read the truth, or what comes nearest to it.
 
     Parameters
     ----------
     path : Path
-        One of
+        A folder as `relmap simulate` writes it, with ``truth/landmarks.csv`` or ``landmarks.csv``
+        (of walls ``planes.csv``), and ``trajectory.tum`` beside it where the path is known.
+        Of points also
 
-        * a folder with ``truth/landmarks.csv`` or ``landmarks.csv``, and ``trajectory.tum`` beside
-          it where the path is known;
         * MRPT's ``..._ground_truth.txt`` or its folder;
         * the folder of I-SLSJF's simulation;
         * the folder of Victoria Park, where nobody surveyed the trees: the published estimates of
           another program are a reference to compare with, not a truth;
         * the folder of DLR's circles, which knows who is who, but no place.
+
+        Of walls also
+
+        * a log of point scans, for the poses that it gives: a reference, or exact if simulated;
+        * a ``.relations`` file, of pairs of poses that were checked by hand.  Its times are the
+          robot's; a CARMEN log of the same name beside it tells the logger's times too.
+    variant : "points" or "planes"
+        What was mapped.
 
     Raises
     ------
@@ -75,8 +99,23 @@ def read_truth(path: Path) -> Truth:
         Where it is none of these or is damaged.
     """
     require_path(path)
-    folder = _landmark_folder(path)
-    truth = _read_data_set(path) if folder is None else _read_folder(folder)
+    name = TABLES[variant]
+    folder = path / "truth"
+    if not (folder / name).is_file():
+        if variant == "planes" and folder.is_dir():
+            raise RelmapError(f"{shown(path)}: holds no truth/{name}, the walls to compare with")
+        if (path / SUMMARY).exists():
+            raise RelmapError(
+                f"{shown(path)}: is a result folder without a truth, expected a truth"
+            )
+        folder = path
+    if (folder / name).is_file():
+        truth = (_read_walls if variant == "planes" else _read_landmarks)(folder / name)
+        if (folder / TRAJECTORY).exists():
+            stamps_s, poses = read_tum(folder / TRAJECTORY)
+            truth = replace(truth, stamps_s=stamps_s, poses=poses)
+    else:
+        truth = (_read_path if variant == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
     if (counts > 1).any():
         raise RelmapError(f"{shown(path)}: landmark {ids[counts > 1][0]} stands there twice")
@@ -84,7 +123,7 @@ def read_truth(path: Path) -> Truth:
 
 
 def write_truth(folder: Path, truth: Truth) -> None:
-    """Write ``landmarks.csv`` and ``trajectory.tum`` into an existing folder.
+    """Write true landmarks and their path into an existing folder.
 
     Raises
     ------
@@ -93,43 +132,46 @@ def write_truth(folder: Path, truth: Truth) -> None:
     """
     x, y, z = truth.landmarks_map.T.tolist()
     rows = zip(truth.landmark_ids.tolist(), x, y, z, truth.status.tolist(), strict=True)
-    atomic_write(folder / LANDMARKS, csv_text(list(_COLUMNS), rows))
+    atomic_write(folder / TABLES["points"], csv_text(list(_COLUMNS), rows))
     write_tum(folder / TRAJECTORY, truth.stamps_s, truth.poses)
 
 
-def _read_folder(folder: Path) -> Truth:
-    table = read_table(folder / LANDMARKS, _COLUMNS)
+def _read_landmarks(path: Path) -> Truth:
+    table = read_table(path, _COLUMNS)
     for landmark, status in zip(table["landmark"], table["status"].tolist(), strict=True):
         if status not in ("static", "dynamic"):
             raise RelmapError(
-                f"{shown(folder / LANDMARKS)}: status of landmark {landmark} is {quoted(status)}, "
+                f"{shown(path)}: status of landmark {landmark} is {quoted(status)}, "
                 "neither static nor dynamic"
             )
-    stamps_s, poses = np.empty(0), np.empty((0, 4, 4))
-    if (folder / TRAJECTORY).exists():
-        stamps_s, poses = read_tum(folder / TRAJECTORY)
     position = np.column_stack([table["x"], table["y"], table["z"]])
-    return Truth(table["landmark"], position, table["status"], stamps_s, poses)
+    return Truth(table["landmark"], position, table["status"])
 
 
-def _landmark_folder(path: Path) -> Path | None:
-    """Return the folder that holds the landmarks; None where it may hold a data set's truth."""
-    if (path / "truth" / LANDMARKS).is_file():
-        return path / "truth"
-    refuse_result(path)
-    return path if (path / LANDMARKS).is_file() else None
+def _read_walls(path: Path) -> Truth:
+    columns: dict[str, Kind] = dict.fromkeys(_ENDS, "float")
+    columns |= {"corner0": "int", "corner1": "int"}
+    if "status" in read_text(path).partition("\n")[0].split(","):
+        columns["status"] = "text"
+    table = read_table(path, columns)
+    ends = np.column_stack([table[name] for name in _ENDS]).reshape(-1, 2, 2)
+    scans = np.column_stack([table["corner0"], table["corner1"]])
+    still = table.get("status", np.full(len(ends), "static")) != "dynamic"
+    return Truth(ends=ends[still], corner_scans=scans[still])
 
 
-def refuse_result(path: Path) -> None:
-    """Make sure that a folder is not what `relmap map` wrote.
-
-    Raises
-    ------
-    RelmapError
-        Where it is.
-    """
-    if (path / SUMMARY).exists():
-        raise RelmapError(f"{shown(path)}: is a result folder without a truth, expected a truth")
+def _read_path(path: Path) -> Truth:
+    """Read what there is to compare the path of a map of walls with."""
+    if path.name.endswith(RELATIONS):
+        return Truth(relations=relations_by_clocks(path))
+    try:
+        log = open_scans(path)
+    except RelmapError as error:
+        expected = f"truth/{TABLES['planes']}, a log of point scans or a {RELATIONS} file"
+        raise RelmapError(f"{error}; to compare walls with, expected {expected}") from error
+    if log.poses is None:
+        raise RelmapError(f"{shown(path)}: the log gives no poses, expected one that does")
+    return Truth(stamps_s=log.stamps_s, poses=log.poses)
 
 
 def _read_data_set(path: Path) -> Truth:
@@ -141,16 +183,19 @@ def _read_data_set(path: Path) -> Truth:
     if slsjf.is_ground_truth(path):
         return _static(*slsjf.read_ground_truth(path))
     if victoria_park.is_reference(path):
-        return _static(*victoria_park.read_reference_map(path), np.empty((0, 4, 4)))
+        return _static(*victoria_park.read_reference_map(path))
     if dlr_circles.DlrCircles().recognises(path):
         ids = dlr_circles.read_ids(path)
-        return _static(ids, np.full((len(ids), 3), np.nan), np.empty((0, 4, 4)))
+        return _static(ids, np.full((len(ids), 3), np.nan))
     what = "holds no truth" if path.is_dir() else "is no truth"
     raise RelmapError(f"{shown(path)}: {what}, expected {_EXPECTED}")
 
 
 def _static(
-    ids: NDArray[np.int64], position: NDArray[np.float64], poses: NDArray[np.float64]
+    ids: NDArray[np.int64],
+    position: NDArray[np.float64],
+    poses: NDArray[np.float64] | None = None,
 ) -> Truth:
     """Return a truth without dynamic landmarks, stamped with the numbers of the iterations."""
+    poses = np.empty((0, 4, 4)) if poses is None else poses
     return Truth(ids, position, np.full(len(ids), "static"), np.arange(float(len(poses))), poses)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation import metrics
-from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.evaluation.plane_run import segment_scan
+from relmap.evaluation.run import segment_scan
+from relmap.evaluation.truth import Truth
 from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.segmentation import PlaneSegmenter
@@ -89,7 +89,7 @@ class BenchRecorder:
     mapper : PlaneMapper
     segmenter : PlaneSegmenter
         Those of the run.
-    truth : WallTruth, optional
+    truth : Truth, optional
     every : int
         A frame is kept after each so many scans; 0: none but the last, when asked for.
     view : SensorView, optional
@@ -99,6 +99,7 @@ class BenchRecorder:
 
     Attributes
     ----------
+    segmenter : PlaneSegmenter
     frames : list of BenchFrame
     """
 
@@ -106,12 +107,12 @@ class BenchRecorder:
         self,
         mapper: PlaneMapper,
         segmenter: PlaneSegmenter,
-        truth: WallTruth | None = None,
+        truth: Truth | None = None,
         every: int = 0,
         view: SensorView | None = None,
         before_s: Iterable[float] = (),
     ) -> None:
-        self._mapper, self._segmenter = mapper, segmenter
+        self._mapper, self.segmenter = mapper, segmenter
         self._truth, self._every = truth, every
         self._view = view or SensorView()
         self._stamps_s = list(before_s)
@@ -131,7 +132,7 @@ class BenchRecorder:
         """Segment the last scan of a log whose scans the mapper had all taken in already."""
         last = log.first_iteration + len(log) - 1
         for scan in log.between(last, last + 1).scans():
-            segment_scan(self._segmenter, scan.points_robot, self._view)
+            segment_scan(self.segmenter, scan.points_robot, self._view)
             self._scan = scan
 
     def last(self) -> BenchFrame | None:
@@ -146,13 +147,13 @@ class BenchRecorder:
         T = np.eye(4)
         T[:2, :2], T[:2, 3] = R, t
         placed = np.isfinite(poses[:, 0, 0])
-        seen, view = self._segmenter.planes_, self._view
+        seen, view = self.segmenter.planes_, self._view
         c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
         ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
         return BenchFrame(
             scan.iteration,
             scan.points_robot[:, :2],
-            self._segmenter.labels_,
+            self.segmenter.labels_,
             ends_robot,
             seen.end_type == "corner",
             walls,

@@ -16,9 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.plane_evaluate import evaluate_planes
-from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
-from relmap.evaluation.run import run_mapper
+from relmap.evaluation.run import Run, run_mapper
 from relmap.figures.partial_wall import longest
 from relmap.figures.surface_points import SurfacePoints, scan_surface_points
 from relmap.io.results import Result
@@ -172,9 +170,9 @@ def wall_points(
     return scan_surface_points(building, spacing_m, noise * spacing_m, seed)
 
 
-def map_planes(seen: SurfacePoints) -> PlaneRun:
+def map_planes(seen: SurfacePoints) -> Run:
     """Segment the scans and map the walls."""
-    return run_plane_mapper(PlaneMapper(), seen.scans, PlaneSegmenter())
+    return run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
 
 
 def map_points(seen: SurfacePoints, ids_given: bool = False) -> Result:
@@ -187,7 +185,7 @@ def _row(method: Method, seen: SurfacePoints, noise: float, seed: int) -> Crossi
     about = (method, seen.spacing_m, noise, seen.sigma, seed)
     if method == "planes":
         run = map_planes(seen)
-        walls = evaluate_planes(run.result, run.planes, seen.walls_truth)
+        walls = evaluate(run.result, seen.walls_truth)
         figures = walls.corner_rmse_m, walls.coverage or 0.0, walls.ate_m
         matched = walls.counts["matched_poses"]
     else:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from relmap.comparison.sources import BuildingSource
-from relmap.evaluation.plane_evaluate import evaluate_planes
-from relmap.evaluation.plane_run import run_plane_mapper
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.run import run_mapper
+from relmap.evaluation.sources import BuildingSource
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.figures.bench import BenchRecorder, frame_step
 from relmap.planes import PlaneMapper
@@ -42,12 +42,16 @@ class BenchFigure:
         mapper, segmenter = PlaneMapper(), PlaneSegmenter()
         every = frame_step(len(log), QUICK_FRAMES if quick else FRAMES)
         recorder = BenchRecorder(mapper, segmenter, truth, every)
-        run = run_plane_mapper(
-            mapper, log, segmenter, progress=lambda scans: recorder.watch(watch(list(scans)))
+        run = run_mapper(
+            mapper,
+            log,
+            progress=lambda scans: recorder.watch(watch(list(scans))),
+            refine=True,
+            segmenter=segmenter,
         )
         last = recorder.last()
         assert last is not None
-        found = evaluate_planes(run.result, run.planes, truth)
+        found = evaluate(run.result, truth)
         rmse_m, coverage = found.corner_rmse_m, found.coverage or 0.0
         told = "no corner" if rmse_m is None else f"corners to {rmse_m:.3f} m"
         return Outcome(

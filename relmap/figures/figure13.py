@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from relmap.comparison.sources import eight_truth
-from relmap.evaluation.evaluate import Evaluation, evaluate, identify, match_landmarks
+from relmap.evaluation.evaluate import Evaluation, evaluate
+from relmap.evaluation.landmarks import identify, match_landmarks
 from relmap.evaluation.metrics import rms
 from relmap.evaluation.run import run_mapper
+from relmap.evaluation.sources import truth_of
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.plots.eight import EightPicture, plot_eight
 from relmap.points.mapper import PointMapper
@@ -43,7 +44,7 @@ class EightFigure:
         result = run_mapper(
             mapper, world.log, "nearest", progress=lambda scans: watch(list(scans)), refine=True
         ).result
-        truth = eight_truth(world)
+        truth = truth_of(world)
         matched = match_landmarks(result, truth, identify(result, world.log))
         assert matched is not None
         R, t = matched.R, matched.t  # the map is drawn in the frame of the truth

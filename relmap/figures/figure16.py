@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from relmap.comparison.baselines import ekf
 from relmap.comparison.compare import landmark_error_curve
-from relmap.comparison.methods import relmap_points
+from relmap.comparison.methods import relmap
 from relmap.comparison.methods.base import Method, Setup
 from relmap.comparison.methods.running import setup_for
-from relmap.comparison.sources import EightSource
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
+from relmap.evaluation.sources import EightSource
 from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
 from relmap.plots.errors import Curve, ErrorCurves, plot_errors
 from relmap.points.mapper import PointMapper
@@ -68,8 +68,8 @@ class RefinedByShape(Method):
 METHODS: dict[str, tuple[Callable[[Setup], Method], int]] = {
     MRPT: (ekf.STANDING.make, EVERY),
     FITTED: (ekf.FITTED.make, EVERY),
-    PAPER: (relmap_points.LITERAL.make, EVERY),
-    LIVE: (relmap_points.LIVE.make, EVERY),
+    PAPER: (relmap.LITERAL.make, EVERY),
+    LIVE: (relmap.LIVE.make, EVERY),
     SHAPED: (lambda setup: RefinedByShape(), EVERY_REFINED),
 }
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from relmap.evaluation import metrics
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.plane_evaluate import evaluate_planes
 from relmap.figures.crossing import map_planes, map_points, wall_points
 from relmap.figures.pose_fit import fit_poses
 from relmap.io.results import Result
@@ -110,7 +109,7 @@ def run_noisy_maps(
     seen = wall_points(spacing_m, noise, seed, iterations)
     run, result = map_planes(seen), map_points(seen)
     truth = seen.walls_truth
-    walls = evaluate_planes(run.result, run.planes, truth)
+    walls = evaluate(run.result, truth)
     points = evaluate(result, seen.points_truth, seen.points)
     R, t, path = _placed(run.result, truth.stamps_s, truth.poses)
     mapped = run.planes.status == "static"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from relmap.evaluation.run import versions
+from relmap.evaluation.summary import versions
 from relmap.figures.base import Outcome, PaperFigure
 
 SKIPPED = "not run"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation import metrics
-from relmap.evaluation.plane_run import Progress, run_plane_mapper
+from relmap.evaluation.run import Progress, run_mapper
 from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.table import PlaneTable
@@ -129,7 +129,7 @@ def run_partial_wall(
     # The ends of a wall that stands alone in view tell nothing of the limits of the sensor.
     segmenter = PlaneSegmenter(view_rad=DEPTH_SENSOR.view_rad, range_m=DEPTH_SENSOR.range_m)
     mapper = PlaneMapper()
-    run = run_plane_mapper(mapper, log, segmenter, progress=progress)
+    run = run_mapper(mapper, log, progress=progress, refine=True, segmenter=segmenter)
     weak = np.isin(np.arange(len(part)), mapper.weak_links)
     before = slice(0, longest(weak)[0])
     R, t = fit_poses(mapper.trajectory[before], true_poses[before])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, stored_scans
-from relmap.evaluation.plane_evaluate import WallTruth
+from relmap.evaluation.sources import truth_of
 from relmap.evaluation.truth import Truth
 from relmap.simulation import Building, BuildingScan
 
@@ -30,8 +30,7 @@ class SurfacePoints:
         Without telling which point is which.
     points : ObservationLog
         The same points, ids for the evaluation only.
-    walls_truth : WallTruth
-    points_truth : Truth
+    walls_truth, points_truth : Truth
     spacing_m : float
         Each square of this side on a wall has one point.
     sigma : float
@@ -40,7 +39,7 @@ class SurfacePoints:
 
     scans: ScanLog
     points: ObservationLog
-    walls_truth: WallTruth
+    walls_truth: Truth
     points_truth: Truth
     spacing_m: float
     sigma: float
@@ -99,11 +98,10 @@ def scan_surface_points(
         np.concatenate(seen),
         building.stamps_s,
     )
-    ends = building.walls[:, :4].reshape(-1, 2, 2)
     return SurfacePoints(
         stored_scans(points, offsets, building.stamps_s, building.trajectory),
         log,
-        WallTruth(ends, building.times_seen()[:, 1:], building.stamps_s, building.trajectory),
+        truth_of(building),
         Truth(
             np.arange(len(places)),
             places,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Piece
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.tables import Kind, compressed, csv_text, read_table
+
+T = TypeVar("T", bound=Any)
 
 LANDMARKS = "landmarks.csv"
 TRACKS = "tracks.csv.gz"
@@ -185,10 +187,7 @@ def _read_summary(path: Path) -> dict[str, Any]:
     return summary
 
 
-def shifted(table: LandmarkTable, iterations: int) -> LandmarkTable:
-    """Return the table with its iteration numbers raised by so many."""
-    return replace(
-        table,
-        first_iteration=table.first_iteration + iterations,
-        last_iteration=table.last_iteration + iterations,
-    )
+def shifted(table: T, iterations: int) -> T:
+    """Return a table of landmarks or walls with its iteration numbers raised by so many."""
+    numbers = ("first_iteration", "last_iteration")
+    return replace(table, **{name: getattr(table, name) + iterations for name in numbers})

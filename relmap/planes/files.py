@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.io.files import atomic_write, write_tum
+from relmap.io.results import Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
 from relmap.planes.table import PlaneTable
 
@@ -35,6 +37,49 @@ COLUMNS: dict[str, Kind] = {
     "corner0": "int",
     "corner1": "int",
 }
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnSubmap:
+    """A submap as files and pictures show it.
+
+    Attributes
+    ----------
+    stamps_s : (k,) float64
+    poses : (k, 4, 4) float64
+        ``T_submap_robot``.
+    planes : PlaneTable
+        Mapped in its frame.
+    """
+
+    stamps_s: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    planes: PlaneTable
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlaneResult(Result):
+    """A result whose landmarks are the corners of walls.
+
+    Its tracks tell the wall of every one seen: `row` counts the walls of a scan, `landmark` is the
+    number of the wall.
+
+    Attributes
+    ----------
+    planes : PlaneTable
+        Iterations are the log's own numbers.
+    submaps : tuple of DrawnSubmap
+        Parts of the run that nothing ties to one another, the map itself first; empty in a result
+        that was read.
+    """
+
+    planes: PlaneTable
+    submaps: tuple[DrawnSubmap, ...] = ()
+
+    @property
+    def planar(self) -> bool:
+        """Whether the world is planar; walls are always mapped in the plane."""
+        return True
 
 
 def write_planes(folder: Path, table: PlaneTable) -> None:
@@ -106,3 +151,17 @@ def read_planes(folder: Path) -> PlaneTable:
         last_iteration=table["last_iteration"],
         status=table["status"],
     )
+
+
+def read_any(folder: Path) -> Result:
+    """Read a result folder; of walls a `PlaneResult`.
+
+    Raises
+    ------
+    RelmapError
+        Where a file is missing or not what was written.
+    """
+    result = read_result(folder)
+    if not (folder / PLANES).exists():
+        return result
+    return PlaneResult(**vars(result), planes=read_planes(folder))

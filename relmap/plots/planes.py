@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from relmap.evaluation.plane_evaluate import MatchedCorners, WallTruth
+    from relmap.evaluation.corners import MatchedCorners
+    from relmap.evaluation.truth import Truth
 
 WALL = "#1f4e9e"
 CORNER = "#0b7a3b"
@@ -30,7 +31,7 @@ def write_planes_png(
     path: Path,
     planes: PlaneTable,
     poses: NDArray[np.float64],
-    truth: tuple[WallTruth, MatchedCorners] | None = None,
+    truth: tuple[Truth, MatchedCorners] | None = None,
     title: str | None = None,
 ) -> None:
     """Draw walls into a PNG file; see `plot_planes`.  The same run gives the same bytes.
@@ -111,7 +112,7 @@ def draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tupl
 def plot_planes(
     planes: PlaneTable,
     poses: NDArray[np.float64],
-    truth: tuple[WallTruth, MatchedCorners] | None = None,
+    truth: tuple[Truth, MatchedCorners] | None = None,
     title: str | None = None,
 ) -> Figure:
     """Draw mapped walls, their corners and the path from above.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from relmap.evaluation.evaluate import Overlay
+    from relmap.evaluation.landmarks import Overlay
 
 PATH = "#1f4e9e"
 TRUTH = "#c0392b"

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from relmap.comparison.baselines.known import least_squares_map
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.evaluation.evaluate import evaluate, overlay
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.landmarks import overlay
 from relmap.evaluation.metrics import seen_often
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import NO_MAP, Method, MethodInfo
-from relmap.core.landmarks import LandmarkMap, in_space
+from relmap.comparison.methods.base import Method, MethodInfo
+from relmap.core.landmarks import in_space
 
 BEYOND = 1.25
 """Its range, in units of the farthest observation; its voxel is a hundredth of that."""
@@ -45,11 +45,6 @@ class KissIcp(Method):
         self._pipeline.register_frame(in_space(points_robot), np.empty(0))
         self._poses.append(self._pipeline.last_pose.copy())
         return np.full(len(points_robot), -1, np.int64)
-
-    @property
-    def map(self) -> LandmarkMap:
-        """No landmarks."""
-        return NO_MAP
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import NO_MAP, Method, MethodInfo
-from relmap.core.landmarks import LandmarkMap, in_space
+from relmap.comparison.methods.base import Method, MethodInfo
+from relmap.core.landmarks import in_space
 
 REACH = 1 / 32
 """Largest distance of matched points, as a share of the farthest observation."""
@@ -64,11 +64,6 @@ class SmallGicp(Method):
             return align(target, source, tree, self._motion, "ICP", reach)
         fine = FINE * self._range_m
         return align(self._last, points, self._motion, "GICP", 1.0, fine, reach)
-
-    @property
-    def map(self) -> LandmarkMap:
-        """No landmarks."""
-        return NO_MAP
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.scans import SensorView
+from relmap.evaluation.sources import LogKind
+from relmap.planes.table import PlaneTable
 
-Association = Literal["nearest", "known"]
-LogKind = Literal["landmarks", "scans"]
 NO_MAP = LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))
 NO_POSE = np.full((4, 4), np.nan)
 
@@ -73,7 +73,12 @@ class Method(Protocol):
     @property
     def map(self) -> LandmarkMap:
         """The landmarks mapped so far; none where a method makes no map of landmarks."""
-        ...
+        return NO_MAP
+
+    @property
+    def planes(self) -> PlaneTable | None:
+        """The walls; None where a method maps none."""
+        return None
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

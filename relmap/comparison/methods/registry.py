@@ -14,17 +14,19 @@ from relmap.comparison.baselines import (
     kiss_icp,
     small_gicp,
 )
-from relmap.comparison.methods import relmap_planes, relmap_points
-from relmap.comparison.methods.base import Association, LogKind, MethodInfo
+from relmap.comparison.methods import relmap
+from relmap.comparison.methods.base import MethodInfo
 from relmap.core.errors import RelmapError
+from relmap.evaluation.run import Association
+from relmap.evaluation.sources import LogKind
 
 METHODS: tuple[MethodInfo, ...] = (
-    relmap_points.REFINED,
-    relmap_points.LIVE,
-    relmap_points.LITERAL,
-    relmap_planes.REFINED,
-    relmap_planes.LIVE,
-    relmap_planes.LITERAL,
+    relmap.REFINED,
+    relmap.LIVE,
+    relmap.LITERAL,
+    relmap.REFINED_PLANES,
+    relmap.LIVE_PLANES,
+    relmap.LITERAL_PLANES,
     frame_to_frame.METHOD,
     frame_to_map.METHOD,
     ekf.STANDING,

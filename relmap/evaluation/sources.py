@@ -1,48 +1,51 @@
-"""Where the data of a comparison come from: a log on disk, or a simulated world."""
+"""Where the data of a run come from: a log on disk, or a simulated world."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Generic, Literal, Protocol, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS, open_log, open_scans
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown
-from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.evaluation.plane_truth import read_plane_truth
-from relmap.evaluation.run import stamps_of
-from relmap.evaluation.truth import Truth, read_truth
-from relmap.simulation import FigureEight, simulate_building, simulate_figure_eight
+from relmap.evaluation.run import Log, stamps_of
+from relmap.evaluation.truth import Truth, Variant, read_truth
+from relmap.simulation import Building, FigureEight, simulate_building, simulate_figure_eight
 from relmap.simulation.noise import Noise
 
+LogKind = Literal["landmarks", "scans"]
+L = TypeVar("L", bound=Log, covariant=True)
+
 
 @dataclass(frozen=True, eq=False)
-class Landmarks:
-    """A landmark log and, where it is known, the truth."""
+class Data(Generic[L]):
+    """A log of landmarks or of point scans and, where it is known, the truth."""
 
-    log: ObservationLog
+    log: L
     truth: Truth | None
 
+    @property
+    def kind(self) -> LogKind:
+        """What the log holds."""
+        return "scans" if isinstance(self.log, ScanLog) else "landmarks"
 
-@dataclass(frozen=True, eq=False)
-class Scans:
-    """A log of point scans and, where it is known, the truth."""
-
-    log: ScanLog
-    truth: WallTruth | None
-
-
-Data = Landmarks | Scans
+    @property
+    def ids(self) -> NDArray[np.int64] | None:
+        """Which landmark each observation is of (n,), negative if unknown; None without any."""
+        ids = self.log.ids if isinstance(self.log, ObservationLog) else None
+        return None if ids is None or not (ids >= 0).any() else ids
 
 
 class Source(Protocol):
     """What can be sent to another process and loaded there."""
 
-    def load(self) -> Data:
+    def load(self) -> Data[Log]:
         """Return the data."""
         ...
 
@@ -63,13 +66,13 @@ class EightSource:
     dynamic: float = 0.0
     seed: int = 0
 
-    def load(self) -> Landmarks:
+    def load(self) -> Data[ObservationLog]:
         """Simulate it."""
         noise = cast(Noise, self.noise)
         world = simulate_figure_eight(
             self.density, self.iterations, noise, self.sigma, self.dynamic, self.seed
         )
-        return Landmarks(world.log, eight_truth(world))
+        return Data(world.log, truth_of(world))
 
     @property
     def about(self) -> str:
@@ -90,7 +93,7 @@ class BuildingSource:
     sigma: float = 0.05
     seed: int = 0
 
-    def load(self) -> Scans:
+    def load(self) -> Data[ScanLog]:
         """Simulate it."""
         noise = cast(Noise, self.noise)
         building = simulate_building(
@@ -98,14 +101,9 @@ class BuildingSource:
         )
         offsets = np.cumsum([0, *(len(scan.points) for scan in building.scans)])
         points = np.concatenate([scan.points for scan in building.scans])
-        truth = WallTruth(
-            building.walls[:, :4].reshape(-1, 2, 2),
-            building.times_seen()[:, 1:],
-            building.stamps_s,
-            building.trajectory,
-        )
         view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-        return Scans(stored_scans(points, offsets, building.stamps_s, sensor=view), truth)
+        log = stored_scans(points, offsets, building.stamps_s, sensor=view)
+        return Data(log, truth_of(building))
 
     @property
     def about(self) -> str:
@@ -134,7 +132,7 @@ class FileSource:
     scans: tuple[int, int] | None = None
     truth: Path | None = None
 
-    def load(self) -> Data:
+    def load(self) -> Data[Log]:
         """Read it.
 
         Raises
@@ -142,21 +140,15 @@ class FileSource:
         RelmapError
             Where the log or the truth cannot be used.
         """
-        from relmap.datasets import open_log, open_scans
-
-        truth = self.truth or self._beside()
-        if self._holds_scans():
-            clouds = open_scans(self.path, self.format)
-            clouds = clouds.between(*self.scans) if self.scans else clouds
-            return Scans(clouds, read_plane_truth(truth) if truth else None)
-        log = open_log(self.path, self.format)
-        part = log.between(*self.scans) if self.scans else log
-        return Landmarks(part, read_truth(truth) if truth else None)
+        variant: Variant = "planes" if self._holds_scans() else "points"
+        truth, folder = self.truth, self.path if self.path.is_dir() else self.path.parent
+        if truth is None and (folder / "truth").is_dir():
+            truth = folder
+        log = read_log(self.path, variant, self.format, self.scans)
+        return Data(log, read_truth(truth, variant) if truth else None)
 
     def _holds_scans(self) -> bool:
         """Tell whether the log is one of point scans."""
-        from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS
-
         if self.format is not None:
             if self.format not in (*FORMATS, *SCAN_FORMATS):
                 known = ", ".join((*FORMATS, *SCAN_FORMATS))
@@ -172,10 +164,6 @@ class FileSource:
             )
         return scans and not landmarks
 
-    def _beside(self) -> Path | None:
-        folder = self.path if self.path.is_dir() else self.path.parent
-        return folder if (folder / "truth").is_dir() else None
-
     @property
     def about(self) -> str:
         """What it is, in a few words."""
@@ -183,33 +171,39 @@ class FileSource:
         return f"{self.path.name or self.path}{part}"
 
 
-def eight_truth(world: FigureEight) -> Truth:
-    """Return the truth of a simulated figure eight."""
-    return Truth(
-        world.landmark_ids,
-        world.landmarks_map,
-        world.status,
-        stamps_of(world.log),
-        world.trajectory,
-    )
-
-
-def has_ids(data: Data) -> bool:
-    """Tell whether a log tells which landmark is which."""
-    if isinstance(data, Scans) or data.log.ids is None:
-        return False
-    return bool(np.any(data.log.ids >= 0))
-
-
-def require_ids(data: Data) -> None:
-    """Make sure that a log tells which landmark is which.
+def read_log(
+    path: Path,
+    variant: Variant,
+    log_format: str | None = None,
+    scans: tuple[int, int] | None = None,
+) -> Log:
+    """Read some iterations of a log, or all, of what a variant maps; see `open_log`, `open_scans`.
 
     Raises
     ------
     RelmapError
-        Where it does not.
+        Where there is no such log or it is damaged.
     """
-    if isinstance(data, Scans):
-        raise RelmapError("--association known is for landmarks: point scans have no ids")
-    if not has_ids(data):
-        raise RelmapError("--association known needs a log with ids, and this one has none")
+    whole: Log = (open_scans if variant == "planes" else open_log)(path, log_format)
+    return whole if scans is None else whole.between(*scans)
+
+
+def recognised_format(path: Path, variant: Variant) -> str | None:
+    """Return the name of the format that a log is recognised as; None where it is not."""
+    known = SCAN_DATASETS if variant == "planes" else DATASETS
+    names = [dataset.name for dataset in known if dataset.recognises(path)]
+    return names[0] if len(names) == 1 else None
+
+
+def truth_of(world: FigureEight | Building) -> Truth:
+    """Return the truth of a simulated world."""
+    if isinstance(world, FigureEight):
+        places, status, stamps_s = world.landmarks_map, world.status, stamps_of(world.log)
+        return Truth(world.landmark_ids, places, status, stamps_s, world.trajectory)
+    still = ~world.moving
+    return Truth(
+        stamps_s=world.stamps_s,
+        poses=world.trajectory,
+        ends=world.walls[still, :4].reshape(-1, 2, 2),
+        corner_scans=world.times_seen()[still, 1:],
+    )

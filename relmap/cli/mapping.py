@@ -1,0 +1,185 @@
+"""From a log to a result folder, as `relmap map`, `resume` and `demo` make it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from relmap.cli.arguments import parse_scans, read_config
+from relmap.cli.console import busy, tracked
+from relmap.cli.job import Association, Job, journaled_labels
+from relmap.core.errors import RelmapError
+from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
+
+if TYPE_CHECKING:
+    from relmap.evaluation.run import AnyMapper, Log, Run
+    from relmap.evaluation.truth import Truth
+    from relmap.figures.bench import BenchRecorder
+
+BENCH_PNG = "bench.png"
+BENCH_GIF = "bench.gif"
+
+
+def map_input(
+    source: Path, out: Path, association: Association = "nearest", scans: str | None = None
+) -> Run:
+    """Map a log of points into a result folder with the usual settings; see `map_log`."""
+    settings, interval = read_config(None), parse_scans(scans)
+    job = Job(source=source, out=out, settings=settings, association=association, interval=interval)
+    return map_log(job)[0]
+
+
+def map_log(job: Job) -> tuple[Run, int]:
+    """Map a log into a result folder, with pictures; tell how many files it wrote.
+
+    Raises
+    ------
+    RelmapError
+        Where an argument or the log cannot be used, or the folder cannot be written; an earlier
+        result in it is then as it was.
+    """
+    from relmap.datasets.scans import ScanLog
+    from relmap.evaluation.run import run_mapper
+    from relmap.evaluation.sources import read_log
+    from relmap.io.files import staged_folder
+
+    source, out = job.at(job.source), job.at(job.out)
+    with busy("reading"):
+        log = read_log(source, job.variant, job.log_format, job.interval)
+    ids = getattr(log, "ids", None)
+    if job.association == "known" and (ids is None or not (ids >= 0).any()):
+        raise RelmapError(
+            f"--association known needs the identity of each landmark, and {source} has no ids"
+        )
+    with staged_folder(out, _stale(out)) as staging, ExitStack() as afterwards:
+        seen = journaled_labels(job, log)
+        mapper = job.mapper()
+        afterwards.callback(mapper.close)
+        bench = _bench(job, log, mapper, len(seen))
+        about = _about(job, source)
+
+        def shown(scans: Iterable[Any]) -> Iterator[Any]:
+            followed = _taken_up(job, mapper, job.scans(scans, len(log)), about)
+            yield from bench.watch(followed) if bench else followed
+            about["configuration"] = mapper.settings
+            afterwards.enter_context(busy("refining and writing"))
+
+        run = run_mapper(
+            mapper,
+            log,
+            job.association,
+            about,
+            shown,
+            job.refine,
+            seen,
+            mapper.n_iterations - len(seen),
+            bench.segmenter if bench else None,
+        )
+        _write(staging, run)
+        mapper.save(staging / MAPPER)
+        afterwards.close()
+        if bench is not None:
+            if isinstance(log, ScanLog) and len(seen) == len(log):
+                bench.see_again(log)
+            _draw_bench(staging, bench, job.animate)
+        return run, len(list(staging.iterdir()))
+
+
+def _taken_up(
+    job: Job, mapper: AnyMapper, scans: Iterable[Any], about: dict[str, Any]
+) -> Iterator[Any]:
+    """Yield scans; those that go on with a map are looked for in it until one is found."""
+    from relmap.points import PointMapper
+
+    tied = job.onto is None or job.association == "known"
+    for scan in scans:
+        if not tied and isinstance(mapper, PointMapper) and mapper.take_up(scan.points_robot):
+            about["tied_at"], tied = scan.iteration, True
+        yield scan
+
+
+def _about(job: Job, source: Path) -> dict[str, Any]:
+    from relmap.evaluation.sources import recognised_format
+
+    points = job.variant == "points"
+    about: dict[str, Any] = {
+        "input": str(job.source),
+        "format": job.log_format or recognised_format(source, job.variant),
+        "variant": job.variant,
+        "seed": None if points else 0,
+        "configuration": {},
+    }
+    onto = None if job.onto is None else str(job.onto)
+    return about | ({"onto": onto, "tied_at": None} if points else {})
+
+
+def _stale(out: Path) -> list[str]:
+    """Return the files of an earlier result, of walls too, that this one puts out of date."""
+    from relmap.planes.files import PLANES, submap_files
+
+    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
+
+
+def _write(folder: Path, run: Run) -> None:
+    from relmap.io.results import write_result
+    from relmap.planes.files import PlaneResult, write_planes, write_submaps
+    from relmap.plots.planes import write_submaps_png
+    from relmap.plots.run import write_map_png
+
+    result, picture = run.result, folder / MAP_PNG
+    write_result(folder, result)
+    if not isinstance(result, PlaneResult):
+        write_map_png(picture, result, run.groups)
+        return
+    write_planes(folder, result.planes)
+    write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in result.submaps])
+    drawn = [(submap.planes, submap.poses) for submap in result.submaps]
+    write_submaps_png(picture, drawn, len(result.summary["submaps"]))
+
+
+def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder | None:
+    """Return what looks at walls while they are mapped; None of points."""
+    from relmap.datasets.scans import ScanLog
+    from relmap.planes import PlaneMapper
+
+    if not (isinstance(log, ScanLog) and isinstance(mapper, PlaneMapper)):
+        return None
+    from relmap.evaluation.run import segmenter_for
+    from relmap.figures.bench import BenchRecorder, frame_step
+
+    every = frame_step(len(log)) if job.animate else 0
+    before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
+    return BenchRecorder(mapper, segmenter_for(log.sensor), truth, every, log.sensor, before_s)
+
+
+def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
+    """Draw the last scan, and where asked for, the animation."""
+    from relmap.plots.bench import write_bench_gif, write_bench_png
+
+    last = bench.last()
+    if last is None:
+        return
+    write_bench_png(folder / BENCH_PNG, last)
+    if animate:
+        frames = [*bench.frames, last]
+        write_bench_gif(
+            folder / BENCH_GIF, frames, lambda frames: tracked(frames, len(frames), "drawing")
+        )
+
+
+def _truth_beside(source: Path) -> Truth | None:
+    """Return the true walls of a simulated log, to draw them; None where there are none."""
+    from relmap.evaluation.truth import read_truth
+
+    folder = source if source.is_dir() else source.parent
+    if not (folder / "truth" / "planes.csv").is_file():
+        return None
+    try:
+        return read_truth(folder, "planes")
+    except RelmapError as error:
+        typer.echo(f"relmap: the true walls are not drawn: {error}", err=True)
+        return None

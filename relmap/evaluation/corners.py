@@ -1,0 +1,119 @@
+"""Mapped corners of walls and the true ones: which is which, and the figures that follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+from relmap.evaluation import metrics
+from relmap.evaluation.metrics import Matched
+from relmap.evaluation.truth import Truth
+from relmap.planes.table import PlaneTable
+
+TURN = np.cos(np.deg2rad(20.0))
+"""A wall is another one where it is turned by more (cosine)."""
+APART_M = 0.5
+"""A mapped corner farther than this from every true one like it is none of them."""
+ROUNDS = 4
+FIGURES = ("corner_rmse_m", "coverage", "landmarks_per_true")
+OFTEN = 10
+"""Scans that must have seen a corner before it counts as missing."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedCorners(Matched):
+    """Mapped corners (p, 2) and the true ones that they stand for.
+
+    Attributes
+    ----------
+    wall, end : (p,) int64
+        Which true corner each is.
+    n_false : int
+        Mapped corners that are none.
+    """
+
+    wall: NDArray[np.int64]
+    end: NDArray[np.int64]
+    n_false: int
+
+
+def judge_corners(
+    planes: PlaneTable, truth: Truth, poses: NDArray[np.float64], true_poses: NDArray[np.float64]
+) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
+    """Return `FIGURES`, what they and the path's rest on, and why some are missing."""
+    counts = {
+        "planes": len(planes.plane),
+        "mapped_planes": int((planes.status == "static").sum()),
+        "true_planes": len(truth.ends),
+        "matched_poses": len(poses),
+    }
+    if not len(truth.ends):
+        return dict.fromkeys(FIGURES), counts, []
+    due = np.flatnonzero(truth.corner_scans.ravel() >= OFTEN)
+    matched = match_corners(planes, truth, poses, true_poses)
+    if matched is None:
+        n_false, coverage = len(_corners(planes)[0]), 0.0 if len(due) and len(poses) else None
+        counts |= {"matched_corners": 0, "false_corners": n_false, "due_corners": len(due)}
+        note = f"no corner RMSE: {_why_unmatched(planes, true_poses)}"
+        return dict.fromkeys(FIGURES) | {"coverage": coverage}, counts, [note]
+    corner = 2 * matched.wall + matched.end
+    counts |= {"matched_corners": len(corner), "false_corners": matched.n_false}
+    coverage = float(np.isin(due, corner).mean()) if len(due) else None
+    figures = (matched.rmse_m, coverage, len(corner) / len(np.unique(corner)))
+    return dict(zip(FIGURES, figures, strict=True)), counts | {"due_corners": len(due)}, []
+
+
+def _corners(planes: PlaneTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return row and end of each mapped corner."""
+    row, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
+    return row, end
+
+
+def _why_unmatched(planes: PlaneTable, true_poses: NDArray[np.float64]) -> str:
+    """Say why `match_corners` found nothing."""
+    if not len(_corners(planes)[0]):
+        return "no corner is mapped"
+    if not fixes_rotation(true_poses[:, :2, 3]):
+        return "corners are matched by the path, and no two poses of it can be compared"
+    return "the map is too far off: where its corners lie there are no true ones"
+
+
+def match_corners(
+    planes: PlaneTable,
+    truth: Truth,
+    poses: NDArray[np.float64],
+    true_poses: NDArray[np.float64],
+) -> MatchedCorners | None:
+    """Pair mapped corners with true ones and align the two, beginning with the paths.
+
+    A corner is paired with the nearest true one at the same end of a wall that looks the same way.
+
+    Returns
+    -------
+    MatchedCorners or None
+        None where there is no path to begin with, or nothing can be paired.
+    """
+    row, end = _corners(planes)
+    position, normal = planes.ends[row, end], planes.normal[row]
+    if not fixes_rotation(true_poses[:, :2, 3]) or not len(row) or not len(truth.ends):
+        return None
+    along = truth.ends[:, 1] - truth.ends[:, 0]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    front = np.column_stack([-along[:, 1], along[:, 0]])
+    R, t = fit_rigid(poses[:, :2, 3], true_poses[:, :2, 3])
+    for _ in range(ROUNDS):
+        there = position @ R.T + t
+        apart = np.linalg.norm(truth.ends[:, end].swapaxes(0, 1) - there[:, None], axis=2)
+        apart[normal @ R.T @ front.T < TURN] = np.inf
+        wall = apart.argmin(axis=1)
+        near = apart.min(axis=1) < APART_M
+        target = truth.ends[wall, end]
+        if not fixes_rotation(target[near]):
+            return None
+        R, t = fit_rigid(position[near], target[near])
+    found, there = position[near], target[near]
+    rmse_m = metrics.rms(found @ R.T + t - there)
+    return MatchedCorners(found, there, R, t, rmse_m, wall[near], end[near], int((~near).sum()))

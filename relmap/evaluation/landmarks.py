@@ -1,0 +1,210 @@
+"""Mapped points and the true ones: which is which, and the figures that follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+from relmap.evaluation import metrics
+from relmap.evaluation.metrics import Matched
+from relmap.evaluation.truth import Truth
+from relmap.io.results import Result
+
+FIGURES = ("landmark_rmse_m", "coverage", "landmarks_per_true", "purity")
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """Every labelled observation with what it truly is of.
+
+    Attributes
+    ----------
+    landmark : (n,) int64
+        Label in the result.
+    true_id : (n,) int64
+        Negative where it is not known.
+    iteration : (n,) int64
+    seen_id, seen_iteration : (s,) int64
+        All observations of the mapped iterations, those without a label too.
+    """
+
+    landmark: NDArray[np.int64]
+    true_id: NDArray[np.int64]
+    iteration: NDArray[np.int64]
+    seen_id: NDArray[np.int64]
+    seen_iteration: NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """The truth, brought into the map frame of a result.
+
+    Attributes
+    ----------
+    landmarks_map : (m, 3) float64, metres
+        All true landmarks whose places are known.
+    path_map : (k, 3) float64, metres
+        True positions of the robot; may be empty.
+    errors_map : (p, 2, 3) float64, metres
+        Mapped place and true place of each landmark that can be compared.
+    """
+
+    landmarks_map: NDArray[np.float64]
+    path_map: NDArray[np.float64]
+    errors_map: NDArray[np.float64]
+
+
+def judge_landmarks(
+    result: Result, truth: Truth, log: ObservationLog | None, n_poses: int
+) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
+    """Return `FIGURES`, what they and the path's rest on, and why some are missing."""
+    identified = identify(result, log)
+    matched = match_landmarks(result, truth, identified)
+    counts = {
+        "landmarks": len(result.landmarks.landmark),
+        "mapped": int(result.mapped.sum()),
+        "true_landmarks": len(truth.landmark_ids),
+        "matched_poses": n_poses,
+    }
+    if identified is None or matched is None:
+        return dict.fromkeys(FIGURES), counts, []
+    counts |= {
+        "matched_landmarks": len(matched.position),
+        "identified_observations": int((identified.true_id >= 0).sum()),
+    }
+    placed = np.isfinite(truth.landmarks_map).all(axis=1).any()
+    notes = []
+    if placed and not len(matched.position):
+        notes.append("no landmark RMSE: no mapped landmark is one of the true ones")
+    _, ids = _standing_for(result, identified)
+    often = metrics.seen_often(identified.seen_id, identified.seen_iteration)
+    due = np.intersect1d(often, truth.landmark_ids[truth.status == "static"])
+    figures = (
+        matched.rmse_m,
+        len(np.intersect1d(due, ids)) / len(due) if len(due) else None,
+        len(ids) / len(np.unique(ids)) if len(ids) else None,
+        metrics.purity(identified.landmark, identified.true_id),
+    )
+    return dict(zip(FIGURES, figures, strict=True)), counts, notes
+
+
+def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:
+    """Bring the truth into the map frame; None where nothing tells which landmark is which.
+
+    Raises
+    ------
+    RelmapError
+        Where the log is not the one that was mapped.
+    """
+    matched = match_landmarks(result, truth, identify(result, log))
+    if matched is None:
+        return None
+    R, t = matched.R, matched.t
+    placed = truth.landmarks_map[np.isfinite(truth.landmarks_map).all(axis=1)]
+    pairs = np.stack([matched.position, (matched.truth - t) @ R], axis=1)
+    return Overlay((placed - t) @ R, (truth.poses[:, :3, 3] - t) @ R, pairs)
+
+
+def identify(result: Result, log: ObservationLog | None) -> Identified | None:
+    """Tell what each observation truly is of; None where nothing tells it.
+
+    Raises
+    ------
+    RelmapError
+        Where the log is not the one that was mapped.
+    """
+    tracks = result.tracks
+    if log is not None:
+        log = mapped_part(result, log)
+    if log is None or log.ids is None:
+        if result.summary.get("association") != "known":
+            return None
+        seen = (tracks.landmark, tracks.iteration)
+        return Identified(tracks.landmark, tracks.landmark, tracks.iteration, *seen)
+    order = np.argsort(log.rows, kind="stable")
+    at = order[np.searchsorted(log.rows[order], tracks.row)]
+    return Identified(tracks.landmark, log.ids[at], tracks.iteration, log.ids, log.iteration)
+
+
+def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
+    """Return the iterations of the log that were mapped.
+
+    Raises
+    ------
+    RelmapError
+        Where the log is not the one that was mapped.
+    """
+    scans = result.summary.get("scans")
+    if not (isinstance(scans, list) and len(scans) == 2 and all(type(s) is int for s in scans)):
+        raise RelmapError("summary.json of the result: scans is not a pair of iteration numbers")
+    part = log.between(*scans)
+    tracks = result.tracks
+    order = np.argsort(part.rows, kind="stable")
+    at = np.searchsorted(part.rows[order], tracks.row)
+    same = [part.first_iteration, part.end_iteration] == scans and bool((at < len(order)).all())
+    if same:
+        at = order[at]
+        same = np.array_equal(part.rows[at], tracks.row)
+        same = same and np.array_equal(part.iteration[at], tracks.iteration)
+    if not same:
+        raise RelmapError("the log is not the one that was mapped: its rows or iterations differ")
+    return part
+
+
+def match_landmarks(
+    result: Result, truth: Truth, identified: Identified | None, often: bool = False
+) -> Matched | None:
+    """Pair the mapped static landmarks with their true places and align the two.
+
+    Parameters
+    ----------
+    result : Result
+    truth : Truth
+    identified : Identified or None
+    often : bool
+        Whether to leave out what was seen in fewer than ten iterations.
+
+    Returns
+    -------
+    Matched or None
+        In the planes x, y of both where the result is planar; None where nothing tells which
+        landmark is which.
+    """
+    if identified is None:
+        return None
+    labels, ids = _standing_for(result, identified, result.landmarks.status == "static")
+    if often:
+        seen = metrics.seen_often(identified.seen_id, identified.seen_iteration)
+        labels, ids = labels[np.isin(ids, seen)], ids[np.isin(ids, seen)]
+    at = _find(truth.landmark_ids, ids)
+    comparable = (truth.status == "static") & np.isfinite(truth.landmarks_map).all(axis=1)
+    there = (at >= 0) & comparable[at] if len(comparable) else at >= 0
+    position = result.landmarks.position[_find(result.landmarks.landmark, labels[there])]
+    true_position = truth.landmarks_map[at[there]]
+    R, t = np.eye(3), np.zeros(3)
+    d = 2 if result.planar else 3
+    R[:d, :d], t[:d] = metrics.align(position[:, :d], true_position[:, :d])
+    errors = position @ R.T + t - true_position
+    return Matched(position, true_position, R, t, metrics.rms(errors[:, :d]))
+
+
+def _standing_for(
+    result: Result, identified: Identified, wanted: NDArray[np.bool_] | bool = True
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the labels of mapped landmarks and the true ids that they stand for."""
+    labels, ids, _ = metrics.majority_ids(identified.landmark, identified.true_id)
+    chosen = np.isin(labels, result.landmarks.landmark[result.mapped & wanted])
+    return labels[chosen], ids[chosen]
+
+
+def _find(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Return where each wanted number stands in the keys, -1 where it does not."""
+    if not len(keys):
+        return np.full(len(wanted), -1, np.intp)
+    order = np.argsort(keys, kind="stable")
+    at = order[np.searchsorted(keys[order], wanted).clip(0, len(keys) - 1)]
+    return np.where(keys[at] == wanted, at, -1)

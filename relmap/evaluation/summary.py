@@ -1,0 +1,225 @@
+"""What ``summary.json`` tells of a run."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+import relmap
+from relmap.core.refinement.joint import Refined
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import ScanLog
+from relmap.planes import PlaneMapper
+from relmap.points import PointMapper
+
+MANY = 100
+"""Rejected iterations that the summary lists one by one."""
+SHOWN = 5
+"""Weakest segments and merges that are listed."""
+STATUS = ("static", "dynamic", "unmapped")
+
+
+def summary_of(
+    mapper: PointMapper | PlaneMapper,
+    log: ObservationLog | ScanLog,
+    labels: Sequence[NDArray[np.int64]],
+    offset: int,
+) -> dict[str, Any]:
+    """Return what a summary tells of any run.
+
+    Parameters
+    ----------
+    mapper : PointMapper or PlaneMapper
+    log : ObservationLog or ScanLog
+        What was mapped.
+    labels : sequence of (n,) int64
+        Of each of its scans.
+    offset : int
+        The log's number of the mapper's first iteration.
+    """
+    k = len(log)
+    poses = np.isfinite(mapper.trajectory[mapper.n_iterations - k :]).all(axis=(1, 2))
+    counts = {"iterations": k, "observations": sum(map(len, labels))}
+    if isinstance(mapper, PlaneMapper):
+        counts |= _counts_of_walls(mapper)
+    elif isinstance(log, ObservationLog):
+        counts |= _counts_of_points(mapper, log)
+    return {
+        "dimensions": 2 if isinstance(log, ScanLog) else log.points_robot.shape[1],
+        "scans": [log.first_iteration, log.first_iteration + k],
+        "versions": versions(),
+        "counts": counts | {"iterations_without_pose": int((~poses).sum())},
+        "pieces": [
+            {
+                "landmarks": len(piece.landmark_ids),
+                "first_iteration": offset + piece.first_iteration,
+                "last_iteration": offset + piece.last_iteration,
+            }
+            for piece in mapper.pieces
+        ],
+    }
+
+
+def _counts_of_points(mapper: PointMapper, log: ObservationLog) -> dict[str, int]:
+    table = mapper.landmarks
+    static, dynamic, unmapped = (int((table.status == status).sum()) for status in STATUS)
+    return {
+        "landmarks": len(table.landmark),
+        "mapped": int(np.isfinite(table.position).all(axis=1).sum()),
+        "static": static,
+        "dynamic": dynamic,
+        "moving_bins": len(np.unique(table.moving_bin[table.moving_bin >= 0])),
+        "unmapped": unmapped,
+        "groups": len(mapper.groups),
+        "iterations_without_observation": len(log) - len(np.unique(log.iteration)),
+    }
+
+
+def _counts_of_walls(mapper: PlaneMapper) -> dict[str, int]:
+    planes, corners = mapper.planes, mapper.landmarks
+    return {
+        "planes": len(planes.plane),
+        "corners": len(corners.landmark),
+        **{f"planes_{status}": int((planes.status == status).sum()) for status in STATUS},
+        **{f"corners_{status}": int((corners.status == status).sum()) for status in STATUS},
+        "groups": len(mapper.groups),
+    }
+
+
+def submaps_told(mapper: PointMapper | PlaneMapper, first: int) -> dict[str, Any]:
+    """Return what is told of the submaps and weak links of walls from iteration `first` on."""
+    if isinstance(mapper, PointMapper):
+        return {}
+    submaps = [
+        {
+            "scans": submap.span[1] - submap.span[0],
+            "iterations": [first + submap.span[0], first + submap.span[1] - 1],
+            "metres": submap.length_m,
+            "refined": submap.refined,
+        }
+        for submap in mapper.submaps
+    ]
+    return {"submaps": submaps, "weak_links": (mapper.weak_links + first).tolist()}
+
+
+def residuals_told(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
+    """Return what is told of how well scans and segments of a map fit it."""
+    told: dict[str, Any] = {"refinement": weakness(mapper.refined, offset)}
+    if isinstance(mapper, PointMapper):
+        told["rejected_iterations"] = rejected_iterations(mapper.rejected + offset)
+    return told
+
+
+def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
+    """Return how many iterations were rejected, and which; of many the first and the last."""
+    numbers = rejected.tolist()
+    if len(numbers) > MANY:
+        numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
+    return {"count": len(rejected), "iterations": numbers}
+
+
+def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any] | None:
+    """Return what of the map's segments and merges fits it worst, ready for JSON.
+
+    Residuals are in units of what the noise explains: about 1 is as it should be.
+
+    Parameters
+    ----------
+    refined : sequence of Refined
+        The pieces of the map; the largest is told of.
+    first_iteration : int
+        The log's number of the mapper's first iteration.
+
+    Returns
+    -------
+    dict or None
+        None where nothing was refined.
+    """
+    if not refined:
+        return None
+    piece = max(refined, key=lambda piece: len(piece.landmarks))
+    segments, merges = piece.segments, piece.merges
+    return {
+        "converged": all(each.converged for each in refined),
+        "noise_m": piece.noise_m,
+        "power": piece.power,
+        "anchor_iteration": first_iteration + piece.anchor_iteration,
+        "segments": len(segments.residual),
+        "segment_residual_median": float(np.median(segments.residual)),
+        "weakest_segments": [
+            {
+                "first_iteration": first_iteration + int(segments.first_iteration[row]),
+                "residual": float(segments.residual[row]),
+                "middle": segments.middle[row].tolist(),
+            }
+            for row in _largest(segments.residual)
+        ],
+        "merges": len(merges.residual),
+        "weakest_merges": [
+            {
+                "landmark": int(merges.landmark[row]),
+                "seen_again_as": int(merges.track[row]),
+                "apart_m": float(merges.apart_m[row]),
+                "residual": float(merges.residual[row]),
+            }
+            for row in _largest(merges.residual)
+        ],
+    }
+
+
+def _largest(values: NDArray[np.float64]) -> list[int]:
+    rows: list[int] = np.argsort(-values, kind="stable")[:SHOWN].tolist()
+    return rows
+
+
+def timing(
+    durations_s: NDArray[np.float64], refine_s: float, segmented: bool
+) -> dict[str, float | None]:
+    """Return what a summary tells of the time.
+
+    Parameters
+    ----------
+    durations_s : (k, 2) float64
+        To prepare and to map each scan, seconds.
+    refine_s : float
+    segmented : bool
+        Whether to prepare a scan was to segment it.
+    """
+    prepare_s, total_s = durations_s[:, 0], durations_s.sum(axis=1)
+    told = timing_of(durations_s[:, 1])
+    if segmented:
+        told |= {
+            "segmentation_median_ms": _median_ms(prepare_s),
+            "segmentation_share": float(prepare_s.sum() / total_s.sum()) if len(total_s) else None,
+            "scan_median_ms": _median_ms(total_s),
+        }
+    return told | {"refine_ms": 1e3 * refine_s}
+
+
+def timing_of(durations_s: NDArray[np.float64]) -> dict[str, float | None]:
+    """Return the time per iteration in milliseconds, from that of each in seconds, (k,)."""
+    return {
+        "median_ms": _median_ms(durations_s),
+        "p95_ms": 1e3 * float(np.percentile(durations_s, 95)) if len(durations_s) else None,
+        "first_100_median_ms": _median_ms(durations_s[:100]),
+        "last_100_median_ms": _median_ms(durations_s[-100:]),
+    }
+
+
+def _median_ms(seconds: NDArray[np.float64]) -> float | None:
+    return 1e3 * float(np.median(seconds)) if len(seconds) else None
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of what the numbers may depend on."""
+    return {
+        "relmap": relmap.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+    }
