@@ -215,7 +215,7 @@ def _print_submaps(data: Path) -> None:
     for name, file, every in EVERY_LOG:
         log = open_scans(data / "carmen-laser2d" / file)
         log = log if every == 1 else _thinned(log, every)
-        run = run_plane_mapper(PlaneMapper(), log)
+        run = run_mapper(PlaneMapper(), log, refine=True)
         submaps, result = run.result.summary["submaps"], run.result
         mine, other = metrics.match_stamps(result.stamps_s, log.stamps_s)
         assert log.poses is not None
