@@ -71,3 +71,24 @@ def test_what_fewer_than_three_scans_vote_for_closes_nothing(
     assert seen_again([500, 504]) == []
     assert seen_again([500, 504, 508]) == [[1, 7]]
     assert seen_again([500, 504, 700]) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("walls", [6, 7, 8])
+def test_refining_past_a_single_wall_makes_no_path_worse(walls: int, seed: int) -> None:
+    """With few of the panels at the far end, nothing holds 15 m along the wall."""
+    rng = np.random.default_rng(seed)
+    x = np.arange(-2.0, 27.0, 0.2)
+    mapper = PlaneMapper()
+    for k in range(len(x)):
+        y, yaw = 0.05 * np.sin(k / 9), 0.05 * np.sin(k / 7)
+        seen = seen_from(x[k], y, yaw, STREET[:walls], half_view=2.2, range_m=5.0)
+        ends = seen.ends + rng.normal(0.0, 0.002, seen.ends.shape)
+        mapper.update(SimpleNamespace(ends=ends, end_type=seen.end_type))
+    mapper.finish()
+    for _ in range(2):
+        for submap in mapper.submaps:
+            steps = np.linalg.norm(np.diff(submap.poses[:, :2, 3], axis=0), axis=1)
+            assert abs(steps.sum() - 0.2 * len(steps)) < 1.0
+            assert steps.max() < 0.5
+        mapper.refine()
