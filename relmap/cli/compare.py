@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from relmap.cli.console import Out
+from relmap.cli.job import Association
 from relmap.cli.plaintable import print_plain, shown
+from relmap.cli.simulate import Noise
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -17,9 +19,7 @@ if TYPE_CHECKING:
     from relmap.evaluation.run import Log
     from relmap.evaluation.sources import Data, Source
 
-Association = Literal["nearest", "known"]
 World = Literal["figure-eight", "building"]
-Noise = Literal["gaussian", "uniform"]
 
 HELP = """Compare methods on the same data: relmap's own, and what people would use instead.
 

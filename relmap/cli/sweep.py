@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -106,12 +106,12 @@ def sweep_into(
     if len(left) < len(cells):
         done = len(cells) - len(left)
         typer.echo(f"relmap: {done} of {len(cells)} cells were finished before", err=True)
-    with _progress(len(left)) as progress:
+    with _progress(len(left)) as advance:
         try:
             for cell, finished in run_cells(left, workers, scheduler) if left else ():
                 store.save(cell, finished)
                 found[cell] = finished
-                progress.advance()
+                advance()
         except KeyboardInterrupt:
             typer.echo(
                 f"relmap: {len(found)} of {len(cells)} cells are finished; "
@@ -129,30 +129,22 @@ def sweep_into(
     return rows
 
 
-class Progress(Protocol):
-    """What tells how far a sweep is."""
+def _lines(total: int) -> Callable[[], None]:
+    """Return what counts cells and says so on stderr now and then."""
+    began = told = monotonic()
+    done = 0
 
-    def advance(self) -> None:
-        """Count one more cell."""
-        ...
-
-
-class _Lines:
-    """A line on stderr now and then."""
-
-    def __init__(self, total: int) -> None:
-        self._total, self._done = total, 0
-        self._began = self._told = monotonic()
-
-    def advance(self) -> None:
-        self._done += 1
-        now = monotonic()
-        if now - self._told < EVERY_S:
+    def advance() -> None:
+        nonlocal told, done
+        done, now = done + 1, monotonic()
+        if now - told < EVERY_S:
             return
-        self._told = now
-        left_s = (now - self._began) / self._done * (self._total - self._done)
-        said = f"{self._done} of {self._total} cells, about {_duration(left_s)} left"
+        told = now
+        left_s = (now - began) / done * (total - done)
+        said = f"{done} of {total} cells, about {_duration(left_s)} left"
         typer.echo(f"relmap: {said}", err=True)
+
+    return advance
 
 
 def _duration(seconds: float) -> str:
@@ -160,25 +152,25 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def _progress(total: int) -> Iterator[Progress]:
-    """Show how many cells are done and how long the others will take, on stderr."""
+def _progress(total: int) -> Iterator[Callable[[], None]]:
+    """Show how many cells are done and how long the others will take, on stderr.
+
+    Yields
+    ------
+    callable
+        Counts one more cell.
+    """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, TimeRemainingColumn
-    from rich.progress import Progress as RichProgress
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _Lines(total)
+        yield _lines(total)
         return
     columns = (BarColumn(), MofNCompleteColumn(), "cells,", TimeRemainingColumn(), "left")
-    with RichProgress(*columns, console=console, speed_estimate_period=600) as shown:
+    with Progress(*columns, console=console, speed_estimate_period=600) as shown:
         task = shown.add_task("", total=total)
-
-        class Bar:
-            def advance(self) -> None:
-                shown.advance(task)
-
-        yield Bar()
+        yield lambda: shown.advance(task)
 
 
 def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:

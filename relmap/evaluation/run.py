@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -112,19 +112,20 @@ def run_mapper(
     if refine:
         mapper.refine()
     refine_s = perf_counter() - began
+    result = _result(mapper, log, labels, before)
+    groups = tuple(group.landmarks for group in mapper.groups)
     summary = {
         **(about or {}),
         "association": association,
-        **summary_of(mapper, log, labels, first - before),
+        **summary_of(result, log, len(groups), first - before),
         "interrupted": len(log) < n_input,
         "input_iterations": n_input,
-        **submaps_told(mapper, first),
+        **(submaps_told(mapper, first) if isinstance(mapper, PlaneMapper) else {}),
         "refined": refine,
         **residuals_told(mapper, first - before),
         "timing": timing(durations_s, refine_s, isinstance(log, ScanLog)),
     }
-    result = _result(mapper, log, labels, summary, before)
-    return Run(result, tuple(group.landmarks for group in mapper.groups))
+    return Run(replace(result, summary=summary), groups)
 
 
 def _mapped(
@@ -145,22 +146,19 @@ def _mapped(
 
 
 def _result(
-    mapper: AnyMapper,
-    log: Log,
-    labels: Sequence[NDArray[np.int64]],
-    summary: dict[str, Any],
-    before: int,
+    mapper: AnyMapper, log: Log, labels: Sequence[NDArray[np.int64]], before: int
 ) -> Result:
-    offset, poses = log.first_iteration - before, mapper.trajectory[before:]
-    there, stamps_s = np.isfinite(poses).all(axis=(1, 2)), stamps_of(log)
-    result = Result(
-        shifted(mapper.landmarks, offset),
-        _tracks(mapper, log, labels),
-        stamps_s[there],
-        poses[there],
-        summary,
-        tuple(mapper.pieces),
+    """Return what the mapper has found, without a summary."""
+    offset, poses, stamps_s = (
+        log.first_iteration - before,
+        mapper.trajectory[before:],
+        stamps_of(log),
     )
+    there, table = np.isfinite(poses).all(axis=(1, 2)), shifted(mapper.landmarks, offset)
+    tracks, pieces = _tracks(mapper, log, labels), tuple(mapper.pieces)
+    dimensions = 2 if isinstance(log, ScanLog) else log.points_robot.shape[1]
+    summary = {"dimensions": dimensions}
+    result = Result(table, tracks, stamps_s[there], poses[there], summary, pieces)
     if isinstance(mapper, PointMapper):
         return result
     submaps = tuple(

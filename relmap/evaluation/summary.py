@@ -14,7 +14,9 @@ import relmap
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
+from relmap.io.results import Result
 from relmap.planes import PlaneMapper
+from relmap.planes.files import PlaneResult
 from relmap.points import PointMapper
 
 MANY = 100
@@ -25,76 +27,71 @@ STATUS = ("static", "dynamic", "unmapped")
 
 
 def summary_of(
-    mapper: PointMapper | PlaneMapper,
-    log: ObservationLog | ScanLog,
-    labels: Sequence[NDArray[np.int64]],
-    offset: int,
+    result: Result, log: ObservationLog | ScanLog, n_groups: int, offset: int
 ) -> dict[str, Any]:
-    """Return what a summary tells of any run.
+    """Return what a summary tells of any result.
 
     Parameters
     ----------
-    mapper : PointMapper or PlaneMapper
+    result : Result
     log : ObservationLog or ScanLog
         What was mapped.
-    labels : sequence of (n,) int64
-        Of each of its scans.
+    n_groups : int
     offset : int
         The log's number of the mapper's first iteration.
     """
     k = len(log)
-    poses = np.isfinite(mapper.trajectory[mapper.n_iterations - k :]).all(axis=(1, 2))
-    counts = {"iterations": k, "observations": sum(map(len, labels))}
-    if isinstance(mapper, PlaneMapper):
-        counts |= _counts_of_walls(mapper)
+    counts = {"iterations": k}
+    if isinstance(result, PlaneResult):
+        counts |= _counts_of_walls(result) | {"groups": n_groups}
     elif isinstance(log, ObservationLog):
-        counts |= _counts_of_points(mapper, log)
+        counts |= _counts_of_points(result, log) | {
+            "groups": n_groups,
+            "iterations_without_observation": k - len(np.unique(log.iteration)),
+        }
     return {
-        "dimensions": 2 if isinstance(log, ScanLog) else log.points_robot.shape[1],
+        "dimensions": result.summary["dimensions"],
         "scans": [log.first_iteration, log.first_iteration + k],
         "versions": versions(),
-        "counts": counts | {"iterations_without_pose": int((~poses).sum())},
+        "counts": counts | {"iterations_without_pose": k - len(result.poses)},
         "pieces": [
             {
                 "landmarks": len(piece.landmark_ids),
                 "first_iteration": offset + piece.first_iteration,
                 "last_iteration": offset + piece.last_iteration,
             }
-            for piece in mapper.pieces
+            for piece in result.pieces
         ],
     }
 
 
-def _counts_of_points(mapper: PointMapper, log: ObservationLog) -> dict[str, int]:
-    table = mapper.landmarks
+def _counts_of_points(result: Result, log: ObservationLog) -> dict[str, int]:
+    table = result.landmarks
     static, dynamic, unmapped = (int((table.status == status).sum()) for status in STATUS)
     return {
+        "observations": len(log.points_robot),
         "landmarks": len(table.landmark),
-        "mapped": int(np.isfinite(table.position).all(axis=1).sum()),
+        "mapped": int(result.mapped.sum()),
         "static": static,
         "dynamic": dynamic,
         "moving_bins": len(np.unique(table.moving_bin[table.moving_bin >= 0])),
         "unmapped": unmapped,
-        "groups": len(mapper.groups),
-        "iterations_without_observation": len(log) - len(np.unique(log.iteration)),
     }
 
 
-def _counts_of_walls(mapper: PlaneMapper) -> dict[str, int]:
-    planes, corners = mapper.planes, mapper.landmarks
+def _counts_of_walls(result: PlaneResult) -> dict[str, int]:
+    planes, corners = result.planes, result.landmarks
     return {
+        "observations": len(result.tracks.row),
         "planes": len(planes.plane),
         "corners": len(corners.landmark),
         **{f"planes_{status}": int((planes.status == status).sum()) for status in STATUS},
         **{f"corners_{status}": int((corners.status == status).sum()) for status in STATUS},
-        "groups": len(mapper.groups),
     }
 
 
-def submaps_told(mapper: PointMapper | PlaneMapper, first: int) -> dict[str, Any]:
+def submaps_told(mapper: PlaneMapper, first: int) -> dict[str, Any]:
     """Return what is told of the submaps and weak links of walls from iteration `first` on."""
-    if isinstance(mapper, PointMapper):
-        return {}
     submaps = [
         {
             "scans": submap.span[1] - submap.span[0],

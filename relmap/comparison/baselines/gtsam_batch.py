@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from relmap.comparison.baselines.factors import Factors
 from relmap.comparison.baselines.frame_to_map import FrameToMap
-from relmap.comparison.methods.base import NO_MAP, Method, MethodInfo
-from relmap.comparison.methods.collected import CollectedLog, fitted_poses
+from relmap.comparison.methods.base import NO_MAP, MethodInfo
+from relmap.comparison.methods.collected import SolvedAtTheEnd
 from relmap.core.landmarks import LandmarkMap, in_space
 from relmap.datasets.base import ObservationLog
 
 
-class GtsamBatch(Method):
+class GtsamBatch(SolvedAtTheEnd):
     """Solves when the log is over, from where frame-to-map averaging ends.
 
     Parameters
@@ -31,33 +31,30 @@ class GtsamBatch(Method):
     def __init__(self, dimension: int, sigma_m: float) -> None:
         import gtsam
 
+        super().__init__(dimension)
         self._gtsam: Any = gtsam
-        self._d = dimension
-        self._factors = Factors(dimension, sigma_m)
-        self._collected = CollectedLog(dimension)
+        self._d, self._factors = dimension, Factors(dimension, sigma_m)
         self._start = FrameToMap()
-        self._map = NO_MAP
 
     def update(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
-        """Keep one scan; see `Method.update`."""
+        """Keep one scan, and average it into a map to start from; see `Method.update`."""
         self._start.update(points_robot, ids)
-        return self._collected.append(points_robot, ids)
+        return super().update(points_robot, ids)
 
-    def finish(self) -> None:
-        """Solve."""
-        log, start = self._collected.log, self._start
+    def _solved(self, log: ObservationLog) -> LandmarkMap:
+        start = self._start
         labels = start.map.landmark_ids
         if not len(labels):
-            return
+            return NO_MAP
         graph, values = self._gtsam.NonlinearFactorGraph(), self._gtsam.Values()
         for label, place in zip(labels.tolist(), start.map.positions[:, : self._d], strict=True):
             values.insert(self._factors.landmark_key(label), place)
         self._add_scans(graph, values, log, labels)
         found = self._gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
         places = np.array([self._factors.landmark(found, label) for label in labels.tolist()])
-        self._map = LandmarkMap(labels, in_space(places))
+        return LandmarkMap(labels, in_space(places))
 
     def _add_scans(
         self, graph: Any, values: Any, log: ObservationLog, labels: NDArray[np.int64]
@@ -77,16 +74,6 @@ class GtsamBatch(Method):
             seen, points = scan.ids[mapped].tolist(), scan.points_robot[mapped]
             for factor in self._factors.of_scan(k, points, seen):
                 graph.add(factor)
-
-    @property
-    def map(self) -> LandmarkMap:
-        """The landmarks; none before the end."""
-        return self._map
-
-    @property
-    def trajectory(self) -> NDArray[np.float64]:
-        """The poses that belong to the map: each scan fits it best."""
-        return fitted_poses(self._collected.log, self._map)
 
 
 METHOD = MethodInfo(

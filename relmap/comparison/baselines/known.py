@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.methods.base import MethodInfo
+from relmap.comparison.methods.collected import SolvedAtTheEnd
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, in_space
 from relmap.datasets.base import ObservationLog
@@ -71,3 +73,18 @@ def _of_landmarks(log: ObservationLog, labels: NDArray[np.int64]) -> Observation
         rows=log.rows[used],
         ids=log.ids[used],
     )
+
+
+class BatchLeastSquares(SolvedAtTheEnd):
+    """Solves for all poses and landmarks at once: the limit that a map can reach."""
+
+    def _solved(self, log: ObservationLog) -> LandmarkMap:
+        return least_squares_map(log)
+
+
+METHOD = MethodInfo(
+    "batch",
+    "sparse least squares over all observations at the end: the limit",
+    lambda setup: BatchLeastSquares(setup.dimension),
+    needs_ids=True,
+)

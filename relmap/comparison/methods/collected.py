@@ -1,18 +1,20 @@
-"""For methods that solve for everything at the end: the log, scan by scan."""
+"""Methods that solve for everything at the end: the log, collected scan by scan."""
 
 from __future__ import annotations
+
+from abc import abstractmethod
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import identified
+from relmap.comparison.methods.base import NO_MAP, Method, identified
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.base import ObservationLog
 
 
-class CollectedLog:
-    """Scans that were handed to a method.
+class SolvedAtTheEnd(Method):
+    """Keeps all scans, and maps them when the log is over.
 
     Parameters
     ----------
@@ -23,29 +25,42 @@ class CollectedLog:
     def __init__(self, dimension: int) -> None:
         self._points: list[NDArray[np.float64]] = [np.empty((0, dimension))]
         self._ids: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
+        self._map = NO_MAP
 
-    def append(
+    def update(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
-        """Keep one scan; return the ids, -1 where there is none."""
+        """Keep one scan; see `Method.update`."""
         labels, _ = identified(ids, len(points_robot))
         self._points.append(points_robot)
         self._ids.append(labels)
         return labels
 
+    def finish(self) -> None:
+        """Solve."""
+        self._map = self._solved(self._log)
+
+    @abstractmethod
+    def _solved(self, log: ObservationLog) -> LandmarkMap:
+        """Return the map of all scans."""
+
     @property
-    def log(self) -> ObservationLog:
-        """All of it, iterations counted from 0."""
+    def _log(self) -> ObservationLog:
+        """All scans, iterations counted from 0; ids are -1 where there is none."""
         counts = [len(ids) for ids in self._ids[1:]]
-        n = sum(counts)
-        return ObservationLog(
-            points_robot=np.concatenate(self._points),
-            iteration=np.repeat(np.arange(len(counts)), counts),
-            rows=np.arange(n),
-            first_iteration=0,
-            end_iteration=len(counts),
-            ids=np.concatenate(self._ids),
-        )
+        iteration, rows = np.repeat(np.arange(len(counts)), counts), np.arange(sum(counts))
+        points, ids = np.concatenate(self._points), np.concatenate(self._ids)
+        return ObservationLog(points, iteration, rows, 0, len(counts), ids)
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The landmarks; none before the end."""
+        return self._map
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """The poses that belong to the map: each scan fits it best."""
+        return fitted_poses(self._log, self._map)
 
 
 def fitted_poses(log: ObservationLog, found: LandmarkMap) -> NDArray[np.float64]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import difflib
 
 from relmap.comparison.baselines import (
-    batch_method,
     ekf,
     frame_to_frame,
     frame_to_map,
     gtsam_batch,
     isam2,
     kiss_icp,
+    known,
     small_gicp,
 )
 from relmap.comparison.methods import relmap
@@ -31,7 +31,7 @@ METHODS: tuple[MethodInfo, ...] = (
     frame_to_map.METHOD,
     ekf.STANDING,
     ekf.FITTED,
-    batch_method.METHOD,
+    known.METHOD,
     isam2.METHOD,
     gtsam_batch.METHOD,
     kiss_icp.METHOD,
