@@ -22,7 +22,7 @@ MAX_TEXT = 1 << 26
 """Characters of a text that is read at once; JSON takes twenty times as much memory."""
 
 
-def atomic_write(path: Path, content: str | bytes) -> None:
+def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     """Write a whole file or nothing: an earlier file of that name stays until the new one stands.
 
     Parameters
