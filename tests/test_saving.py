@@ -129,7 +129,7 @@ def test_what_is_no_saved_map_of_this_kind(tmp_path: Path) -> None:
 
 
 def rewritten(path: Path, change: Any, *, honest: bool = False) -> None:
-    """Change the columns and the header of a saved map; with a checksum that is right, if honest."""
+    """Change columns and header of a saved map; if honest, the checksum stays as it was."""
     with np.load(path) as content:
         arrays = dict(content)
     header = json.loads(arrays["header"].tobytes())
@@ -187,7 +187,6 @@ def test_a_change_is_told(tmp_path: Path, change: Any) -> None:
         (lambda a, h: h["values"].update(first_scan=1.5), "first_scan is 1.5, not int"),
         (lambda a, h: h["values"].update(first_scan=None), "first_scan is None, not int"),
         (lambda a, h: h["values"].update({"association/alone": [0.5]}), "is no list of int"),
-        (lambda a, h: a.update(more=np.ones(3, complex)), "complex128 is not part of"),
         (
             lambda a, h: a.update({"landmarks/weight": a["landmarks/weight"].astype(np.float32)}),
             "landmarks/weight is not of float64",

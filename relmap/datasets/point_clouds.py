@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
-from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.number_rows import NumberRows, parse_number
 from relmap.datasets.scans import ScanLog, in_time_order
-from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import (
     open_text,
     quoted,

@@ -186,6 +186,13 @@ def stored_scans(
     )
 
 
+def require_memory(where: str, scans: int, beams: int) -> None:
+    """Make sure that a log of a laser has no more scans and beams than memory is meant for."""
+    if scans > MAX_SCANS or beams > MAX_BEAMS:
+        problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
+        raise RelmapError(f"{where}: {problem}")
+
+
 def laser_scans(
     path: Path,
     ranges_m: list[NDArray[np.float64]],

@@ -1,8 +1,7 @@
 """Saved states: the columns of a mapper's parts in an ``.npz`` of numpy, which is not compressed.
 
 Beside the columns there are ``header``, a text in JSON with all that is no array, and ``checksum``
-over everything.  The archive is read member by member, not by `numpy.load`, which makes room for
-what a header promises and reads on without comparing a member's own checksum first.
+over everything.
 """
 
 from __future__ import annotations
@@ -10,27 +9,21 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError, reason
 from relmap.core.state.saved import OtherColumnsError, StateReader, StateWriter
+from relmap.datasets.npz import DAMAGE, read_array
 from relmap.io.files import atomic_write
 
 FORMAT = 2
 """Version of the file."""
-_WRONG = (
-    *(OSError, EOFError, zipfile.BadZipFile, RuntimeError, MemoryError, struct.error),
-    *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError),
-)
-"""What reading a damaged file, or one that somebody made up, raises."""
 
 
 def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
@@ -101,7 +94,7 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
             f"saved map {path} is of another relmap ({header.get('versions')}): {error}; "
             "map its log again"
         ) from error
-    except _WRONG as error:
+    except (*DAMAGE, AttributeError, ArithmeticError) as error:
         raise RelmapError(f"saved map {path} is damaged or none: {reason(error)}") from error
 
 
@@ -116,7 +109,8 @@ def checksum(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
     found = hashlib.blake2b(digest_size=32)
     for name, values in arrays.items():
         found.update(f"{name} {values.dtype} {values.shape} {values.flags.c_contiguous};".encode())
-        found.update(memoryview(np.ravel(values, order="K")))
+        flat: Any = np.ravel(values, order="K")
+        found.update(flat)
     return np.frombuffer(found.digest(), dtype=np.uint8)
 
 
@@ -132,17 +126,5 @@ def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
             name = member.filename.removesuffix(".npy")
             if member.compress_type != zipfile.ZIP_STORED or name in arrays:
                 raise ValueError(f"{member.filename!r} is not part of a saved map")
-            arrays[name] = _array(archive.read(member))
+            arrays[name] = read_array(archive, member, size).copy(order="K")
     return arrays
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    """Return the array in an ``.npy`` file, which must be whole."""
-    stream = io.BytesIO(data)
-    if npy.read_magic(stream) != (1, 0):
-        raise ValueError("an array is of another format")
-    shape, across, dtype = npy.read_array_header_1_0(stream)
-    if dtype.kind not in "biuf":
-        raise ValueError(f"an array of {dtype} is not part of a saved map")
-    values = np.frombuffer(data, dtype=dtype, offset=stream.tell()).copy()
-    return values.reshape(shape, order="F" if across else "C")

@@ -7,10 +7,10 @@ What an attribute holds is told by its annotation in the class, or else by that 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import fields
 from functools import cache
-from itertools import pairwise
 from types import NoneType
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -68,7 +68,7 @@ class StateWriter:
         if any(part is other for other in self._done):
             return
         self._done += [part] if hasattr(type(part), "STATE") else []
-        for name, (attribute, hint) in _members(type(part)).items():
+        for name, (attribute, hint) in _members(part.__class__).items():
             self._add(prefix + name, getattr(part, attribute), hint)
 
     def _add(self, name: str, value: Any, hint: Any) -> None:
@@ -132,7 +132,7 @@ class StateReader:
         if any(part is other for other in self._done):
             return
         self._done.append(part)
-        for name, (attribute, hint) in _members(type(part)).items():
+        for name, (attribute, hint) in _members(part.__class__).items():
             now = getattr(part, attribute)
             setattr(part, attribute, self._value(prefix + name, hint, now, part))
         if hasattr(part, "restored"):
@@ -200,7 +200,7 @@ class StateReader:
             ends = np.append(0, np.cumsum(sizes)).tolist()
             if len(sizes) != len(numbers) or ends[-1] != len(values) or (sizes < 0).any():
                 raise ValueError(f"{name}/{key} has {len(values)} rows, and not {ends[-1]}")
-            columns.append([values[begin:end] for begin, end in pairwise(ends)])
+            columns.append([values[begin:end] for begin, end in itertools.pairwise(ends)])
         records = (cls(*row) for row in zip(*columns, strict=True))
         return dict(zip(numbers, records, strict=True))
 
@@ -214,8 +214,8 @@ class StateReader:
         n = self._plain(name, int)
         if kind is tuple and n != len(of):
             raise ValueError(f"{name} has {n} entries, and not {len(of)}")
-        at = [(f"{name}/{k}", of[k if kind is tuple else 0]) for k in range(n)]
-        return [self._value(*place, None) for place in at]
+        which = itertools.repeat(of[0], n) if kind is list else of
+        return [self._value(f"{name}/{k}", hint, None) for k, hint in enumerate(which)]
 
     def _record(self, cls: type, prefix: str) -> Any:
         made: Any = object.__new__(cls)
