@@ -30,6 +30,7 @@ from relmap.datasets.assembly import (
 )
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.number_rows import NumberRows, parse_number, read_rows
+from relmap.datasets.scans import poses_of
 from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import columns_of, only_one, only_table, shown, tables_with
 
@@ -164,9 +165,7 @@ def read_ground_truth(
             "integer or stands twice, expected each landmark's own number"
         )
     path_6d = _rows(Path(f"{base}{_PATH}"), "x y z yaw pitch roll").values
-    poses = np.tile(np.eye(4), (len(path_6d), 1, 1))
-    poses[:, :3, :3] = Rotation.from_euler("ZYX", path_6d[:, 3:]).as_matrix()
-    poses[:, :3, 3] = path_6d[:, :3]
+    poses = poses_of(Rotation.from_euler("ZYX", path_6d[:, 3:]), path_6d[:, :3])
     return ids.astype(np.int64), landmarks[:, :3].copy(), poses
 
 

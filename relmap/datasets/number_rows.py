@@ -36,9 +36,14 @@ def parse_number(cell: str) -> float:
 
 
 def read_rows(
-    path: Path, limits: Sequence[float], comment: str, what: str, expected: str
+    path: Path,
+    limits: Sequence[float],
+    comment: str,
+    what: str,
+    expected: str,
+    separator: str | None = None,
 ) -> NumberRows:
-    """Read a file of rows of numbers between spaces.
+    """Read a file of rows of numbers.
 
     Parameters
     ----------
@@ -49,6 +54,8 @@ def read_rows(
         What begins a comment.
     what, expected : str
         What a row is, and what it holds, for messages.
+    separator : str, optional
+        What stands between the numbers, and may stand behind the last; spaces where left out.
 
     Raises
     ------
@@ -57,14 +64,14 @@ def read_rows(
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):
-        cells = line.partition(comment)[0].split()
+        cells = line.partition(comment)[0].strip().rstrip(separator).split(separator)
         try:
             row = [parse_number(cell) for cell in cells]
         except ValueError:
             row = []
         if len(row) == len(limits) and (np.abs(row) <= limits).all():
             rows.add(row, number)
-        elif cells:
+        elif any(cells):
             raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}, expected {expected}")
     if not len(rows):
         raise RelmapError(f"{shown(path)}: holds no {what}, expected {expected}")

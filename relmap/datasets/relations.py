@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.number_rows import read_rows
+from relmap.datasets.scans import poses_of
 
 _COLUMNS = "t1 t2 x y z roll pitch yaw"
 _LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
@@ -46,7 +47,5 @@ def read_relations(path: Path) -> Relations:
         Where it cannot be read, holds no relation, or a line is none.
     """
     table = read_rows(path, _LIMITS, "#", "relation", f"8 numbers: {_COLUMNS}").values
-    T = np.tile(np.eye(4), (len(table), 1, 1))
-    T[:, :3, :3] = Rotation.from_euler("xyz", table[:, 5:]).as_matrix()
-    T[:, :3, 3] = table[:, 2:5]
+    T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])
     return Relations(table[:, 0], table[:, 1], T)

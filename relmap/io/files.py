@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import numbered_lines, open_text, quoted, require_utf8, shown
 from relmap.io.tables import MAX_RESULT_M
 
@@ -196,11 +197,9 @@ def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if line.strip() and not line.lstrip().startswith("#"):
             rows.add(_tum_row(f"{shown(path)}: line {number}", line), number)
     table = rows.values
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, 3] = table[:, 1:4]
-    if len(table):
-        poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
-    return table[:, 0], poses
+    if not len(table):
+        return table[:, 0], np.empty((0, 4, 4))
+    return table[:, 0], poses_of(Rotation.from_quat(table[:, 4:]), table[:, 1:4])
 
 
 def _tum_row(where: str, line: str) -> list[float]:
