@@ -47,8 +47,6 @@ class Mapper(ABC):
     _variant: ClassVar[str]
     _unused: ClassVar[dict[str, str]] = {}
     """Settings that the variant ignores, and why."""
-    _passing: ClassVar[tuple[str, ...]] = ("_journal",)
-    """What is not saved."""
 
     def __init__(
         self,
@@ -193,8 +191,9 @@ class Mapper(ABC):
         """
         from relmap.io.saving import save_state
 
-        about = {"variant": self._variant, "versions": _versions()}
-        save_state(Path(path), self, about, self._passing)
+        kind, settings = type(self).__name__, asdict(self.config)
+        about = {"mapper": kind, "configuration": settings, "versions": _versions()}
+        save_state(Path(path), self._parts, about)
 
     @classmethod
     def load(cls, path: PathLike[str] | str) -> Self:
@@ -214,8 +213,17 @@ class Mapper(ABC):
         """
         from relmap.io.saving import load_state
 
-        mapper: Self = load_state(Path(path), cls)
-        return mapper
+        made: list[Self] = []
+
+        def begin(header: dict[str, Any]) -> list[Any]:
+            if header["mapper"] != cls.__name__:
+                kind = f"{header['mapper']!s:.20}"
+                raise RelmapError(f"{path} holds a {kind}, not a {cls.__name__}")
+            made.append(cls(MapperConfig.from_mapping(header["configuration"])))
+            return made[0]._parts
+
+        load_state(Path(path), begin)
+        return made[0]
 
     def flush(self) -> None:
         """Make sure that the journal holds every scan; where none is kept, do nothing.
@@ -258,6 +266,11 @@ class Mapper(ABC):
                     f"were noted; it was written by {_told(reader.meta.get('versions'))}, "
                     f"and this is {_told(_versions())}"
                 )
+
+    @property
+    def _parts(self) -> list[Any]:
+        """What has state, see `relmap.core.state.saved`."""
+        return [self._engine]
 
     @abstractmethod
     def _model(self) -> LandmarkModel:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log, table, textfile
+from relmap.datasets.number_rows import parse_number
 from tests.logs import PLAIN, failure, put
 
 
@@ -207,7 +208,7 @@ def test_both_ways_to_parse_agree(rows: list[list[str]]) -> None:
     batch = [",".join(row) + "\n" for row in rows]
     fast = table.parse_fast(batch, 2)
     try:
-        exact = [[table.parse_number(cell.strip()) for cell in row.split(",")] for row in batch]
+        exact = [[parse_number(cell.strip()) for cell in row.split(",")] for row in batch]
     except ValueError:
         assert fast is None
         return

@@ -40,6 +40,12 @@ class RelativeMapper:
     config : MapperConfig
     """
 
+    refined: list[Refined]
+    STATE = (
+        "landmarks=table is_known first_scan association observations=store schedule "
+        "averaging map groups=levels merger segments live kept refined"
+    )
+
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
         self.model = model
         self.config = config
@@ -56,7 +62,7 @@ class RelativeMapper:
         self.segments = CondensedSegments()
         self.live = LiveRefinement(self.segments, self.map)
         self.kept = KeptObservations() if config.keep_observations else None
-        self.refined: list[Refined] = []
+        self.refined = []
 
     def update(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
@@ -222,17 +228,26 @@ class RelativeMapper:
             if ids is not None:
                 self.config.refuse(WITH_IDS)
             self.first_scan = self.store.n_iterations
-            known = ids is not None
-            self.association = KnownAssociation() if known else self.model.association(self.config)
-        if isinstance(self.association, KnownAssociation) != (ids is not None):
+            self.is_known = ids is not None
+        if self.is_known != (ids is not None) or self.association is None:
             given = "came with" if ids is None else "did not come with"
             raise RelmapError(f"ids {given} the scans before; give them with every scan or none")
         return self.association
 
     @property
+    def is_known(self) -> bool | None:
+        """Whether ids come with the scans; None before the first of them."""
+        return None if self.association is None else isinstance(self.association, KnownAssociation)
+
+    @is_known.setter
+    def is_known(self, known: bool | None) -> None:
+        if known is not None:
+            self.association = KnownAssociation() if known else self.model.association(self.config)
+
+    @property
     def has_ids(self) -> bool:
         """Whether nothing is left to find out about who is who."""
-        return self.association is None or isinstance(self.association, KnownAssociation)
+        return self.is_known is not False
 
     @property
     def rows(self) -> SegmentRows:

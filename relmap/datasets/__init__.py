@@ -7,10 +7,10 @@ Logs of landmarks all give an `ObservationLog`, logs of point scans a `ScanLog`;
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.base import LandmarkDataset, ObservationLog, Scan
+from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
@@ -19,7 +19,7 @@ from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
 from relmap.datasets.point_clouds import PointClouds
 from relmap.datasets.relations import Relations, read_relations
-from relmap.datasets.scans import PointScan, ScanDataset, ScanLog
+from relmap.datasets.scans import PointScan, ScanLog
 from relmap.datasets.scans_npz import ScansNpz, write_scans_npz
 from relmap.datasets.slsjf import SlsjfSimulation
 from relmap.datasets.textfile import open_text, quoted, read_head, require_path, shown
@@ -30,12 +30,11 @@ __all__ = [
     "FORMATS",
     "SCAN_DATASETS",
     "SCAN_FORMATS",
-    "LandmarkDataset",
+    "Dataset",
     "ObservationLog",
     "PointScan",
     "Relations",
     "Scan",
-    "ScanDataset",
     "ScanLog",
     "open_log",
     "open_scans",
@@ -44,7 +43,7 @@ __all__ = [
     "write_scans_npz",
 ]
 
-DATASETS: tuple[LandmarkDataset, ...] = (
+DATASETS: tuple[Dataset[ObservationLog], ...] = (
     ObservationCsv(),
     MrptLandmarks(),
     VictoriaPark(),
@@ -53,7 +52,12 @@ DATASETS: tuple[LandmarkDataset, ...] = (
 )
 """Every format, in the order in which messages list them."""
 
-SCAN_DATASETS: tuple[ScanDataset, ...] = (ScansNpz(), CarmenLog(), MrptLaser(), PointClouds())
+SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
+    ScansNpz(),
+    CarmenLog(),
+    MrptLaser(),
+    PointClouds(),
+)
 """Every format of point scans, likewise."""
 
 FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in DATASETS)
@@ -65,7 +69,7 @@ SCAN_FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in SCAN_DATASETS)
 LANDMARK_LOG = "landmark log"
 SCAN_LOG = "log of point scans"
 
-Dataset = TypeVar("Dataset", LandmarkDataset, ScanDataset)
+Log = TypeVar("Log", ObservationLog, ScanLog)
 
 
 def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
@@ -104,7 +108,9 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
     return _choose(Path(path), format, SCAN_DATASETS, SCAN_LOG).load(Path(path))
 
 
-def _choose(path: Path, format: str | None, datasets: tuple[Dataset, ...], what: str) -> Dataset:
+def _choose(
+    path: Path, format: str | None, datasets: tuple[Dataset[Log], ...], what: str
+) -> Dataset[Log]:
     """Return the format that is named, or the one that recognises the path."""
     names = [dataset.name for dataset in datasets]
     if format is not None and format not in names:
@@ -138,7 +144,7 @@ def _choose(path: Path, format: str | None, datasets: tuple[Dataset, ...], what:
 
 def _refuse_other(path: Path, what: str) -> None:
     """Say so where the path holds a log, but not of what is wanted."""
-    others: tuple[LandmarkDataset | ScanDataset, ...] = DATASETS
+    others: tuple[Dataset[Any], ...] = DATASETS
     other, variant = LANDMARK_LOG, "points"
     if what == LANDMARK_LOG:
         others, other, variant = SCAN_DATASETS, SCAN_LOG, "planes"

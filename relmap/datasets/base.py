@@ -5,15 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 
+Log = TypeVar("Log", covariant=True)
+
 MAX_ITERATION = 100_000_000
 """Iteration numbers above this are taken for damage: no sensor log is that long."""
+
+
+def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]:
+    """Return the part of iterations ``range(begin, end)`` that a log from first to last holds.
+
+    Raises
+    ------
+    RelmapError
+        Where there is none.
+    """
+    if max(begin, first) >= min(end, last):
+        raise RelmapError(f"scans {begin}:{end} hold nothing: the log covers {first}:{last}")
+    return max(begin, first), min(end, last)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +101,7 @@ class ObservationLog:
         RelmapError
             Where the log has no iteration in that range.
         """
-        first, last = max(begin, self.first_iteration), min(end, self.end_iteration)
-        if first >= last:
-            raise RelmapError(
-                f"scans {begin}:{end} hold nothing: the log covers "
-                f"{self.first_iteration}:{self.end_iteration}"
-            )
+        first, last = common_range(begin, end, self.first_iteration, self.end_iteration)
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
         stamps = None
         if self.stamps_s is not None:
@@ -108,8 +118,8 @@ class ObservationLog:
         )
 
 
-class LandmarkDataset(Protocol):
-    """One format of landmark logs."""
+class Dataset(Protocol[Log]):
+    """One format of logs."""
 
     name: str
     """The format's name, as ``--format`` takes it."""
@@ -121,7 +131,7 @@ class LandmarkDataset(Protocol):
         """Tell from its content whether the file or folder is of this format."""
         ...
 
-    def load(self, path: Path) -> ObservationLog:
+    def load(self, path: Path) -> Log:
         """Read the log.
 
         Raises

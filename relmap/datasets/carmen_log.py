@@ -25,17 +25,15 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.number_rows import NumberRows, parse_number
 from relmap.datasets.scans import (
-    MAX_BEAMS,
-    MAX_SCANS,
     ScanLog,
     in_time_order,
     laser_scans,
     planar_poses,
+    require_memory,
 )
-from relmap.datasets.table import parse_number
-from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
 """A SICK LMS writes what is too far, and other failures, as the last steps of its scale."""
@@ -96,11 +94,7 @@ class CarmenLog:
                 kinds = {cells[0]: kinds[cells[0]]}
                 scans.append(kinds[cells[0]](path, number, cells))
                 beams += len(scans[-1].ranges_m)
-                if len(scans) > MAX_SCANS or beams > MAX_BEAMS:
-                    raise RelmapError(
-                        f"{shown(path)}: line {number}: more than {MAX_SCANS} scans or "
-                        f"{MAX_BEAMS} beams, expected at most that"
-                    )
+                require_memory(f"{shown(path)}: line {number}", len(scans), beams)
             elif cells[0] == "VERTEX2":
                 vertices.add(_numbers(path, number, cells[2:], 3, _VERTEX), number)
         if not scans:
@@ -134,12 +128,10 @@ def _limit(scans: list[_Scan]) -> float:
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield number and words of every line that is neither empty nor a comment."""
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, 1):
-            require_utf8(path, number, line)
-            cells = line.split()
-            if cells and not cells[0].startswith("#"):
-                yield number, cells
+    for number, line in numbered_lines(path):
+        cells = line.split()
+        if cells and not cells[0].startswith("#"):
+            yield number, cells
 
 
 def _flaser(path: Path, number: int, cells: list[str]) -> _Scan:

@@ -32,15 +32,15 @@ from relmap.datasets.assembly import (
     iteration_column,
 )
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.number_rows import NumberRows
-from relmap.datasets.table import Column, Table, checked_table, parse_number
+from relmap.datasets.number_rows import NumberRows, parse_number
+from relmap.datasets.table import Column, Table, checked_table
 from relmap.datasets.textfile import (
     columns_of,
-    open_text,
+    members_of,
+    numbered_lines,
+    only_one,
     quoted,
-    require_utf8,
     shown,
-    unreadable,
 )
 
 STEP = "STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi"
@@ -100,41 +100,28 @@ def read_ids(path: Path) -> NDArray[np.int64]:
 
 def _files_in(folder: Path) -> list[Path]:
     """Return the logs in a folder, by the ends of their names and by their content."""
-    try:
-        members = sorted(folder.iterdir())
-    except OSError as error:
-        raise unreadable(folder, error) from error
-    named = (member for member in members if member.name.endswith(_ENDINGS))
-    return [member for member in named if DlrCircles().recognises(member)]
+    return [file for file in members_of(folder, _ENDINGS) if DlrCircles().recognises(file)]
 
 
 def _only_file(path: Path) -> Path:
-    if not os.path.isdir(path):
-        return path
-    found = _files_in(path)
-    if len(found) != 1:
-        names = ", ".join(shown(file.name) for file in found) or "none"
-        raise RelmapError(f"{shown(path)}: expected one *.circles in the folder: {names}")
-    return found[0]
+    return only_one(path, _files_in(path) if os.path.isdir(path) else (), "*.circles")
 
 
 def _read(path: Path) -> tuple[Table, int]:
     """Return the circles, checked, and the number of steps."""
     rows, steps = NumberRows(path, 4), 0
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, 1):
-            require_utf8(path, number, line)
-            cells = line.split()
-            if not cells or cells[0].startswith("#"):
-                continue
-            numbers = _numbers(path, number, line, cells)
-            if cells[0] == "STEP":
-                steps += 1
-                continue
-            if not steps:
-                _fail(path, number, line, f"comes before the first step, expected {STEP}")
-            only_id = numbers[6] if len(numbers) == 7 else -1.0
-            rows.add([steps - 1.0, *numbers[:2], only_id], number)
+    for number, line in numbered_lines(path):
+        cells = line.split()
+        if not cells or cells[0].startswith("#"):
+            continue
+        numbers = _numbers(path, number, line, cells)
+        if cells[0] == "STEP":
+            steps += 1
+            continue
+        if not steps:
+            _fail(path, number, line, f"comes before the first step, expected {STEP}")
+        only_id = numbers[6] if len(numbers) == 7 else -1.0
+        rows.add([steps - 1.0, *numbers[:2], only_id], number)
     if not len(rows):
         raise RelmapError(f"{shown(path)}: holds no circle, expected lines {LANDMARK}")
     return checked_table(path, _COLUMNS, rows.values, rows.lines), steps

@@ -21,7 +21,7 @@ _MAGIC = (
     (0, b"LASF", "a LAS or LAZ file"),
     (0, b"ASTM-E57", "an E57 file"),
     (0, b"\x93NUMPY", "a NumPy array (.npy)"),
-    (30, b"graph.npy", "a saved map of relmap"),
+    (30, b"checksum.npy", "a saved map of relmap"),
     (0, b"PK\x03\x04", ZIP),
     (0, b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file"),

@@ -29,17 +29,10 @@ from relmap.datasets.assembly import (
     iteration_column,
 )
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.number_rows import NumberRows
-from relmap.datasets.table import Column, Table, header_text, parse_number, read_table
-from relmap.datasets.textfile import (
-    columns_of,
-    only_table,
-    open_text,
-    quoted,
-    require_utf8,
-    shown,
-    tables_with,
-)
+from relmap.datasets.number_rows import NumberRows, parse_number, read_rows
+from relmap.datasets.scans import poses_of
+from relmap.datasets.table import Column, Table, header_text, read_table
+from relmap.datasets.textfile import columns_of, only_one, only_table, shown, tables_with
 
 _COLUMNS = (
     iteration_column("step"),
@@ -160,7 +153,8 @@ def read_ground_truth(
     """
     base = _truth_base(Path(path))
     landmarks_file = Path(f"{base}{_LANDMARKS}")
-    landmarks, lines = _read_columns(landmarks_file, 7, "x y z 5 0 0.0 id")
+    rows = _rows(landmarks_file, "x y z 5 0 0.0 id")
+    landmarks, lines = rows.values, rows.lines
     ids = landmarks[:, 6]
     different, counts = np.unique(ids, return_counts=True)
     wrong = (ids != np.rint(ids)) | np.isin(ids, different[counts > 1])
@@ -170,11 +164,15 @@ def read_ground_truth(
             f"{shown(landmarks_file)}: line {lines[row]}, field id: {ids[row]:.10g} is no "
             "integer or stands twice, expected each landmark's own number"
         )
-    path_6d, _ = _read_columns(Path(f"{base}{_PATH}"), 6, "x y z yaw pitch roll")
-    poses = np.tile(np.eye(4), (len(path_6d), 1, 1))
-    poses[:, :3, :3] = Rotation.from_euler("ZYX", path_6d[:, 3:]).as_matrix()
-    poses[:, :3, 3] = path_6d[:, :3]
+    path_6d = _rows(Path(f"{base}{_PATH}"), "x y z yaw pitch roll").values
+    poses = poses_of(Rotation.from_euler("ZYX", path_6d[:, 3:]), path_6d[:, :3])
     return ids.astype(np.int64), landmarks[:, :3].copy(), poses
+
+
+def _rows(path: Path, columns: str) -> NumberRows:
+    """Read rows of numbers; ``%`` starts a comment."""
+    n = len(columns.split())
+    return read_rows(path, [MAX_COORDINATE_M] * n, "%", "row", f"{n} finite numbers: {columns}")
 
 
 def _landmark_files(folder: Path) -> list[Path]:
@@ -184,39 +182,9 @@ def _landmark_files(folder: Path) -> list[Path]:
 def _truth_base(path: Path) -> str:
     """Return what the names of both truth files begin with, folder included."""
     if os.path.isdir(path):
-        found = _landmark_files(path)
-        if len(found) != 1:
-            names = ", ".join(shown(file.name) for file in found) or "none"
-            raise RelmapError(f"{shown(path)}: expected one *{_LANDMARKS} in the folder: {names}")
-        path = found[0]
+        path = only_one(path, _landmark_files(path), f"*{_LANDMARKS}")
     name = str(path)
     for ending in (_LANDMARKS, _PATH):
         if name.endswith(ending):
             return name.removesuffix(ending)
     return _LOG.sub("", name)
-
-
-def _read_columns(
-    path: Path, width: int, columns: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Read rows of numbers between spaces, and their line numbers; ``%`` starts a comment."""
-    rows = NumberRows(path, width)
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, 1):
-            require_utf8(path, number, line)
-            cells = line.partition("%")[0].split()
-            if not cells:
-                continue
-            try:
-                row = [parse_number(cell) for cell in cells]
-            except ValueError:
-                row = []
-            if len(row) != width or not all(abs(value) <= MAX_COORDINATE_M for value in row):
-                raise RelmapError(
-                    f"{shown(path)}: line {number}: {quoted(line)}, "
-                    f"expected {width} finite numbers: {columns}"
-                )
-            rows.add(row, number)
-    if not len(rows):
-        raise RelmapError(f"{shown(path)}: holds no row, expected {width} numbers: {columns}")
-    return rows.values, rows.lines

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.number_rows import parse_number
 from relmap.datasets.scans import (
-    MAX_BEAMS,
-    MAX_SCANS,
     ScanLog,
     in_time_order,
     laser_scans,
     planar_poses,
+    require_memory,
 )
-from relmap.datasets.table import Column, Table, parse_number, read_table
+from relmap.datasets.table import Column, Table, read_table
 from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
 
 _HALLMARK = frozenset({"t_s", "gt_theta", "r0"})
@@ -59,9 +59,7 @@ class MrptLaser:
         file = only_table(path, _HALLMARK, _KIND)
         beams = sum(bool(_BEAM.match(name)) for name in columns_of(file))
         table = read_table(file, _columns(beams))
-        if len(table.lines) > MAX_SCANS or len(table.lines) * beams > MAX_BEAMS:
-            problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
-            raise RelmapError(f"{shown(file)}: {problem}")
+        require_memory(shown(file), len(table.lines), len(table.lines) * beams)
         order, stamps_s = in_time_order(file, table.columns["t_s"])
         sensor, limit_m = _sensor(table)
         ranges = np.column_stack([table.columns[f"r{k}"] for k in range(beams)])[order]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 MAX_LISTED = 1 << 24
 """Numbers in such rows at most: some two million poses."""
@@ -20,6 +20,62 @@ def too_many(path: Path, line: int, most: int) -> RelmapError:
     """Return the error to raise where a file holds more numbers than memory is meant for."""
     problem = f"more than {most} numbers, expected at most that"
     return RelmapError(f"{shown(path)}: line {line}: {problem}")
+
+
+def parse_number(cell: str) -> float:
+    """Return the number in a cell, by the same grammar as `relmap.datasets.table.parse_fast`.
+
+    Raises
+    ------
+    ValueError
+        Where it is none.
+    """
+    if "_" in cell or not cell.isascii():
+        raise ValueError(cell)
+    return float(cell)
+
+
+def read_rows(
+    path: Path,
+    limits: Sequence[float],
+    comment: str,
+    what: str,
+    expected: str,
+    separator: str | None = None,
+) -> NumberRows:
+    """Read a file of rows of numbers.
+
+    Parameters
+    ----------
+    path : Path
+    limits : sequence of float
+        The largest size of each number.
+    comment : str
+        What begins a comment.
+    what, expected : str
+        What a row is, and what it holds, for messages.
+    separator : str, optional
+        What stands between the numbers, and may stand behind the last; spaces where left out.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be read, holds no row, or a line is none.
+    """
+    rows = NumberRows(path, len(limits))
+    for number, line in numbered_lines(path):
+        cells = line.partition(comment)[0].strip().rstrip(separator).split(separator)
+        try:
+            row = [parse_number(cell) for cell in cells]
+        except ValueError:
+            row = []
+        if len(row) == len(limits) and (np.abs(row) <= limits).all():
+            rows.add(row, number)
+        elif any(cells):
+            raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}, expected {expected}")
+    if not len(rows):
+        raise RelmapError(f"{shown(path)}: holds no {what}, expected {expected}")
+    return rows
 
 
 class NumberRows:

@@ -7,12 +7,11 @@ known association, negative or empty where there is none. Without ``z`` the worl
 from __future__ import annotations
 
 import gzip
-import io
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from relmap.datasets.assembly import (
 )
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.table import Column, header_text, read_table
-from relmap.datasets.textfile import columns_of, shown
+from relmap.datasets.textfile import columns_of, replacing, shown
 
 FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
@@ -95,12 +94,11 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
             f"{shown(path)}: not written: observation {np.argmin(good)} is not finite or out of "
             f"range, expected coordinates within {MAX_COORDINATE_M:g} metres"
         )
-    try:
-        with _replacing(path) as stream:
-            stream.writelines(_lines(log))
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
+    with replacing(path) as file, ExitStack() as opened:
+        packed: BinaryIO | gzip.GzipFile = file
+        if path.suffix == ".gz":
+            packed = opened.enter_context(gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0))
+        packed.writelines(line.encode("ascii") for line in _lines(log))
 
 
 def _lines(log: ObservationLog) -> Iterator[str]:
@@ -114,27 +112,6 @@ def _lines(log: ObservationLog) -> Iterator[str]:
             columns.append(log.ids[rows].tolist())
         texts = (map(repr, column) for column in columns)
         yield "".join(map("{}\n".format, map(",".join, zip(*texts, strict=True))))
-
-
-@contextmanager
-def _replacing(path: Path) -> Iterator[TextIO]:
-    """Open a file beside the path, and put it in the path's place once it is whole."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            if path.suffix == ".gz":
-                with (
-                    gzip.GzipFile("", "wb", _GZIP_LEVEL, file, mtime=0) as packed,
-                    io.TextIOWrapper(packed, "ascii", newline="\n") as stream,
-                ):
-                    yield stream
-            else:
-                with io.TextIOWrapper(file, "ascii", newline="\n") as stream:
-                    yield stream
-        part.replace(path)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def _members(folder: Path) -> list[Path]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,19 +17,16 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
-from relmap.datasets.number_rows import NumberRows
+from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import ScanLog, in_time_order
-from relmap.datasets.table import parse_number
 from relmap.datasets.textfile import (
-    open_text,
-    quoted,
     require_path,
-    require_utf8,
     shown,
     unreadable,
 )
 
 POSES_FILE = "alidarPose.csv"
+_ROW = "4 numbers: a row of a 4 x 4 matrix"
 
 _NAME = re.compile(r"\.(pcd|ply)(\.xz)?$", re.IGNORECASE)
 _RESULT = "summary.json"
@@ -85,7 +83,7 @@ def _order(path: Path) -> tuple[list[int], str]:
 
 def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
-    rows = _matrix_rows(file)
+    rows = read_rows(file, [sys.float_info.max] * 4, "#", "row", _ROW, ",").values
     numbers = [_order(cloud)[0] for cloud in clouds]
     for cloud, name in zip(clouds, numbers, strict=True):
         if len(name) != 1 or 4 * name[0] + 4 > len(rows):
@@ -96,22 +94,3 @@ def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], ND
     stamps_s = matrices[:, 3, 3].copy()
     matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     return stamps_s, matrices
-
-
-def _matrix_rows(file: Path) -> NDArray[np.float64]:
-    """Return the rows (r, 4) of all matrices."""
-    rows = NumberRows(file, 4)
-    with open_text(file) as stream:
-        for number, line in enumerate(stream, 1):
-            require_utf8(file, number, line)
-            if not line.strip():
-                continue
-            try:
-                row = [parse_number(cell) for cell in line.strip().rstrip(",").split(",")]
-            except ValueError:
-                row = []
-            if len(row) != 4 or not np.isfinite(row).all():
-                problem = f"{quoted(line)}, expected 4 numbers: a row of a 4 x 4 matrix"
-                raise RelmapError(f"{shown(file)}: line {number}: {problem}")
-            rows.add(row, number)
-    return rows.values

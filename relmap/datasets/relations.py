@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.number_rows import NumberRows
-from relmap.datasets.table import parse_number
-from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.datasets.number_rows import read_rows
+from relmap.datasets.scans import poses_of
 
 _COLUMNS = "t1 t2 x y z roll pitch yaw"
-_LIMITS = np.array([1e12, 1e12, *[MAX_COORDINATE_M] * 6])
+_LIMITS = (1e12, 1e12, *[MAX_COORDINATE_M] * 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,25 +46,6 @@ def read_relations(path: Path) -> Relations:
     RelmapError
         Where it cannot be read, holds no relation, or a line is none.
     """
-    rows = NumberRows(path, 8)
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, 1):
-            require_utf8(path, number, line)
-            cells = line.partition("#")[0].split()
-            if not cells:
-                continue
-            try:
-                row = [parse_number(cell) for cell in cells]
-            except ValueError:
-                row = []
-            if len(row) != 8 or not (np.abs(row) <= _LIMITS).all():
-                problem = f"{quoted(line)}, expected 8 numbers: {_COLUMNS}"
-                raise RelmapError(f"{shown(path)}: line {number}: {problem}")
-            rows.add(row, number)
-    if not len(rows):
-        raise RelmapError(f"{shown(path)}: holds no relation, expected lines of {_COLUMNS}")
-    table = rows.values
-    T = np.tile(np.eye(4), (len(table), 1, 1))
-    T[:, :3, :3] = Rotation.from_euler("xyz", table[:, 5:]).as_matrix()
-    T[:, :3, 3] = table[:, 2:5]
+    table = read_rows(path, _LIMITS, "#", "relation", f"8 numbers: {_COLUMNS}").values
+    T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])
     return Relations(table[:, 0], table[:, 1], T)

@@ -6,12 +6,13 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.base import common_range
 from relmap.datasets.textfile import shown
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
@@ -118,11 +119,7 @@ class ScanLog:
             Where the log has no scan in that range.
         """
         last = self.first_iteration + len(self)
-        first, stop = max(begin, self.first_iteration), min(end, last)
-        if first >= stop:
-            raise RelmapError(
-                f"scans {begin}:{end} hold nothing: the log covers {self.first_iteration}:{last}"
-            )
+        first, stop = common_range(begin, end, self.first_iteration, last)
         skip, points_of = first - self.first_iteration, self.points_of
         rows = slice(skip, stop - self.first_iteration)
         return replace(
@@ -132,30 +129,6 @@ class ScanLog:
             poses=None if self.poses is None else self.poses[rows],
             first_iteration=first,
         )
-
-
-class ScanDataset(Protocol):
-    """One format of logs of point scans."""
-
-    name: str
-    """The format's name, as ``--format`` takes it."""
-
-    description: str
-    """What its files look like, for messages."""
-
-    def recognises(self, path: Path) -> bool:
-        """Tell from its content whether the file or folder is of this format."""
-        ...
-
-    def load(self, path: Path) -> ScanLog:
-        """Read the log.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
-        """
-        ...
 
 
 def stored_scans(
@@ -184,6 +157,13 @@ def stored_scans(
         poses,
         sensor=sensor or SensorView(),
     )
+
+
+def require_memory(where: str, scans: int, beams: int) -> None:
+    """Make sure that a log of a laser has no more scans and beams than memory is meant for."""
+    if scans > MAX_SCANS or beams > MAX_BEAMS:
+        problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
+        raise RelmapError(f"{where}: {problem}")
 
 
 def laser_scans(
@@ -241,6 +221,13 @@ def _laser_view(
         y_m=y,
         yaw_rad=yaw,
     )
+
+
+def poses_of(rotation: Rotation, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses (k, 4, 4) of k rotations and translations (k, 3)."""
+    poses = np.tile(np.eye(4), (len(t), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = rotation.as_matrix(), t
+    return poses
 
 
 def planar_poses(

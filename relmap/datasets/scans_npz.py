@@ -8,12 +8,9 @@ time of every scan, seconds, which is their order; a scan without a point is an 
 
 from __future__ import annotations
 
-import math
 import os
-import re
 import struct
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -23,37 +20,20 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
+from relmap.datasets.npz import DAMAGE, read_array
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
-from relmap.datasets.textfile import quoted, require_path, shown, unreadable
+from relmap.datasets.textfile import quoted, replacing, require_path, shown, unreadable
 
 FILE_NAME = "scans.npz"
 """The log's name in a folder."""
 
-MAX_BYTES, MAX_NUMBERS = 1 << 29, 1 << 26
-"""A log unpacks to at most 512 MiB, and each array has no more numbers: 22 million points."""
+MAX_BYTES = 1 << 29
+"""A log unpacks to at most 512 MiB."""
 
 _END_MAGIC = b"PK\x05\x06"
-_HEADER_BYTES = 10_000
 _DIRECTORY = struct.Struct("<4s8sLL2s")
 """The end of a zip file: its magic number, and in third place the bytes of its directory."""
 _DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
-_ARRAY = re.compile(
-    rb"\{'descr': *'([<>|=]?[biufcSU][0-9]{1,5})', *'fortran_order': *(True|False), *"
-    rb"'shape': *\(([0-9]{0,12}),? *([0-9]{0,12}),?\),? *\} *\n?"
-)
-_DAMAGE = (
-    OSError,
-    ValueError,
-    TypeError,
-    KeyError,
-    IndexError,
-    EOFError,
-    RuntimeError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""What reading a damaged zip file raises."""
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 _LIMITS = ("view_rad", "range_m")
 """What a log may tell of its sensor."""
@@ -128,16 +108,8 @@ def write_scans_npz(
     known = {name: getattr(sensor, name, None) for name in _LIMITS}
     limits = {name: np.float64(limit) for name, limit in known.items() if limit is not None}
     arrays = {"points": np.concatenate(scans), "iteration": iteration, "stamps_s": stamps_s}
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays, **limits)
-        part.replace(path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
-    finally:
-        part.unlink(missing_ok=True)
+    with replacing(path) as file:
+        np.savez(file, allow_pickle=False, **arrays, **limits)
 
 
 def _file_of(path: Path) -> Path:
@@ -158,10 +130,10 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
             size = sum(member.file_size for member in members.values())
             if size > MAX_BYTES:
                 raise ValueError(f"{size} bytes when unpacked, more than {MAX_BYTES}")
-            return {name: _array(archive, member) for name, member in members.items()}
+            return {name: read_array(archive, member) for name, member in members.items()}
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise unreadable(file, error) from error
-    except _DAMAGE as error:
+    except DAMAGE as error:
         found = foreign_at(file)
         other = found if found != ZIP else None
         reason = quoted(other or str(error) or type(error).__name__)
@@ -176,7 +148,7 @@ def _without_arrays(file: Path) -> bool:
         _check_directory(file)
         with zipfile.ZipFile(file) as archive:
             return not any(name.endswith(".npy") for name in archive.namelist())
-    except _DAMAGE:
+    except DAMAGE:
         return False
 
 
@@ -192,31 +164,6 @@ def _check_directory(file: Path) -> None:
     magic, _, size, _, _ = _DIRECTORY.unpack_from(tail, at)
     if magic != _END_MAGIC or size > _DIRECTORY_BYTES:
         raise ValueError("no directory of a zip file with a few arrays")
-
-
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
-    """Return a member as an array of numbers; ValueError and others where it is none.
-
-    Headers are matched as numpy writes them, never evaluated.
-    """
-    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"{member.filename} is packed in a way that numpy does not use")
-    with archive.open(member) as stream:
-        magic = stream.read(8)
-        width = 2 if magic[6:] == b"\x01\x00" else 4
-        length = int.from_bytes(stream.read(width), "little")
-        if magic[:6] != b"\x93NUMPY" or length > _HEADER_BYTES:
-            raise ValueError(f"{member.filename} is no array")
-        header = _ARRAY.fullmatch(stream.read(length))
-        if header is None:
-            raise ValueError(f"{member.filename} is no array of numbers")
-        dtype = np.dtype(header[1].decode())
-        shape = [int(side) for side in header.groups()[2:] if side]
-        size = math.prod(shape) * dtype.itemsize
-        if math.prod(shape) > MAX_NUMBERS or size > member.file_size:
-            raise ValueError(f"{member.filename} has not the {shape} numbers it says")
-        array = np.frombuffer(stream.read(size), dtype)
-    return array.reshape(shape, order="F" if header[2] == b"True" else "C")
 
 
 def _limit(file: Path, name: str, array: NDArray[Any]) -> float:

@@ -22,6 +22,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.matfile import is_matlab, read_matrix
+from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
 from relmap.datasets.textfile import shown
 
@@ -137,14 +138,8 @@ def read_ground_truth(
     file = folder / ROBOT_FILE
     robot = _table(file, read_matrix(file, file.stem).T, _POSE, "column").columns
     positions = np.column_stack([beacons["x"], beacons["y"], np.zeros(len(beacons["x"]))])
-    return beacons["id"].astype(np.int64), positions, _poses(**robot)
-
-
-def _poses(
-    x: NDArray[np.float64], y: NDArray[np.float64], phi: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    poses = np.tile(np.eye(4), (len(x), 1, 1))
-    poses[:, 0, 0], poses[:, 0, 1] = np.cos(phi), -np.sin(phi)
-    poses[:, 1, 0], poses[:, 1, 1] = np.sin(phi), np.cos(phi)
-    poses[:, 0, 3], poses[:, 1, 3] = x, y
-    return poses
+    return (
+        beacons["id"].astype(np.int64),
+        positions,
+        planar_poses(robot["x"], robot["y"], robot["phi"]),
+    )

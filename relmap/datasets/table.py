@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.number_rows import too_many
+from relmap.datasets.number_rows import parse_number, too_many
 from relmap.datasets.textfile import Head, open_text, quoted, read_head, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
@@ -266,19 +266,6 @@ def _problem(column: Column, value: float) -> str:
     if column.integer and value != round(value):
         return "is not an integer"
     return "is out of range"
-
-
-def parse_number(cell: str) -> float:
-    """Return the number in a cell, by the same grammar as `parse_fast`.
-
-    Raises
-    ------
-    ValueError
-        Where it is none.
-    """
-    if "_" in cell or not cell.isascii():
-        raise ValueError(cell)
-    return float(cell)
 
 
 def parse_fast(batch: list[str], width: int) -> NDArray[np.float64] | None:

@@ -7,11 +7,11 @@ import io
 import os
 import stat
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, BinaryIO, TextIO
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.foreign import HEAD_BYTES, foreign_format
@@ -172,6 +172,60 @@ def require_utf8(path: Path, number: int, line: str) -> None:
         ) from error
 
 
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Open a file beside the path, and put it in the path's place once it is whole.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be written.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            yield file
+        part.replace(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
+    finally:
+        with suppress(OSError, ValueError):
+            part.unlink(missing_ok=True)
+
+
+def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text file and their numbers, from 1; see `open_text`, `require_utf8`."""
+    with open_text(path) as stream:
+        for number, line in enumerate(stream, 1):
+            require_utf8(path, number, line)
+            yield number, line
+
+
+def only_one(path: Path, found: Sequence[Path], named: str) -> Path:
+    """Return the path itself if it is no folder, else the one file that was found in it.
+
+    Raises
+    ------
+    RelmapError
+        Where there are none or several.
+    """
+    if not os.path.isdir(path):
+        return path
+    if len(found) != 1:
+        names = ", ".join(shown(file.name) for file in found) or "none"
+        raise RelmapError(f"{shown(path)}: expected one {named} in the folder: {names}")
+    return found[0]
+
+
+def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
+    """Return the members of a folder whose names end so, in order."""
+    try:
+        return [member for member in sorted(folder.iterdir()) if member.name.endswith(endings)]
+    except OSError as error:
+        raise unreadable(folder, error) from error
+
+
 @dataclass(frozen=True)
 class Head:
     """What stands above the rows of a table.
@@ -228,12 +282,8 @@ def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
     """
     if not os.path.isdir(path):
         return [path] if columns <= columns_of(path) else []
-    try:
-        members = sorted(path.iterdir())
-    except OSError as error:
-        raise unreadable(path, error) from error
-    names = (member for member in members if member.name.endswith((".csv", ".csv.gz")))
-    return [member for member in names if columns <= columns_of(member)]
+    members = members_of(path, (".csv", ".csv.gz"))
+    return [member for member in members if columns <= columns_of(member)]
 
 
 def only_table(path: Path, columns: frozenset[str], kind: str) -> Path:

@@ -15,14 +15,15 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.number_rows import NumberRows
-from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.datasets.scans import poses_of
+from relmap.datasets.textfile import numbered_lines, open_text, quoted, require_utf8, shown
 from relmap.io.tables import MAX_RESULT_M
 
 MAX_TEXT = 1 << 26
 """Characters of a text that is read at once; JSON takes twenty times as much memory."""
 
 
-def atomic_write(path: Path, content: str | bytes) -> None:
+def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     """Write a whole file or nothing: an earlier file of that name stays until the new one stands.
 
     Parameters
@@ -142,10 +143,6 @@ def read_text(path: Path) -> str:
     return text
 
 
-def _at(path: Path, line: int) -> str:
-    return f"{shown(path)}: line {line}"
-
-
 def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
     """Write a trajectory as a TUM file: ``t x y z qx qy qz qw``, in full precision.
 
@@ -196,17 +193,13 @@ def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         Where the file cannot be read or a line is not a pose.
     """
     rows = NumberRows(path, 8)
-    with open_text(path) as stream:
-        for number, line in enumerate(stream, 1):
-            require_utf8(path, number, line)
-            if line.strip() and not line.lstrip().startswith("#"):
-                rows.add(_tum_row(_at(path, number), line), number)
+    for number, line in numbered_lines(path):
+        if line.strip() and not line.lstrip().startswith("#"):
+            rows.add(_tum_row(f"{shown(path)}: line {number}", line), number)
     table = rows.values
-    poses = np.tile(np.eye(4), (len(table), 1, 1))
-    poses[:, :3, 3] = table[:, 1:4]
-    if len(table):
-        poses[:, :3, :3] = Rotation.from_quat(table[:, 4:]).as_matrix()
-    return table[:, 0], poses
+    if not len(table):
+        return table[:, 0], np.empty((0, 4, 4))
+    return table[:, 0], poses_of(Rotation.from_quat(table[:, 4:]), table[:, 1:4])
 
 
 def _tum_row(where: str, line: str) -> list[float]:

@@ -9,14 +9,14 @@ import sys
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 Kind = Literal["int", "float", "float or empty", "text"]
 """What a column of a table holds.
@@ -74,31 +74,24 @@ def read_table(path: Path, columns: Mapping[str, Kind]) -> dict[str, NDArray[Any
     """
     found: dict[str, _Column] = {}
     width = 0
-    with open_text(path) as stream:
-        reader = csv.reader(_checked(path, stream))
-        for cells in _records(path, reader):
-            if not found:
-                header, width = [name.strip() for name in cells], len(cells)
-                for name, kind in columns.items():
-                    if name not in header:
-                        where = _at(path, reader.line_num)
-                        raise RelmapError(f"{where}: no column {name} in the header")
-                    found[name] = _Column(name, kind, header.index(name))
-                continue
-            if len(cells) != width:
-                where = _at(path, reader.line_num)
-                raise RelmapError(f"{where}: {len(cells)} fields, expected {width}")
-            for column in found.values():
-                column.add(path, reader.line_num, cells)
+    reader = csv.reader(line for _, line in numbered_lines(path))
+    for cells in _records(path, reader):
+        if not found:
+            header, width = [name.strip() for name in cells], len(cells)
+            for name, kind in columns.items():
+                if name not in header:
+                    where = _at(path, reader.line_num)
+                    raise RelmapError(f"{where}: no column {name} in the header")
+                found[name] = _Column(name, kind, header.index(name))
+            continue
+        if len(cells) != width:
+            where = _at(path, reader.line_num)
+            raise RelmapError(f"{where}: {len(cells)} fields, expected {width}")
+        for column in found.values():
+            column.add(path, reader.line_num, cells)
     if not found:
         raise RelmapError(f"{shown(path)}: is empty, expected the header {','.join(columns)}")
     return {name: column.values for name, column in found.items()}
-
-
-def _checked(path: Path, stream: TextIO) -> Iterator[str]:
-    for number, line in enumerate(stream, 1):
-        require_utf8(path, number, line)
-        yield line
 
 
 def _records(path: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:

@@ -19,6 +19,8 @@ class PlaneHistory:
     n_iterations : int
     """
 
+    STATE = "n_iterations _iteration _plane _ends _sd _z_extent _motion _corner _submap"
+
     def __init__(self) -> None:
         self.n_iterations = 0
         self._iteration: GrowingArray[np.int64] = GrowingArray(np.int64)

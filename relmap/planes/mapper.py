@@ -73,7 +73,9 @@ class PlaneMapper(Mapper):
 
     _unused = WITH_WALLS
     _variant = "planes"
-    _passing = ("_journal", "_segmenter")
+
+    _refined_walls: tuple[list[Submap], WallNumbers] | None
+    STATE = "walls=_planes refined_walls=_refined_walls _astray"
 
     def __init__(
         self,
@@ -84,7 +86,7 @@ class PlaneMapper(Mapper):
     ) -> None:
         super().__init__(config, journal, run)
         self._segmenter = segmenter
-        self._refined_walls: tuple[list[Submap], WallNumbers] | None = None
+        self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
         self._astray = np.empty(0, dtype=np.int64)
 
@@ -271,6 +273,10 @@ class PlaneMapper(Mapper):
     def weak_links(self) -> NDArray[np.int64]:
         """Iterations (k,) before which too little was seen to tell how far the robot went."""
         return weak_links(self._planes.history)
+
+    @property
+    def _parts(self) -> list[Any]:
+        return [self, self._engine]
 
     def _model(self) -> WallModel:
         self._planes = PlaneRegistration(self.config.max_missed)

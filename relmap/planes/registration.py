@@ -50,9 +50,16 @@ class PlaneRegistration:
         Corners and midpoints in it.
     """
 
+    _tracks: PlaneTracks | None
+    _motion: PlanarMotion
+    STATE = (
+        "history planes points_robot _tracks _motion _n_planes _n_submaps _unsure_m "
+        "_unsure_each_m _half _wall_end _submap_of _place _chosen _landmarks"
+    )
+
     def __init__(self, max_missed: int) -> None:
         self._max_missed = max_missed
-        self._tracks: PlaneTracks | None = None
+        self._tracks = None
         self._motion = STILL
         self._n_planes = 0
         self._n_submaps = 0

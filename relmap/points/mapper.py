@@ -49,7 +49,6 @@ class PointMapper(Mapper):
     """
 
     _variant = "points"
-    _passing = ("_journal", "_finder")
 
     def __init__(
         self,

@@ -41,6 +41,8 @@ class Registration(Protocol):
 class Numbering:
     """Numbers landmarks in the order of first sight."""
 
+    STATE = "n_landmarks"
+
     def __init__(self) -> None:
         self.n_landmarks = 0
 

@@ -67,18 +67,27 @@ class Constellation:
         A track unseen for more iterations than this ends; until then it is carried along.
     """
 
+    _tracks: LiveTracks | None
+    _stray: LiveTracks | None
+    _noise_m: float | None
+    _alone: list[int]
+    _tracks_since: int | None
+    _stray_since: int | None
+    STATE = (
+        "_numbering _tracks _stray _spacing_m _noise_m _idle _n_scans _alone _tracks_since "
+        "_stray_since"
+    )
+
     def __init__(self, max_missed: int) -> None:
         self._max_missed = max_missed
         self._numbering = Numbering()
-        self._tracks: LiveTracks | None = None
-        self._stray: LiveTracks | None = None
+        self._tracks = self._stray = None
         self._spacing_m = np.inf
-        self._noise_m: float | None = None
+        self._noise_m = None
         self._idle = 0
         self._n_scans = 0
-        self._alone: list[int] = []
-        self._tracks_since: int | None = None
-        self._stray_since: int | None = None
+        self._alone = []
+        self._tracks_since = self._stray_since = None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return landmarks (n,) as they are: they go by their number."""

@@ -22,12 +22,20 @@ class KnownAssociation:
         Scans, counted from 0, that do not fit the others.
     """
 
+    rejected: list[int]
+    STATE = "rejected _n_scans _rigidity _labels"
+
     def __init__(self) -> None:
-        self.rejected: list[int] = []
+        self.rejected = []
         self._n_scans = 0
         self._rigidity = Rigidity()
         self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    def restored(self) -> None:
+        """Look the ids up that there are now."""
+        for number, label in enumerate(self._labels.values.tolist()):
+            self._parts[label % PARTS][label] = number
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the ids of landmarks (n,)."""

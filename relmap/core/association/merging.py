@@ -51,13 +51,21 @@ class Merger:
         Observations after which a landmark's position is good enough to be compared.
     """
 
+    _index: SpatialIndex | None
+    _old_near: dict[int, list[int]]
+    STATE = "_index _entered _old_near"
+
     def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
         self._table = table
         self._model = model
         self._mature = mature
-        self._index: SpatialIndex | None = None
+        self._index = None
         self._entered = LAST
-        self._old_near: dict[int, list[int]] = {}
+        self._old_near = {}
+
+    def blank(self) -> SpatialIndex:
+        """Return an index to be restored."""
+        return SpatialIndex(self._table, 1.0)
 
     def leave(self, landmarks: NDArray[np.int64]) -> None:
         """Note that landmarks have left the view: from now on they may be seen again."""

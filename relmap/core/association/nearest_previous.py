@@ -21,6 +21,8 @@ class NearestPrevious:
         the previous scan.
     """
 
+    STATE = "_numbering _previous _landmarks"
+
     def __init__(self, gate_m: float | None) -> None:
         self._gate_m = gate_m
         self._numbering = Numbering()

@@ -67,11 +67,15 @@ class _Fit:
 class Rigidity:
     """Judges scans of known landmarks, one after the other."""
 
+    _last: _Places | None
+    _doubted: _Places | None
+    _strayed: _Places | None
+    _usual_m: float | None
+    STATE = "_last _doubted _strayed _usual_m _n_doubted _wary _extent_m"
+
     def __init__(self) -> None:
-        self._last: _Places | None = None
-        self._doubted: _Places | None = None
-        self._strayed: _Places | None = None
-        self._usual_m: float | None = None
+        self._last = self._doubted = self._strayed = None
+        self._usual_m = None
         self._n_doubted = 0
         self._wary = 0
         self._extent_m = 0.0

@@ -25,11 +25,14 @@ class SpatialIndex:
         Side of a cell, metres: nothing farther than this is asked for.
     """
 
+    _first: dict[int, int]
+    STATE = "cell_m _first"
+
     def __init__(self, table: LandmarkState, cell_m: float) -> None:
         dimension = table.dimension
         self.cell_m = cell_m
         self._table = table
-        self._first: dict[int, int] = {}
+        self._first = {}
         self._strides = SIDE ** np.arange(dimension)
         self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
 

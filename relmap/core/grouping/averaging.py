@@ -40,6 +40,8 @@ class Averaging:
         Pairs of landmarks compared in the last chart.
     """
 
+    STATE = "noise n_comparisons _motion"
+
     def __init__(self, table: LandmarkState, noise_spread: float = 1.0) -> None:
         self.noise = NoiseEstimate()
         self.n_comparisons = 0

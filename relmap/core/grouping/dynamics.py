@@ -61,6 +61,8 @@ class DynamicStatus:
     table : LandmarkState
     """
 
+    STATE = "_n_bins"
+
     def __init__(self, table: LandmarkState) -> None:
         self.table = table
         self._n_bins = 0

@@ -20,10 +20,14 @@ class GroupLevels:
     table : LandmarkState
     """
 
+    _groups: dict[int, MappedGroup]
+    _users: dict[int, int]
+    STATE = "_n_groups _users mapped=_groups"
+
     def __init__(self, table: LandmarkState) -> None:
         self._table = table
-        self._groups: dict[int, MappedGroup] = {}
-        self._users: dict[int, int] = {}
+        self._groups = {}
+        self._users = {}
         self._n_groups = 0
 
     @property

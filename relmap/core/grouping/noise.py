@@ -25,6 +25,8 @@ class NoiseEstimate:
     the members keeps single outliers out; groups of movers must be kept out before.
     """
 
+    STATE = "_squares _freedoms"
+
     def __init__(self) -> None:
         self._squares = 0.0
         self._freedoms = 0.0

@@ -20,6 +20,8 @@ class GlobalMap:
     table : LandmarkState
     """
 
+    STATE = "_n_submaps"
+
     def __init__(self, table: LandmarkState) -> None:
         self.table = table
         self._n_submaps = 0

@@ -84,6 +84,11 @@ class SegmentRows:
 class CondensedSegments:
     """Condenses iterations as they leave the store; each observation counts exactly once."""
 
+    STATE = (
+        "_landmark _segment _points _visible _first_iteration _squares _freedoms "
+        "_iteration_segment _R _t"
+    )
+
     def __init__(self) -> None:
         self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)
         self._segment: GrowingArray[np.int64] = GrowingArray(np.int64, room=ROOM)

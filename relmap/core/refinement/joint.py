@@ -93,6 +93,10 @@ class Refined:
     power: float = 2
     converged: bool = True
 
+    STATE = (
+        "landmarks positions anchor_iteration noise_m segments merges power converged covariances"
+    )
+
     def __getstate__(self) -> dict[str, object]:
         """Copy the covariances, not what they are worked out from."""
         return self.__dict__ | {"covariances": self.covariances, "spread": None}

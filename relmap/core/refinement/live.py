@@ -53,6 +53,8 @@ class StepUnderWay:
     step : StepInSlices
     """
 
+    STATE = "submap member step _n_rows _first _n_solved"
+
     def __init__(self, submap: int, member: int, n_rows: int, step: StepInSlices) -> None:
         self.submap = submap
         self.member = member
@@ -108,14 +110,21 @@ class LiveRefinement:
     global_map : GlobalMap
     """
 
+    _step: StepUnderWay | None
+    STATE = "_step _begun _noted _back"
+
     def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
         self._table = global_map.table
         self._map = global_map
-        self._step: StepUnderWay | None = None
+        self._step = None
         self._begun = LEAST
         self._noted = 0
         self._back = 0
+
+    def blank(self) -> StepUnderWay:
+        """Return a step to be restored."""
+        return StepUnderWay(NONE, NONE, 0, StepInSlices(0, 0, 0, self._table.dimension))
 
     def advance(self) -> bool:
         """Do a slice of work, if there is any; tell whether it has moved the map."""

@@ -56,6 +56,8 @@ class Observations:
 class KeptObservations:
     """Keeps what is seen, as it is seen, for as long as the mapper lives."""
 
+    STATE = "_landmark _points _iteration"
+
     def __init__(self) -> None:
         self._landmark: GrowingArray[np.int32] = GrowingArray(np.int32)
         self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), FEW)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from relmap.core.linalg.tridiagonal import Levels, factored
 from relmap.core.refinement.equations import rotations
 from relmap.core.refinement.rows import searched
+from relmap.core.state.growing import FEW, GrowingArray
 
 SLICE = 1500
 """Rows that are taken care of at a time."""
@@ -44,15 +45,20 @@ class StepInSlices:
         Turn, shift and centre of the last placement, after `run`.
     """
 
+    STATE = (
+        "_d _rows _placed _weight _landmark _placement _number _members _counts _total _sums "
+        "_p _middle"
+    )
+
     def __init__(self, n_rows: int, n_landmarks: int, n_placements: int, dimension: int) -> None:
         d = self._d = dimension
         self._rows = 0
-        self._placed = np.empty((n_rows, d))
-        self._weight = np.empty(n_rows)
-        self._landmark = np.empty(n_rows, dtype=np.int64)
-        self._placement = np.empty(n_rows, dtype=np.int64)
+        self._placed = np.zeros((n_rows, d))
+        self._weight = np.zeros(n_rows)
+        self._landmark = np.zeros(n_rows, dtype=np.int64)
+        self._placement = np.zeros(n_rows, dtype=np.int64)
         self._number = np.full(n_landmarks, -1)
-        self._members: list[Indices] = []
+        self._members: GrowingArray[np.int64] = GrowingArray(np.int64, room=FEW)
         self._counts = np.zeros(n_landmarks, dtype=np.int64)
         self._total = np.zeros(n_landmarks)
         self._sums = np.zeros((n_landmarks, d))
@@ -70,7 +76,7 @@ class StepInSlices:
     @property
     def members(self) -> Indices:
         """The landmarks that were added, in the order of that; (m,)."""
-        return np.concatenate([np.empty(0, dtype=np.int64), *self._members])
+        return self._members.values
 
     def add(self, placed: Points, landmark: Indices, placement: Indices, weight: Points) -> None:
         """Add the rows of some placements.
@@ -85,9 +91,9 @@ class StepInSlices:
         """
         rows = slice(self._rows, self._rows + len(placed))
         new = np.unique(landmark[self._number[landmark] < 0])
-        m = sum(map(len, self._members))
+        m = len(self._members)
         self._number[new] = np.arange(m, m + len(new))
-        self._members.append(new)
+        self._members.extend(new)
         own, at = np.unique(placement, return_inverse=True)
         self._placed[rows], self._weight[rows] = placed, weight
         self._landmark[rows], self._placement[rows] = self._number[landmark], self._p + at

@@ -42,6 +42,10 @@ class GrowingArray(Generic[Scalar]):
         self._begin = 0
         self._end = 0
 
+    def hold(self, rows: NDArray[Any]) -> None:
+        """Hold other rows (n, *width), which are not copied, in place of those there are."""
+        self._rows, self._begin, self._end = rows, 0, len(rows)
+
     def __getstate__(self) -> dict[str, Any]:
         """Copy what is used alone."""
         return {"_rows": self.values.copy(), "_begin": 0, "_end": len(self)}

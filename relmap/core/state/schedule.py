@@ -36,6 +36,8 @@ class GroupingSchedule:
         A landmark unseen for more iterations than this has left the view.
     """
 
+    STATE = "_in_view _due _gone"
+
     def __init__(self, table: LandmarkState, group_after: int, max_missed: int) -> None:
         self.group_after = group_after
         self._table = table

@@ -17,6 +17,8 @@ class ObservationStore:
     size of the map.
     """
 
+    STATE = "_points _landmarks _offsets _slots _first_iteration"
+
     def __init__(self) -> None:
         self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), FEW)
         self._landmarks: GrowingArray[np.int64] = GrowingArray(np.int64, room=FEW)

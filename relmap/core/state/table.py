@@ -171,10 +171,14 @@ class LandmarkState:
     next_in_cell: NDArray[np.int64]
     last_segment: NDArray[np.int64]
 
+    _earlier: dict[int, list[int]]
+    """First and last iteration of each stretch before the latest, of those merged."""
+    STATE = " ".join([*COLUMNS, "_earlier"])
+
     def __init__(self) -> None:
         self._rooms: dict[str, NDArray[Any]] = {}
         self._merged_into: dict[int, list[int]] = {}
-        self._earlier: dict[int, list[list[int]]] = {}
+        self._earlier = {}
         self._begin(0)
 
     def __len__(self) -> int:
@@ -191,6 +195,14 @@ class LandmarkState:
         """Take up the rows of another table."""
         self.__dict__.update(state)
         self._show(len(self._rooms["landmark_of"]))
+
+    def restored(self) -> None:
+        """Make the columns there are now the rooms."""
+        self._rooms = {name: getattr(self, name) for name in COLUMNS}
+        if len({len(room) for room in self._rooms.values()}) > 1:
+            raise ValueError("the columns of the landmarks are of different lengths")
+        for row in np.flatnonzero(~self.is_own).tolist():
+            self._merged_into.setdefault(int(self.landmark_of[row]), []).append(row)
 
     @property
     def dimension(self) -> int:
@@ -269,16 +281,17 @@ class LandmarkState:
             return True
         if self.last[old] >= self.last[new] or not (new in self._earlier or old in self._earlier):
             return False
+        one, other = self._stretches(new), self._stretches(old)
         return not any(
             begin <= other_end and other_begin <= end
-            for begin, end in self._stretches(new)
-            for other_begin, other_end in self._stretches(old)
+            for begin, end in zip(one[::2], one[1::2], strict=True)
+            for other_begin, other_end in zip(other[::2], other[1::2], strict=True)
         )
 
-    def _stretches(self, landmark: int) -> list[list[int]]:
+    def _stretches(self, landmark: int) -> list[int]:
         """Return the first and last iteration of each stretch in which a landmark was seen."""
         present = [int(self.since[landmark]), int(self.last[landmark])]
-        return [*self._earlier.get(landmark, []), present]
+        return [*self._earlier.get(landmark, []), *present]
 
     def _begin(self, dimension: int) -> None:
         # Of different sizes, so that no two columns are full in the same iteration.

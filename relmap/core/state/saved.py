@@ -1,0 +1,226 @@
+"""The state of an engine as named columns: what is to be saved, and how it is taken up again.
+
+A part of the engine says in `STATE` which of its attributes are state, by ``_attribute``, saved
+without the underscore, or ``name=attribute``; of a dataclass that says nothing it is all fields.
+What an attribute holds is told by its annotation in the class, or else by that of a new part.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import fields
+from functools import cache
+from types import NoneType
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.growing import GrowingArray
+
+PLAIN = {bool: (bool,), int: (int,), float: (float, int), str: (str,), NoneType: ()}
+"""Kinds of plain values, and what of JSON each may be."""
+
+
+class OtherColumnsError(ValueError):
+    """A state lacks columns, or has some that no part asks for."""
+
+
+@cache
+def _members(cls: Any) -> dict[str, tuple[str, Any]]:
+    """Return attribute and annotation, if any, of each piece of a part's state, by name."""
+    found, hints = {}, get_type_hints(cls)
+    for entry in cls.STATE.split() if hasattr(cls, "STATE") else [f.name for f in fields(cls)]:
+        name, _, attribute = entry.rpartition("=")
+        of_class = getattr(cls, attribute, None)
+        function = getattr(of_class, "fget", None) or getattr(of_class, "func", None)
+        hint = get_type_hints(function)["return"] if function else hints.get(attribute)
+        found[name or attribute.lstrip("_")] = attribute, hint
+    return found
+
+
+def _kind(hint: Any, now: Any) -> tuple[type, tuple[Any, ...]]:
+    """Return the type that an annotation tells, None apart, and its arguments."""
+    if hint is None:
+        return type(now), ()
+    kinds = [kind for kind in get_args(hint) if kind is not NoneType]
+    if NoneType in get_args(hint):
+        (hint,) = kinds
+    return get_origin(hint) or hint, get_args(hint)
+
+
+class StateWriter:
+    """Collects the columns of parts.
+
+    Attributes
+    ----------
+    columns : dict
+        Arrays, and what is fit for JSON, by names such as ``landmarks/position``.
+    """
+
+    def __init__(self) -> None:
+        self.columns: dict[str, Any] = {}
+        self._done: list[Any] = []
+
+    def add(self, part: Any, prefix: str = "") -> None:
+        """Add a part or a record; what belongs to two parts is added once."""
+        if any(part is other for other in self._done):
+            return
+        self._done += [part] if hasattr(type(part), "STATE") else []
+        for name, (attribute, hint) in _members(part.__class__).items():
+            self._add(prefix + name, getattr(part, attribute), hint)
+
+    def _add(self, name: str, value: Any, hint: Any) -> None:
+        kind, of = _kind(hint, value)
+        if value is None or kind in PLAIN:
+            self.columns[name] = value.item() if isinstance(value, np.generic) else value
+        elif kind in (np.ndarray, GrowingArray):
+            self.columns[name] = value if isinstance(value, np.ndarray) else value.values
+        elif kind is dict and (of[1] is int or get_origin(of[1]) is list):
+            self.columns[name] = _rows(value)
+        elif kind is dict:
+            self.columns[f"{name}/number"] = np.array(list(value), dtype=np.int64)
+            for key, (attribute, _) in _members(of[1]).items():
+                arrays = [getattr(record, attribute) for record in value.values()]
+                sizes = np.array([len(array) for array in arrays], dtype=np.int64)
+                self.columns[f"{name}/{key}_rows"] = sizes
+                if arrays:
+                    self.columns[f"{name}/{key}"] = np.concatenate(arrays)
+        elif kind in (list, tuple) and set(of) <= set(PLAIN):
+            self.columns[name] = list(value)
+        elif kind in (list, tuple):
+            self.columns[name] = len(value)
+            for k, item in enumerate(value):
+                self._add(f"{name}/{k}", item, of[k if kind is tuple else 0])
+        else:
+            self.add(value, f"{name}/")
+
+
+def _rows(lists: dict[int, Any]) -> NDArray[np.int64]:
+    """Return the numbers (n, 2) in a dictionary: key and value, or key and each of a list."""
+    rows = [
+        (key, item)
+        for key, value in lists.items()
+        for item in (value if isinstance(value, list) else (value,))
+    ]
+    return np.array(rows, dtype=np.int64).reshape(-1, 2)
+
+
+class StateReader:
+    """Gives new parts the state that columns tell.
+
+    What does not fit raises ValueError, or another of the errors that wrong values lead to.
+
+    Parameters
+    ----------
+    columns : dict
+        As of a `StateWriter`.
+    """
+
+    def __init__(self, columns: dict[str, Any]) -> None:
+        self._columns = columns.copy()
+        self._done: list[Any] = []
+
+    def end(self) -> None:
+        """Make sure that nothing is left over."""
+        if self._columns:
+            raise OtherColumnsError(f"{min(self._columns)} is not known")
+
+    def restore(self, part: Any, prefix: str = "") -> None:
+        """Let a new part take up its state."""
+        if any(part is other for other in self._done):
+            return
+        self._done.append(part)
+        for name, (attribute, hint) in _members(part.__class__).items():
+            now = getattr(part, attribute)
+            setattr(part, attribute, self._value(prefix + name, hint, now, part))
+        if hasattr(part, "restored"):
+            part.restored()
+
+    def _value(self, name: str, hint: Any, now: Any, part: Any = None) -> Any:
+        kind, of = _kind(hint, now)
+        if self._columns.get(name, self) is None and (now is None or NoneType in get_args(hint)):
+            return self._columns.pop(name)
+        if kind in PLAIN:
+            return self._plain(name, kind)
+        if kind is np.ndarray:
+            dtype = get_args(of[1])[0] if of else now.dtype
+            return self._array(name, dtype, getattr(now, "ndim", None))
+        if kind is GrowingArray:
+            now.hold(self._array(name, now.values.dtype, now.values.ndim))
+            return now
+        if kind is dict:
+            return self._dict(name, of[1])
+        if kind in (list, tuple):
+            return kind(self._items(name, kind, of))
+        if hasattr(kind, "STATE") and not hasattr(kind, "__dataclass_fields__"):
+            made = part.blank() if now is None else now
+            self.restore(made, f"{name}/")
+            return made
+        return self._record(kind, f"{name}/")
+
+    def _take(self, name: str) -> Any:
+        if name not in self._columns:
+            raise OtherColumnsError(f"{name} is missing")
+        return self._columns.pop(name)
+
+    def _plain(self, name: str, kind: Any) -> Any:
+        value = self._take(name)
+        if type(value) not in PLAIN[kind]:
+            raise ValueError(f"{name} is {value!r:.40}, not {kind.__name__}")
+        return value
+
+    def _array(self, name: str, dtype: Any, ndim: int | None) -> NDArray[Any]:
+        value = self._take(name)
+        if not isinstance(value, np.ndarray) or value.dtype != dtype:
+            raise ValueError(f"{name} is not of {np.dtype(dtype).name}")
+        if value.ndim != (ndim or value.ndim):
+            raise ValueError(f"{name} has shape {value.shape}, and not {ndim} dimensions")
+        return value
+
+    def _dict(self, name: str, of: Any) -> dict[int, Any]:
+        if of is not int and get_origin(of) is not list:
+            return self._records(name, of)
+        rows = self._array(name, np.int64, 2).reshape(-1, 2).tolist()
+        if of is int:
+            return dict(rows)
+        found: dict[int, list[int]] = {}
+        for key, item in rows:
+            found.setdefault(key, []).append(item)
+        return found
+
+    def _records(self, name: str, cls: type) -> dict[int, Any]:
+        """Return records of which each column is told one after the other."""
+        numbers = self._array(f"{name}/number", np.int64, 1).tolist()
+        columns = []
+        for key, (_, hint) in _members(cls).items():
+            sizes = self._array(f"{name}/{key}_rows", np.int64, 1)
+            values = self._value(f"{name}/{key}", hint, None) if len(sizes) else np.empty(0)
+            ends = np.append(0, np.cumsum(sizes)).tolist()
+            if len(sizes) != len(numbers) or ends[-1] != len(values) or (sizes < 0).any():
+                raise ValueError(f"{name}/{key} has {len(values)} rows, and not {ends[-1]}")
+            columns.append([values[begin:end] for begin, end in itertools.pairwise(ends)])
+        records = (cls(*row) for row in zip(*columns, strict=True))
+        return dict(zip(numbers, records, strict=True))
+
+    def _items(self, name: str, kind: type, of: tuple[Any, ...]) -> Iterable[Any]:
+        if set(of) <= set(PLAIN):
+            values = self._take(name)
+            allowed = PLAIN[of[0]]
+            if type(values) is not list or any(type(value) not in allowed for value in values):
+                raise ValueError(f"{name} is no list of {of[0].__name__}")
+            return values
+        n = self._plain(name, int)
+        if kind is tuple and n != len(of):
+            raise ValueError(f"{name} has {n} entries, and not {len(of)}")
+        which = itertools.repeat(of[0], n) if kind is list else of
+        return [self._value(f"{name}/{k}", hint, None) for k, hint in enumerate(which)]
+
+    def _record(self, cls: type, prefix: str) -> Any:
+        made: Any = object.__new__(cls)
+        values: dict[str, Any] = {field.name: None for field in fields(cls)}
+        for name, (attribute, hint) in _members(cls).items():
+            values[attribute] = self._value(prefix + name, hint, None)
+        made.__dict__.update(values)
+        return made
