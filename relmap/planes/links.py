@@ -43,17 +43,17 @@ def believed(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
     return match.score >= SUPPORTED * (min(worth(tracks, seen, recent)) - 1)
 
 
-def farthest_m(before: NDArray[np.float64]) -> float:
+def farthest_m(steps_m: NDArray[np.float64]) -> float:
     """Return how far a robot goes at most from one scan to the next, metres.
 
     Parameters
     ----------
-    before : (n, 3) float64
-        yaw, x, y of all motions so far.
+    steps_m : (n,) float64
+        Lengths of all steps so far that are believed.
     """
-    if len(before) < KNOWN:
+    if len(steps_m) < KNOWN:
         return np.inf
-    last = np.sort(_lengths(before[-USUAL:]))
+    last = np.sort(steps_m[-USUAL:])
     return JUMP_M + JUMP * float(last[len(last) // 2])
 
 
