@@ -18,8 +18,10 @@ SUPPORTED = 0.375
 """Share of the walls and corners of the poorer side that must agree on a motion."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
-USUAL, KNOWN = 200, 5
+USUAL, KNOWN = 200, 20
 """Last steps that tell which are usual, and how few do not."""
+SURPRISE = 6.0
+"""Usual surprises, in units of which a step may differ from what is expected at most."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
 """Walls whose directions spread less than by this hold no motion along themselves."""
 STEADY = 5
@@ -55,6 +57,20 @@ def farthest_m(steps_m: NDArray[np.float64]) -> float:
         return np.inf
     last = np.sort(steps_m[-USUAL:])
     return JUMP_M + JUMP * float(last[len(last) // 2])
+
+
+def credible_m(surprises_m: NDArray[np.float64]) -> float:
+    """Return by how much a step may differ from what is expected, metres.
+
+    Parameters
+    ----------
+    surprises_m : (n,) float64
+        By how much all steps so far that are believed did.
+    """
+    if len(surprises_m) < KNOWN:
+        return np.inf
+    last = np.sort(surprises_m[-USUAL:])
+    return SURPRISE * float(last[len(last) // 2])
 
 
 def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:

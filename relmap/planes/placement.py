@@ -111,11 +111,15 @@ def _jumps(motion: PlanarMotion, match: Match, farthest_m: float) -> bool:
 
 def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
     """Return how many walls and corners more must agree on a motion, the more sudden it is."""
-    jumps = [
-        np.hypot(*(motion.t - usual.t)) + LEVER_M * abs(motion.yaw - usual.yaw)
+    return 0.5 + DOUBT * min(1.0, surprise_m(motion, before) / SUDDEN_M)
+
+
+def surprise_m(motion: PlanarMotion, before: PlanarMotion) -> float:
+    """Return how far a motion is from going on as before, or from standing still, metres."""
+    return min(
+        float(np.hypot(*(motion.t - usual.t)) + LEVER_M * abs(motion.yaw - usual.yaw))
         for usual in (before, STILL)
-    ]
-    return float(0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M))
+    )
 
 
 def worth(

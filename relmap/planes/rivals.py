@@ -20,6 +20,7 @@ from relmap.planes.placement import (
     PlanarMotion,
     arrays_of,
     settled,
+    surprise_m,
 )
 from relmap.planes.tracks import PlaneTracks
 
@@ -34,7 +35,7 @@ def rivalled(
     seen: PlaneObservation,
     usual: PlanarMotion,
     found: tuple[PlanarMotion, Match],
-    farthest_m: float,
+    credible_m: float,
 ) -> bool:
     """Tell whether a scan agrees nearly as well on another motion, apart by more than noise.
 
@@ -46,23 +47,28 @@ def rivalled(
         The motion of the scans before.
     found : (motion, match)
         The motion of the tracks' frame into the scan's, and who is who by it.
-    farthest_m : float
-        No robot goes farther than this.
+    credible_m : float
+        A rival differs by no more than this from going on as before or from standing still, or by
+        no more than the motion found.
     """
     from relmap.planes.matching_kernels import guesses
 
     motion, match = found
-    own = np.array([[motion.yaw, *motion.t]])
-    reach = min(farthest_m, REACH_M), TURN_RAD
+    own_m = surprise_m(motion, usual)
+    credible_m = max(credible_m, own_m)
+    if own_m + credible_m < APART_M:
+        return False
+    own, reach = np.array([[motion.yaw, *motion.t]]), (REACH_M, TURN_RAD)
     enough = SHARE * match.score
     motions, scores = guesses(
         *arrays_of(tracks, seen), ROUGHLY, reach, own, (APART_M, APART_RAD), GUESSES
     )
     others = [PlanarMotion(float(row[0]), row[1:]) for row in motions[scores > enough]]
     for other in (usual, STILL, *others):
-        if apart(other, motion):
+        if apart(other, motion) and surprise_m(other, usual) < credible_m + APART_M:
             rival, its = settled(tracks, seen, other)
-            if its.score > enough and apart(rival, motion) and np.hypot(*rival.t) <= reach[0]:
+            credible = apart(rival, motion) and surprise_m(rival, usual) <= credible_m
+            if credible and its.score > enough:
                 return True
     return False
 
