@@ -20,7 +20,7 @@ JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
 USUAL, KNOWN = 200, 20
 """Last steps that tell which are usual, and how few do not."""
-SURPRISE = 6.0
+SURPRISE = 3.0
 """Usual surprises, in units of which a step may differ from what is expected at most."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
 """Walls whose directions spread less than by this hold no motion along themselves."""

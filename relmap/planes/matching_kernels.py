@@ -64,10 +64,7 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, normal, size, wall_sd, static = seen
     n, m = len(angle), len(size)
-    found = np.zeros((n, m))
-    facing = np.empty(m)
-    for j in range(m):
-        facing[j] = math.atan2(normal[j, 1], normal[j, 0])
+    found, facing = np.zeros((n, m)), np.arctan2(normal[:, 1], normal[:, 0])
     for i in range(n):
         nx, ny = math.cos(angle[i]), math.sin(angle[i])
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
@@ -258,7 +255,9 @@ def _near(one: Array, other: Array, near_m: float, near_rad: float) -> bool:
 
 
 @compiled
-def _kept(best: Array, found: Array, score: float, motion: Array, near: tuple[float, float]) -> None:
+def _keep(
+    best: Array, found: Array, score: float, motion: Array, near: tuple[float, float]
+) -> None:
     """Put a motion among the best found (n, 3), of which none are near to one another."""
     last = len(best) - 1
     for k in range(len(best)):
@@ -313,5 +312,5 @@ def guesses(
                     score = 0.0
                     for k in range(worth.shape[1]):
                         score += worth[:, k].max()
-                    _kept(best, found, score, motion, near)
+                    _keep(best, found, score, motion, near)
     return found, best
