@@ -16,6 +16,8 @@ from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
 """Share of the walls and corners of the poorer side that must agree on a motion."""
+EXPECTED = 0.3
+"""The same for going on as before."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
 USUAL, KNOWN = 200, 20
@@ -36,13 +38,16 @@ ASTRAY_M = 1.0
 """What is not known along a wall in a row ends the submap where it may add up to this."""
 
 
-def believed(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+def believed(
+    tracks: PlaneTracks, seen: PlaneObservation, match: Match, expected: bool = False
+) -> bool:
     """Tell whether enough of the walls expected and of those seen agree on a motion.
 
     One that does not is nothing: it may be a speck, or just have come into view.
     """
     recent = tracks.missed == tracks.missed.min(initial=0)
-    return match.score >= SUPPORTED * (min(worth(tracks, seen, recent)) - 1)
+    supported = EXPECTED if expected else SUPPORTED
+    return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
 
 
 def farthest_m(steps_m: NDArray[np.float64]) -> float:

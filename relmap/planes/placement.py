@@ -95,8 +95,7 @@ def place(
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
         arrays, reach = arrays_of(tracks, seen), (REACH_M, TURN_RAD)
-        near = APART_M, APART_RAD
-        motions, scores = guesses(*arrays, ROUGHLY, reach, np.empty((0, 3)), near, GUESSES)
+        motions, scores = guesses(*arrays, ROUGHLY, reach, np.empty((0, 3)), (0.0, 0.0), GUESSES)
         for motion in motions[scores > best[1].score]:
             found = settled(tracks, seen, PlanarMotion(float(motion[0]), motion[1:]))
             doubt = _doubt(found[0], before)

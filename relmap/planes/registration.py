@@ -25,7 +25,7 @@ from relmap.planes.links import (
 )
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place, surprise_m
-from relmap.planes.rivals import rivalled
+from relmap.planes.rivals import apart, rivalled
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -147,7 +147,7 @@ class PlaneRegistration:
         """Return the tracks where a scan sees them; None where it is tied to them by too little."""
         usual, (steps_m, surprises_m) = self._usual, self._steps_m.values.T
         found = place(tracks, seen, usual, farthest_m(steps_m))
-        if found is None or not believed(tracks, seen, found[1]):
+        if found is None or not believed(tracks, seen, found[1], not apart(found[0], usual)):
             return None
         if rivalled(tracks, seen, usual, found, credible_m(surprises_m)):
             return None
