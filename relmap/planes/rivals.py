@@ -24,7 +24,7 @@ from relmap.planes.placement import (
 )
 from relmap.planes.tracks import PlaneTracks
 
-SHARE = 0.85
+SHARE = 0.8
 """Share of the agreement on a motion that makes another one its rival, if it is as credible."""
 SAME = 0.7
 FAR_M = 0.5
