@@ -16,10 +16,14 @@ from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
 """Share of the walls and corners of the poorer side that must agree on a motion."""
+EXPECTED = 0.3
+"""The same for going on as before."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
-USUAL, KNOWN = 200, 5
+USUAL, KNOWN = 200, 20
 """Last steps that tell which are usual, and how few do not."""
+SURPRISE = 3.0
+"""Usual surprises, in units of which a step may differ from what is expected at most."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
 """Walls whose directions spread less than by this hold no motion along themselves."""
 STEADY = 5
@@ -34,27 +38,44 @@ ASTRAY_M = 1.0
 """What is not known along a wall in a row ends the submap where it may add up to this."""
 
 
-def believed(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
+def believed(
+    tracks: PlaneTracks, seen: PlaneObservation, match: Match, expected: bool = False
+) -> bool:
     """Tell whether enough of the walls expected and of those seen agree on a motion.
 
     One that does not is nothing: it may be a speck, or just have come into view.
     """
     recent = tracks.missed == tracks.missed.min(initial=0)
-    return match.score >= SUPPORTED * (min(worth(tracks, seen, recent)) - 1)
+    supported = EXPECTED if expected else SUPPORTED
+    return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
 
 
-def farthest_m(before: NDArray[np.float64]) -> float:
+def farthest_m(steps_m: NDArray[np.float64]) -> float:
     """Return how far a robot goes at most from one scan to the next, metres.
 
     Parameters
     ----------
-    before : (n, 3) float64
-        yaw, x, y of all motions so far.
+    steps_m : (n,) float64
+        Lengths of all steps so far that are believed.
     """
-    if len(before) < KNOWN:
+    if len(steps_m) < KNOWN:
         return np.inf
-    last = np.sort(_lengths(before[-USUAL:]))
+    last = np.sort(steps_m[-USUAL:])
     return JUMP_M + JUMP * float(last[len(last) // 2])
+
+
+def credible_m(surprises_m: NDArray[np.float64]) -> float:
+    """Return by how much a step may differ from what is expected, metres.
+
+    Parameters
+    ----------
+    surprises_m : (n,) float64
+        By how much all steps so far that are believed did.
+    """
+    if len(surprises_m) < KNOWN:
+        return np.inf
+    last = np.sort(surprises_m[-USUAL:])
+    return SURPRISE * float(last[len(last) // 2])
 
 
 def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
