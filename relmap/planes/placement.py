@@ -131,7 +131,7 @@ def worth(
     )
 
 
-def arrays_of(tracks: PlaneTracks, seen: PlaneObservation) -> Any:
+def arrays_of(tracks: PlaneTracks, seen: PlaneObservation) -> tuple[Any, Any]:
     """Return what the kernels know of tracks, and of the walls of a scan."""
     return (
         (tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at),
