@@ -15,7 +15,8 @@ from PIL import Image
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.evaluate import Overlay
 from relmap.io.results import Result, Tracks
-from relmap.plots.run import broken_at_gaps, plot_run, write_map_png
+from relmap.plots.path import broken_at_gaps
+from relmap.plots.run import plot_run, write_map_png
 
 
 def make_result(n: int, planar: bool = False, dynamic: int = 0) -> Result:

@@ -14,23 +14,18 @@ from PIL import Image
 from relmap.cli import main
 from relmap.core.errors import RelmapError
 from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.figures.bench import BenchFrame, BenchRecorder, frame_step
 from relmap.figures.corner_test import CornerTest, clearest, corner_tests
 from relmap.figures.figure04 import outcome as corner_outcome
+from relmap.figures.figure04 import plot_corner_test
+from relmap.figures.figure06 import PartialWall, longest, plot_partial_wall, run_partial_wall
 from relmap.figures.figure06 import outcome as wall_outcome
-from relmap.figures.partial_wall import (
-    PartialWall,
-    longest,
-    run_partial_wall,
-)
-from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
 from relmap.planes.stitching import weak_links
 from relmap.plots.bench import plot_bench, write_bench_gif
-from relmap.plots.corner_test import plot_corner_test
-from relmap.plots.partial_wall import plot_partial_wall
+from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
+from relmap.plots.path import fit_poses
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
 from tests.commands import Check

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from relmap.datasets.scans import PointScan, ScanLog
     from relmap.evaluation.plane_evaluate import WallTruth
     from relmap.evaluation.plane_run import PlaneRun
-    from relmap.figures.bench import BenchRecorder
     from relmap.planes import PlaneMapper
+    from relmap.plots.bench_recorder import BenchRecorder
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
@@ -59,9 +59,9 @@ def map_scans(job: Job) -> tuple[PlaneRun, int]:
     """
     from relmap.cli.console import busy
     from relmap.evaluation.plane_run import run_plane_mapper
-    from relmap.figures.bench import BenchRecorder, frame_step
     from relmap.io.files import staged_folder
     from relmap.planes import PlaneMapper
+    from relmap.plots.bench_recorder import BenchRecorder, frame_step
     from relmap.segmentation import PlaneSegmenter
 
     source, log, seen = job.at(job.source), _read(job), journaled_labels(job)

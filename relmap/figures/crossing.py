@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.plane_evaluate import evaluate_planes
-from relmap.evaluation.plane_run import PlaneRun, run_plane_mapper
+from relmap.evaluation.plane_run import run_plane_mapper
 from relmap.evaluation.run import run_mapper
-from relmap.figures.partial_wall import longest
+from relmap.figures.figure06 import longest
 from relmap.figures.surface_points import SurfacePoints, scan_surface_points
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
+from relmap.planes.table import PlaneTable
 from relmap.points.mapper import PointMapper
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
@@ -172,27 +173,46 @@ def wall_points(
     return scan_surface_points(building, spacing_m, noise * spacing_m, seed)
 
 
-def map_planes(seen: SurfacePoints) -> PlaneRun:
-    """Segment the scans and map the walls."""
-    return run_plane_mapper(PlaneMapper(), seen.scans, PlaneSegmenter())
+@dataclass(frozen=True, eq=False)
+class JudgedMap:
+    """A map of the points, or of the walls that they lie on, and how good it is.
+
+    Attributes
+    ----------
+    result : Result
+    planes : PlaneTable or None
+    rmse_m, ate_m : float or None
+        Of corners or points, and of the path.
+    coverage : float
+        Share of the corners or points seen ten times that stand in the map.
+    matched : int
+        Poses that can be compared.
+    """
+
+    result: Result
+    planes: PlaneTable | None
+    rmse_m: float | None
+    coverage: float
+    ate_m: float | None
+    matched: int
 
 
-def map_points(seen: SurfacePoints, ids_given: bool = False) -> Result:
-    """Map the points themselves."""
-    association: Literal["known", "nearest"] = "known" if ids_given else "nearest"
-    return run_mapper(PointMapper(), seen.points, association, refine=True).result
+def map_of(method: Method, seen: SurfacePoints) -> JudgedMap:
+    """Segment the scans and map the walls, or map the points themselves."""
+    if method == "planes":
+        run = run_plane_mapper(PlaneMapper(), seen.scans, PlaneSegmenter())
+        walls = evaluate_planes(run.result, run.planes, seen.walls_truth)
+        figures = walls.corner_rmse_m, walls.coverage or 0.0, walls.ate_m
+        return JudgedMap(run.result, run.planes, *figures, walls.counts["matched_poses"])
+    association: Literal["known", "nearest"] = "nearest" if method == "points" else "known"
+    result = run_mapper(PointMapper(), seen.points, association, refine=True).result
+    points = evaluate(result, seen.points_truth, seen.points)
+    figures = points.landmark_rmse_m, points.coverage or 0.0, points.ate_m
+    return JudgedMap(result, None, *figures, points.counts["matched_poses"])
 
 
 def _row(method: Method, seen: SurfacePoints, noise: float, seed: int) -> CrossingRow:
+    found = map_of(method, seen)
     about = (method, seen.spacing_m, noise, seen.sigma, seed)
-    if method == "planes":
-        run = map_planes(seen)
-        walls = evaluate_planes(run.result, run.planes, seen.walls_truth)
-        figures = walls.corner_rmse_m, walls.coverage or 0.0, walls.ate_m
-        matched = walls.counts["matched_poses"]
-    else:
-        result = map_points(seen, ids_given=method != "points")
-        points = evaluate(result, seen.points_truth, seen.points)
-        figures = points.landmark_rmse_m, points.coverage or 0.0, points.ate_m
-        matched = points.counts["matched_poses"]
-    return CrossingRow(*about, *figures, matched / len(seen.scans))
+    figures = found.rmse_m, found.coverage, found.ate_m
+    return CrossingRow(*about, *figures, found.matched / len(seen.scans))
