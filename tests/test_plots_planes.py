@@ -178,6 +178,12 @@ def test_bench_has_the_four_panels_of_the_paper(bench: BenchRecorder) -> None:
     assert titles[3] == "the map with group connectivity"
 
 
+def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorder) -> None:
+    assert plot_bench(last_frame(bench)).get_suptitle() == "the test bench, iteration 39"
+    in_paper = plot_bench(last_frame(bench), "Figure 5: the test bench").get_suptitle()
+    assert in_paper == "Figure 5: the test bench, iteration 39"
+
+
 def test_animation_holds_every_frame(bench: BenchRecorder, tmp_path: Path) -> None:
     seen = []
 
