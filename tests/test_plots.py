@@ -198,6 +198,7 @@ def test_path_among_walls_is_broken_where_it_leaps() -> None:
 
 
 def test_figures_of_a_comparison_are_dots() -> None:
+    rows: list[tuple[str, dict[str, float | None]]]
     rows = [("relmap-points", {"ate_m": 0.1, "total_s": 2.0}), ("batch", {"ate_m": None})]
     figure = plot_comparison(rows, "two methods")
     assert not any(axes.patches for axes in figure.axes)

@@ -161,7 +161,7 @@ def run_crossing(
     runs: list[CrossingRow] = []
     for spacing_m, noise, seed in progress(cells) if progress else cells:
         seen = wall_points(spacing_m, noise, seed, iterations)
-        runs.extend(_row(method, seen, noise, seed) for method in METHODS)
+        runs.extend(map_of(method, seen, noise, seed)[2] for method in METHODS)
     return Crossing(tuple(runs))
 
 
@@ -173,46 +173,22 @@ def wall_points(
     return scan_surface_points(building, spacing_m, noise * spacing_m, seed)
 
 
-@dataclass(frozen=True, eq=False)
-class JudgedMap:
-    """A map of the points, or of the walls that they lie on, and how good it is.
-
-    Attributes
-    ----------
-    result : Result
-    planes : PlaneTable or None
-    rmse_m, ate_m : float or None
-        Of corners or points, and of the path.
-    coverage : float
-        Share of the corners or points seen ten times that stand in the map.
-    matched : int
-        Poses that can be compared.
-    """
-
-    result: Result
-    planes: PlaneTable | None
-    rmse_m: float | None
-    coverage: float
-    ate_m: float | None
-    matched: int
-
-
-def map_of(method: Method, seen: SurfacePoints) -> JudgedMap:
-    """Segment the scans and map the walls, or map the points themselves."""
+def map_of(
+    method: Method, seen: SurfacePoints, noise: float, seed: int
+) -> tuple[Result, PlaneTable | None, CrossingRow]:
+    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
+    planes = None
     if method == "planes":
         run = run_plane_mapper(PlaneMapper(), seen.scans, PlaneSegmenter())
-        walls = evaluate_planes(run.result, run.planes, seen.walls_truth)
-        figures = walls.corner_rmse_m, walls.coverage or 0.0, walls.ate_m
-        return JudgedMap(run.result, run.planes, *figures, walls.counts["matched_poses"])
-    association: Literal["known", "nearest"] = "nearest" if method == "points" else "known"
-    result = run_mapper(PointMapper(), seen.points, association, refine=True).result
-    points = evaluate(result, seen.points_truth, seen.points)
-    figures = points.landmark_rmse_m, points.coverage or 0.0, points.ate_m
-    return JudgedMap(result, None, *figures, points.counts["matched_poses"])
-
-
-def _row(method: Method, seen: SurfacePoints, noise: float, seed: int) -> CrossingRow:
-    found = map_of(method, seen)
+        result, planes = run.result, run.planes
+        walls = evaluate_planes(result, planes, seen.walls_truth)
+        found = walls.corner_rmse_m, walls.coverage or 0.0, walls.ate_m
+        matched = walls.counts["matched_poses"]
+    else:
+        association: Literal["known", "nearest"] = "nearest" if method == "points" else "known"
+        result = run_mapper(PointMapper(), seen.points, association, refine=True).result
+        points = evaluate(result, seen.points_truth, seen.points)
+        found = points.landmark_rmse_m, points.coverage or 0.0, points.ate_m
+        matched = points.counts["matched_poses"]
     about = (method, seen.spacing_m, noise, seen.sigma, seed)
-    figures = found.rmse_m, found.coverage, found.ate_m
-    return CrossingRow(*about, *figures, found.matched / len(seen.scans))
+    return result, planes, CrossingRow(*about, *found, matched / len(seen.scans))

@@ -240,7 +240,7 @@ def _draw_map(axes: Axes, run: PartialWall) -> None:
     corners = ends[run.planes.corner[mapped] >= 0]
     weak = np.where(run.weak[:, None], path, np.nan)
     draw_true_walls(axes, run.true_walls)
-    draw_walls(axes, ends, WALL, 1.0, "mapped wall")
+    draw_walls(axes, ends)
     axes.plot(*corners.T, "o", color=CORNER, markersize=3.5, linestyle="", label="mapped corner")
     axes.plot(*path.T, color=PATH, linewidth=1.2, label="path of the robot, from the map")
     axes.plot(*weak.T, color=ORANGE, linewidth=4.0, alpha=0.8, label="weak: nothing fixes it along")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from relmap.evaluation import metrics
 from relmap.evaluation.plane_evaluate import WallTruth
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
+from relmap.figures.base import Outcome, PaperFigure, Table, judged
 from relmap.figures.crossing import HALF, map_of, wall_points
 from relmap.io.results import Result
 from relmap.plots.bench_recorder import COLUMNS, rows_of
@@ -105,25 +104,25 @@ def run_noisy_maps(
         Scans; one loop where left out.
     """
     seen = wall_points(spacing_m, noise, seed, iterations)
-    planes, points = map_of("planes", seen), map_of("points", seen)
-    assert planes.planes is not None
     truth = seen.walls_truth
-    R, t, path = _placed(planes.result, truth)
-    mapped = planes.planes.status == "static"
-    R_points, t_points, points_path = _placed(points.result, truth)
-    of_points = points.result.landmarks.position[points.result.mapped, :2]
+    result, walls, planes = map_of("planes", seen, noise, seed)
+    of_points, _, points = map_of("points", seen, noise, seed)
+    assert walls is not None
+    R, t, path = _placed(result, truth)
+    R_points, t_points, points_path = _placed(of_points, truth)
+    positions = of_points.landmarks.position[of_points.mapped, :2]
     return NoisyMaps(
         spacing_m,
         noise,
         seen.sigma,
         seed,
         truth.ends,
-        planes.planes.ends[mapped] @ R.T + t,
+        walls.ends[walls.status == "static"] @ R.T + t,
         path,
         points_path,
-        of_points @ R_points.T + t_points,
-        planes.rmse_m,
-        points.rmse_m,
+        positions @ R_points.T + t_points,
+        planes.map_rmse_m,
+        points.map_rmse_m,
         planes.coverage,
         points.coverage,
     )
@@ -138,11 +137,6 @@ def _placed(
         return np.eye(2), np.zeros(2), np.empty((0, 2))
     R, t = fit_poses(result.poses[mine], truth.poses[other])
     return R, t, broken_at_gaps(result.stamps_s, result.poses[:, :2, 3] @ R.T + t)
-
-
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Map the points of a building's walls both ways."""
-    return outcome(run_noisy_maps(iterations=QUICK_ITERATIONS if quick else None))
 
 
 def outcome(maps: NoisyMaps) -> Outcome:
@@ -174,7 +168,7 @@ def plot_noisy_maps(maps: NoisyMaps) -> Figure:
         draw_limits(axes, limits)
         if axes is planes or len(maps.points):
             axes.plot(*path.T, color=GREY, linewidth=0.9, zorder=2, label="path from the map")
-    draw_walls(planes, maps.walls, WALL, 1.0, "mapped wall")
+    draw_walls(planes, maps.walls)
     finish(planes, f"planes: {maps.said_of_planes}", "x [m]", "y [m]")
     _draw_points(points, maps)
     finish(points, f"points: {maps.said_of_points}", "x [m]", "")
@@ -209,5 +203,7 @@ FIGURE = PaperFigure(
         f"planes: {HALF:.0%} of the corners seen ten times are mapped, and points: less than "
         f"{HALF:.0%} of them are, or they are {MUCH:g} times as far off; partly where one holds"
     ),
-    run=_run,
+    run=lambda quick, data, watch: outcome(
+        run_noisy_maps(iterations=QUICK_ITERATIONS if quick else None)
+    ),
 )

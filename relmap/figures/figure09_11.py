@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,21 +28,6 @@ RIGHT, MOSTLY = 0.99, 0.9
 LARGEST, NEARLY = 0.99, 0.9
 NOT_SEEN, SEEN, SEED, SEED_INTERVAL, AREA = "#ffffff", "#5f6670", "#d9822b", "#fbe9cf", BLUE
 COLUMNS = ("row", "landmark", "iteration", "in_seed_interval")
-
-
-def _run_chart(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Chart a run and compare with what was truly visible."""
-    return of_chart(shown_chart(quick), charted_run(quick))
-
-
-def _run_sorted(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Sort the chart of figure 9."""
-    return of_sorted(shown_chart(quick))
-
-
-def _run_groups(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Grow the group of figure 9's landmark, and those of all others."""
-    return of_groups(shown_chart(quick), all_charts(charted_run(quick), watch))
 
 
 def of_chart(chart: ChartPicture, run: ChartedRun) -> Outcome:
@@ -231,7 +215,7 @@ FIGURES = (
             f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
             f"partly: {MOSTLY:.0%}"
         ),
-        run=_run_chart,
+        run=lambda quick, data, watch: of_chart(shown_chart(quick), charted_run(quick)),
     ),
     PaperFigure(
         name="10",
@@ -241,7 +225,7 @@ FIGURES = (
             "and those that were seen little or with gaps stand low."
         ),
         criterion="the shared iterations never rise from one row to the next",
-        run=_run_sorted,
+        run=lambda quick, data, watch: of_sorted(shown_chart(quick)),
     ),
     PaperFigure(
         name="11",
@@ -254,6 +238,8 @@ FIGURES = (
             "over all landmarks that come and go in the run, the area at which the rule stops is "
             f"on average {LARGEST:.0%} of the largest there is down the chart; partly: {NEARLY:.0%}"
         ),
-        run=_run_groups,
+        run=lambda quick, data, watch: of_groups(
+            shown_chart(quick), all_charts(charted_run(quick), watch)
+        ),
     ),
 )

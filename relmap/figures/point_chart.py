@@ -134,15 +134,10 @@ class ChartedRun:
         landmarks, iterations = self.store.seen(0, self.store.n_iterations)
         order = np.argsort(landmarks, kind="stable")
         bounds = np.searchsorted(landmarks[order], np.arange(landmarks.max(initial=-1) + 2))
-        found = []
-        for landmark, (low, high) in enumerate(pairwise(bounds)):
-            when = iterations[order[low:high]]
-            if not len(when):
-                continue
-            begin, end = int(when[0]), int(when[-1]) + 1
-            if begin >= MARGIN and end <= self.store.n_iterations - MARGIN:
-                found.append((landmark, begin, end))
-        return found
+        seen = {n: iterations[order[a:b]] for n, (a, b) in enumerate(pairwise(bounds)) if a < b}
+        visits = [(n, int(when[0]), int(when[-1]) + 1) for n, when in seen.items()]
+        latest = self.store.n_iterations - MARGIN
+        return [visit for visit in visits if visit[1] >= MARGIN and visit[2] <= latest]
 
     def truly_visible(self, chart: ChartPicture) -> NDArray[np.bool_]:
         """Return what the simulator says to the cells (n, i) of a chart.

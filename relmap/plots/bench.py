@@ -16,7 +16,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from relmap.core.errors import RelmapError
 from relmap.plots.bench_recorder import BenchFrame
-from relmap.plots.planes import CORNER, WALL, draw_true_walls, draw_walls
+from relmap.plots.planes import CORNER, draw_true_walls, draw_walls
 from relmap.plots.sheet import (
     GREY,
     INK,
@@ -30,6 +30,7 @@ from relmap.plots.sheet import (
 )
 
 TITLE = "the test bench"
+ROBOT_FRAME = ", robot frame"
 PLANE_COLOURS = (
     "#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#17becf", "#bcbd22",
 )  # fmt: skip
@@ -113,7 +114,9 @@ def _draw(figure: Figure, frame: BenchFrame, limits: tuple[Limits, Limits], titl
     figure.suptitle(f"{title}, iteration {frame.iteration}", fontsize=13)
 
 
-def _legend(axes: Axes) -> None:
+def _name(axes: Axes, title: str, frame: str = "") -> None:
+    """Name a panel and its axes, and explain below it what it shows."""
+    finish(axes, title, f"x{frame} [m]", f"y{frame} [m]")
     figure = axes.get_figure()
     assert figure is not None
     below = axes.transAxes + ScaledTranslation(0, -LEGEND_IN, figure.dpi_scale_trans)
@@ -127,14 +130,12 @@ def _draw_mapped(axes: Axes, frame: BenchFrame) -> None:
         draw_true_walls(axes, frame.true_walls)
     _draw_map(axes, frame)
     axes.plot(*frame.path.T, color=GREY, linewidth=0.9, zorder=2, label="path")
-    title = "mapped walls over the true ones" if known else "mapped walls"
-    finish(axes, title, "x [m]", "y [m]")
-    _legend(axes)
+    _name(axes, "mapped walls over the true ones" if known else "mapped walls")
 
 
 def _draw_map(axes: Axes, frame: BenchFrame) -> None:
     """Draw walls, corners and the robot."""
-    draw_walls(axes, frame.walls, WALL, 1.2, "mapped wall")
+    draw_walls(axes, frame.walls)
     style: dict[str, Any] = {"linestyle": "", "zorder": 6}
     axes.plot(*frame.corners.T, "o", color=CORNER, markersize=2.5, label="corner", **style)
     x, y = frame.T_world_robot[:2, 3]
@@ -147,8 +148,7 @@ def _draw_points(axes: Axes, frame: BenchFrame) -> None:
     axes.plot(*frame.points_robot.T, ".", color=INK, markersize=1.5, label="point")
     axes.plot(0, 0, marker=(3, 0, -90), color=RED, markersize=9, linestyle="", label="robot")
     n = len(frame.points_robot)
-    finish(axes, f"what the robot sees: {n} points", "x, robot frame [m]", "y, robot frame [m]")
-    _legend(axes)
+    _name(axes, f"what the robot sees: {n} points", ROBOT_FRAME)
 
 
 def _draw_planes(axes: Axes, frame: BenchFrame) -> None:
@@ -164,9 +164,7 @@ def _draw_planes(axes: Axes, frame: BenchFrame) -> None:
     cut = frame.ends_robot[~frame.static_end]
     axes.plot(*cut.T, "o", markerfacecolor="white", label="where the sight of it ends", **style)
     axes.plot(0, 0, marker=(3, 0, -90), color=RED, markersize=9, linestyle="")
-    title = f"segmented: {len(frame.ends_robot)} planes"
-    finish(axes, title, "x, robot frame [m]", "y, robot frame [m]")
-    _legend(axes)
+    _name(axes, f"segmented: {len(frame.ends_robot)} planes", ROBOT_FRAME)
 
 
 def _draw_groups(axes: Axes, frame: BenchFrame) -> None:
@@ -175,8 +173,7 @@ def _draw_groups(axes: Axes, frame: BenchFrame) -> None:
     axes.add_collection(lines)
     axes.plot([], [], color=RED, linewidth=0.9, label="group, from its middle to its walls")
     _draw_map(axes, frame)
-    finish(axes, "the map with group connectivity", "x [m]", "y [m]")
-    _legend(axes)
+    _name(axes, "the map with group connectivity")
 
 
 write_bench_png = to_png(plot_bench)

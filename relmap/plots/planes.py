@@ -22,7 +22,6 @@ PATH = "#7f7f7f"
 PANEL_IN = 3.4
 TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
-TRUE_WIDTH = 2.2
 
 
 def write_submaps_png(
@@ -79,7 +78,7 @@ def plot_submaps(
 def draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return how many walls and corners."""
     mapped = planes.status == "static"
-    draw_walls(axes, planes.ends[mapped], WALL, 1.0, "wall")
+    draw_walls(axes, planes.ends[mapped], "wall")
     at = planes.ends[mapped][planes.corner[mapped] >= 0]
     axes.plot(*at.T, "o", color=CORNER, markersize=2.2, zorder=6, label="corner", linestyle="")
     path = broken_at_jumps(poses[:, :2, 3])
@@ -124,17 +123,22 @@ def plot_planes(
 
 
 def draw_walls(
-    axes: Axes, ends: NDArray[np.float64], colour: str, width: float, label: str
+    axes: Axes,
+    ends: NDArray[np.float64],
+    label: str = "mapped wall",
+    colour: str = WALL,
+    width: float = 1.5,
+    zorder: float = 5.0,
 ) -> None:
-    """Draw walls (m, 2, 2) as lines, thinner ones over thicker ones."""
-    lines = LineCollection(list(ends), colors=colour, linewidths=width, zorder=5 - width / 3)
+    """Draw walls (m, 2, 2) as lines."""
+    lines = LineCollection(list(ends), colors=colour, linewidths=width, zorder=zorder)
     axes.add_collection(lines)
     axes.plot([], [], color=colour, linewidth=width, label=label)
 
 
 def draw_true_walls(axes: Axes, ends: NDArray[np.float64]) -> None:
-    """Draw true walls (m, 2, 2), over which those of the map show."""
-    draw_walls(axes, ends, TRUE_WALL, TRUE_WIDTH, "true wall")
+    """Draw true walls (m, 2, 2) thinly, so that those of the map show over them."""
+    draw_walls(axes, ends, "true wall", TRUE_WALL, width=1.0, zorder=4.0)
 
 
 def _in_space(flat: NDArray[np.float64]) -> NDArray[np.float64]:
