@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
+from relmap.figures.base import Outcome, PaperFigure, Table, judged, sentence
 from relmap.figures.crossing import HALF, METHODS, Crossing, Method, run_crossing
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below
 
-SPACINGS_M = (0.2, 0.3, 0.4)
-NOISES = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-SEEDS = range(5)
+FULL = ((0.2, 0.3, 0.4), (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), range(5))
+"""Spacings in metres, noises in units of them, seeds."""
 COLOURS: dict[Method, str] = {"planes": BLUE, "points": RED, "points, ids given": ORANGE}
 BAR = 1.2
 """Map error of planes at Fig. 7's noise, in units of sigma, that is aimed at."""
@@ -24,12 +21,6 @@ PANELS = {
     "coverage": ("how much is mapped", "corners or points seen ten times [%]"),
 }
 QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
-
-
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Map points of walls both ways, over spacings, noises and seeds."""
-    spacings_m, noises, seeds = QUICK if quick else (SPACINGS_M, NOISES, SEEDS)
-    return outcome(run_crossing(spacings_m, noises, seeds, progress=watch))
 
 
 def outcome(data: Crossing) -> Outcome:
@@ -120,5 +111,5 @@ FIGURE = PaperFigure(
         "at every spacing of the points there is a noise from which on planes have the better map, "
         "and one at which points lose half of it; partly where one of the two holds"
     ),
-    run=_run,
+    run=lambda quick, data, watch: outcome(run_crossing(*(QUICK if quick else FULL), None, watch)),
 )

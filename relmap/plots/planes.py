@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from relmap.evaluation.plane_evaluate import MatchedCorners, WallTruth
 from relmap.planes.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
-from relmap.plots.sheet import BLUE, PALE, Sheet, blank, to_png, write_png
+from relmap.plots.sheet import BLUE, PALE, Sheet, blank, to_png
 
 WALL = BLUE
 CORNER = "#0b7a3b"
@@ -24,35 +23,21 @@ TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
 
 
-def write_submaps_png(
-    path: Path, submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
-) -> None:
-    """Draw the walls and paths of submaps into a PNG file, each in a panel of its own.
+def plot_submaps(
+    submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
+) -> Figure:
+    """Draw the walls and paths of submaps, each in its own frame and a panel of its own.
 
     Parameters
     ----------
-    path : Path
     submaps : sequence of (PlaneTable, (k, 4, 4) float64)
         Those to be drawn, the map itself first.
     n_submaps : int
         How many there are.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
     """
     if len(submaps) < 2:
         title = None if n_submaps < 2 else f"the largest of {n_submaps} submaps"
-        planes, poses = submaps[0]
-        return write_planes_png(path, planes, poses, title=title)
-    return write_png(path, lambda: plot_submaps(submaps, n_submaps))
-
-
-def plot_submaps(
-    submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
-) -> Figure:
-    """Draw submaps side by side, each in its own frame; see `write_submaps_png`."""
+        return plot_planes(*submaps[0], title=title)
     columns = int(np.ceil(np.sqrt(len(submaps))))
     rows = -(-len(submaps) // columns)
     figure = blank(PANEL_IN * columns, PANEL_IN * rows + 0.8, dpi=110, layout=None)
@@ -146,3 +131,4 @@ def _in_space(flat: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 write_planes_png = to_png(plot_planes)
+write_submaps_png = to_png(plot_submaps)

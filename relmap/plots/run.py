@@ -80,22 +80,20 @@ def _draw_landmarks(axes: Axes, result: Result, pair: list[int]) -> Any:
     area = _marker_area(int(result.mapped.sum()))
     static = result.mapped & (table.status != "dynamic")
     known = static & np.isfinite(table.sd) & (table.sd > 0)
-    x, y = pair
-    plain, moving = static & ~known, result.mapped & ~static
     style: dict[str, Any] = {"s": area, "linewidths": 0, "zorder": 6}
-    if plain.any():
-        at = table.position[plain]
-        axes.scatter(at[:, x], at[:, y], c="black", label="landmark", **style)
-    if moving.any():
-        cross = {**style, "marker": "x", "linewidths": 1.0, "s": area + 6}
-        at = table.position[moving]
-        axes.scatter(at[:, x], at[:, y], c="#d81b60", label="dynamic landmark", **cross)
+    cross = style | {"c": "#d81b60", "marker": "x", "linewidths": 1.0, "s": area + 6}
+    for of, label, how in (
+        (static & ~known, "landmark", style | {"c": "black"}),
+        (result.mapped & ~static, "dynamic landmark", cross),
+    ):
+        if of.any():
+            axes.scatter(*table.position[of][:, pair].T, label=label, **how)
     if not known.any():
         return None
     sd = table.sd[known]
     norm = LogNorm(sd.min(), sd.max()) if sd.max() > 1.2 * sd.min() else None
-    at = table.position[known]
-    return axes.scatter(at[:, x], at[:, y], c=sd, norm=norm, label="landmark", **style)
+    x, y = table.position[known][:, pair].T
+    return axes.scatter(x, y, c=sd, norm=norm, label="landmark", **style)
 
 
 def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
@@ -110,13 +108,9 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
 def _draw_groups(
     axes: Axes, result: Result, groups: Sequence[NDArray[np.int64]], pair: list[int]
 ) -> None:
-    place = dict(
-        zip(
-            result.landmarks.landmark[result.mapped].tolist(),
-            result.landmarks.position[result.mapped][:, pair],
-            strict=True,
-        )
-    )
+    mapped, table = result.mapped, result.landmarks
+    at = table.position[mapped][:, pair]
+    place = dict(zip(table.landmark[mapped].tolist(), at, strict=True))
     links: list[NDArray[np.float64]] = []
     every = max(1, math.ceil(sum(map(len, groups)) / MOST_LINKS))
     for group in groups[::every]:
