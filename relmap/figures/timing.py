@@ -1,10 +1,12 @@
-"""Processor time of mapping, iteration by iteration: the data of figures 14 and 15."""
+"""How the work grows: processor time of mapping, and n log n; shared by figures 12, 14 and 15."""
 
 from __future__ import annotations
 
 from time import process_time
+from typing import Any
 
 import numpy as np
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -12,6 +14,8 @@ from relmap.datasets.base import ObservationLog
 from relmap.figures.base import Watch, unwatched
 from relmap.points.mapper import PointMapper
 from relmap.simulation import simulate_figure_eight
+
+MACHINE = "(milliseconds of one machine: compare ratios)"
 
 
 def timed(log: ObservationLog) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -43,3 +47,17 @@ def median_times(
 def warm_up() -> None:
     """Have everything compiled that is compiled when it is first used."""
     timed(simulate_figure_eight(density=100, iterations=100).log)
+
+
+def n_log_n(n: NDArray[Any]) -> NDArray[np.float64]:
+    """Return n log2 n."""
+    return np.asarray(n * np.log2(n), dtype=np.float64)
+
+
+def write_in_full(axis: Any, values: NDArray[np.float64]) -> None:
+    """Write the numbers of a logarithmic axis as 1, 2, 5, 10, ..."""
+    steps = np.outer(10.0 ** np.arange(-6, 9), [1, 2, 5]).ravel()
+    shown = steps[(steps >= values.min() / 1.7) & (steps <= values.max() * 1.7)]
+    axis.set_major_locator(FixedLocator(shown.tolist()))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
