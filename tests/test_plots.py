@@ -205,3 +205,15 @@ def test_figures_of_a_comparison_are_dots() -> None:
     (dot,) = figure.axes[0].get_lines()
     assert np.asarray(dot.get_xdata()).tolist() == [0.1]
     assert "no figure" in [text.get_text() for text in figure.axes[0].texts]
+
+
+def test_axes_of_a_comparison_have_numbers_however_near_its_figures_are() -> None:
+    for values in ((1.91, 1.95), (0.0146, 0.0984), (0.003, 0.15)):
+        rows: list[tuple[str, dict[str, float | None]]]
+        rows = [(f"method {value}", {"ate_m": value}) for value in values]
+        axes = plot_comparison(rows, "two methods").axes[0]
+        low, high = axes.get_xlim()
+        shown = [at for at in axes.get_xticks() if low <= at <= high]
+        assert shown
+        written = [axes.xaxis.get_major_formatter()(at) for at in shown]
+        assert [float(text) for text in written] == pytest.approx(shown)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from relmap.core.grouping.dynamics import Binning
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, unwatched
-from relmap.figures.timing import n_log_n, write_in_full
-from relmap.plots.sheet import GREY, blank, finish
+from relmap.figures.timing import n_log_n
+from relmap.plots.sheet import GREY, blank, finish, write_in_full
 from relmap.simulation import simulate_figure_eight
 
 SIGMA_M = 0.05

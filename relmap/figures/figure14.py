@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from relmap.datasets.base import ObservationLog
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
-from relmap.figures.timing import MACHINE, median_times, timed, warm_up, write_in_full
-from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish
+from relmap.figures.timing import MACHINE, median_times, timed, warm_up
+from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, write_in_full
 from relmap.simulation import simulate_figure_eight
 
 REPEATS, QUICK_REPEATS = 9, 1

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
-from relmap.figures.timing import MACHINE, median_times, n_log_n, warm_up, write_in_full
-from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish
+from relmap.figures.timing import MACHINE, median_times, n_log_n, warm_up
+from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish, write_in_full
 from relmap.simulation import simulate_figure_eight
 
 DENSITIES = (12, 25, 50, 100, 200, 400, 700, 1200, 1900)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from relmap.figures.base import Outcome, PaperFigure, Table, judged, sentence
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
 from relmap.figures.crossing import HALF, METHODS, Crossing, Method, run_crossing
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below
 
@@ -21,6 +23,12 @@ PANELS = {
     "coverage": ("how much is mapped", "corners or points seen ten times [%]"),
 }
 QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
+
+
+def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
+    """Map points of walls both ways, over spacings, noises and seeds."""
+    spacings_m, noises, seeds = QUICK if quick else FULL
+    return outcome(run_crossing(spacings_m, noises, seeds, progress=watch))
 
 
 def outcome(data: Crossing) -> Outcome:
@@ -111,5 +119,5 @@ FIGURE = PaperFigure(
         "at every spacing of the points there is a noise from which on planes have the better map, "
         "and one at which points lose half of it; partly where one of the two holds"
     ),
-    run=lambda quick, data, watch: outcome(run_crossing(*(QUICK if quick else FULL), None, watch)),
+    run=_run,
 )

@@ -6,7 +6,6 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -52,12 +51,3 @@ def warm_up() -> None:
 def n_log_n(n: NDArray[Any]) -> NDArray[np.float64]:
     """Return n log2 n."""
     return np.asarray(n * np.log2(n), dtype=np.float64)
-
-
-def write_in_full(axis: Any, values: NDArray[np.float64]) -> None:
-    """Write the numbers of a logarithmic axis as 1, 2, 5, 10, ..."""
-    steps = np.outer(10.0 ** np.arange(-6, 9), [1, 2, 5]).ravel()
-    shown = steps[(steps >= values.min() / 1.7) & (steps <= values.max() * 1.7)]
-    axis.set_major_locator(FixedLocator(shown.tolist()))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())

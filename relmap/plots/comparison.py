@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
-from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish, to_png
+from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish, to_png, write_in_full
 
 Figures = Mapping[str, float | None]
 OURS = "relmap"
 """What the names of relmap's own methods begin with."""
 ROW_IN = 0.34
+MANY = 30.0
+"""Where the figures span more, only powers of ten are written."""
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
@@ -52,11 +54,11 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
 def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
     """Draw one figure of every method as a dot, in logarithmic scale."""
     axes.set_xscale("log")
-    axes.xaxis.set_minor_formatter(NullFormatter())
     values = [f.get(key) for _, f in rows]
-    known = [value for value in values if value]
-    least = min(known, default=1.0) / 2
-    axes.set_xlim(least, 4 * max(known, default=1.0))
+    known = np.array([value for value in values if value] or [1.0])
+    least = known.min() / 2
+    axes.set_xlim(least, 4 * known.max())
+    write_in_full(axes.xaxis, known, (1, 2, 5) if known.max() < MANY * known.min() else (1,))
     for row, ((method, _), value) in enumerate(zip(rows, values, strict=True)):
         if not value:
             axes.text(least * 1.05, row, "no figure", va="center", fontsize=7, color=GREY)

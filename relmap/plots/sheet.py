@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec
@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from relmap.io.files import atomic_write
@@ -92,6 +92,17 @@ def draw_limits(axes: Axes, limits: Limits) -> None:
     """Have a panel of two equal axes show what lies within limits."""
     low, high = limits
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+
+
+def write_in_full(
+    axis: Any, values: NDArray[np.float64], digits: Sequence[int] = (1, 2, 5)
+) -> None:
+    """Write the numbers of a logarithmic axis, that begin with these digits, as 1, 2, 5, 10, ..."""
+    steps = np.outer(10.0 ** np.arange(-6, 9), digits).ravel()
+    shown = steps[(steps >= values.min() / 1.7) & (steps <= values.max() * 1.7)]
+    axis.set_major_locator(FixedLocator(shown.tolist()))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 class Sheet:
