@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.figures.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
+from relmap.figures.figure07 import NoisyMaps, plot_noisy_maps, run_noisy_maps
 from relmap.figures.figure07 import outcome as noisy_outcome
 from relmap.figures.figure_crossing import outcome as crossing_outcome
-from relmap.figures.noisy_map import NoisyMaps, run_noisy_maps
+from relmap.figures.figure_crossing import plot_crossing, said
 from relmap.figures.surface_points import scan_surface_points
-from relmap.plots.crossing import plot_crossing, plot_noisy_maps, said
 from relmap.simulation import simulate_building
 
 BUILDING = simulate_building(points=1, sigma=0.0, iterations=8, seed=5)

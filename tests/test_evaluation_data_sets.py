@@ -16,9 +16,9 @@ from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.landmarks import overlay
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.truth import read_truth
+from relmap.figures.figure17 import compare_with_reference, plot_panels
 from relmap.io.results import Result
 from relmap.plots.sheet import write_png
-from relmap.plots.victoria_park import compare_with_reference, plot_panels
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse
 

@@ -23,13 +23,14 @@ from relmap.figures import (
     figure16,
     figure17,
 )
-from relmap.figures.base import judged
+from relmap.figures.base import judged, unwatched
+from relmap.figures.figure12 import Comparisons
+from relmap.figures.figure14 import LoopTiming
+from relmap.figures.figure16 import ErrorCurves
+from relmap.figures.figure17 import Panel
 from relmap.figures.point_chart import MARGIN, ChartedRun, charted_run
 from relmap.figures.registry import FIGURES, chosen_figures
-from relmap.figures.timing import median_times
-from relmap.plots.curves import Comparisons, LoopTiming, n_log_n
-from relmap.plots.errors import ErrorCurves
-from relmap.plots.victoria_park import Panel
+from relmap.figures.timing import median_times, n_log_n
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.tinyfigures import (
     SEEN,
@@ -80,7 +81,7 @@ def test_bench_tells_the_true_walls_and_keeps_an_animation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figure05, "QUICK_ITERATIONS", 12)
-    found = figure05.BenchFigure().run(True, None)
+    found = figure05.FIGURE.run(True, None, unwatched)
     walls = simulate_building(iterations=12).walls[:, :4]
     told = [row[2:] for row in found.table.rows if row[0] == "true wall"]
     np.testing.assert_array_equal(np.array(told, dtype=np.float64), walls)
@@ -301,7 +302,7 @@ def test_victoria_park_from_its_folder_or_the_one_above(shared_data: Path) -> No
     whole = figure17.victoria_park(shared_data)
     inner = figure17.victoria_park(shared_data / "victoria-park")
     assert len(whole) == len(inner) == 7249
-    found = figure17.VictoriaParkFigure().run(True, shared_data)
+    found = figure17.FIGURE.run(True, shared_data, unwatched)
     assert found.verdict == YES
     assert found.value < 0.5
     trees = [row for row in found.table.rows if row[:2] == (0, "tree")]
@@ -310,6 +311,6 @@ def test_victoria_park_from_its_folder_or_the_one_above(shared_data: Path) -> No
 
 def test_victoria_park_without_data_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RelmapError, match="needs the Victoria Park data"):
-        figure17.VictoriaParkFigure().run(True, None)
+        figure17.FIGURE.run(True, None, unwatched)
     with pytest.raises(RelmapError):
-        figure17.VictoriaParkFigure().run(True, tmp_path / "nowhere")
+        figure17.FIGURE.run(True, tmp_path / "nowhere", unwatched)

@@ -15,7 +15,12 @@ from PIL import Image
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result, Tracks
-from relmap.plots.run import broken_at_gaps, plot_run, write_map_png
+from relmap.planes.table import PlaneTable
+from relmap.plots.comparison import plot_comparison
+from relmap.plots.path import broken_at_gaps, broken_at_jumps
+from relmap.plots.planes import plot_planes
+from relmap.plots.run import plot_run, write_map_png
+from relmap.plots.sheet import limits_of
 
 
 def make_result(n: int, planar: bool = False, dynamic: int = 0) -> Result:
@@ -145,3 +150,70 @@ def test_a_path_is_not_drawn_where_it_is_not_known() -> None:
     np.testing.assert_array_equal(drawn[~np.isnan(drawn[:, 0])], position)
     np.testing.assert_array_equal(broken_at_gaps(np.arange(6.0), position), position)
     assert broken_at_gaps(np.empty(0), np.empty((0, 2))).shape == (0, 2)
+
+
+def test_one_far_landmark_does_not_ruin_the_axes() -> None:
+    result = make_result(200)
+    before = plot_run(result).axes[0]
+    assert before.get_title() == "200 of 200 landmarks mapped"
+    result.landmarks.position[7] = [9000.0, 0.0, 0.0]
+    axes = plot_run(result).axes[0]
+    assert np.ptp(axes.get_xlim()) < 1.1 * np.ptp(before.get_xlim())
+    assert axes.get_title() == "200 of 200 landmarks mapped (1 far outside not shown)"
+
+
+def test_limits_hold_all_of_the_way_and_all_that_is_near() -> None:
+    rng = np.random.default_rng(1)
+    places, way = rng.normal(0.0, 1.0, (500, 2)), np.array([[0.0, 0.0], [np.nan] * 2, [30.0, 0.0]])
+    low, high = limits_of(places, way, 0.5)
+    np.testing.assert_allclose(low, places.min(axis=0) - 0.5)
+    assert high.tolist() == [30.5, places[:, 1].max() + 0.5]
+    along = np.concatenate([places, [[32.0, 1.0], [500.0, 0.0]]])  # seen at the way's end, and far
+    assert limits_of(along, way)[1][0] == 32.0
+    assert limits_of(places[:0], way[:0])[1].tolist() == [1.0, 1.0]
+
+
+def test_a_path_is_not_drawn_through_a_leap() -> None:
+    stands, goes = np.zeros((60, 2)), np.column_stack([0.1 * np.arange(40), np.zeros(40)])
+    path = np.concatenate([stands, goes, goes + np.array([20.0, 0.0])])
+    drawn = broken_at_jumps(path)
+    assert np.flatnonzero(np.isnan(drawn[:, 0])).tolist() == [100]
+    for whole in (stands, goes, goes[:2], goes[:1], goes[:0]):
+        assert broken_at_jumps(whole) is whole or np.isfinite(broken_at_jumps(whole)).all()
+
+
+def no_planes() -> PlaneTable:
+    none, pairs = np.empty(0, np.int64), np.empty((0, 2))
+    ends = np.empty((0, 2, 2))
+    corners = np.empty((0, 2), np.int64)
+    return PlaneTable(none, ends, pairs, pairs, corners, none, none, none, np.empty(0, "U7"))
+
+
+def test_path_among_walls_is_broken_where_it_leaps() -> None:
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, 0, 3] = 0.1 * np.arange(40) + np.where(np.arange(40) < 20, 0.0, 15.0)
+    axes = plot_planes(no_planes(), poses).axes[0]
+    (line,) = (line for line in axes.get_lines() if line.get_label() == "path of the robot")
+    assert np.flatnonzero(np.isnan(np.asarray(line.get_xdata()))).tolist() == [20]
+
+
+def test_figures_of_a_comparison_are_dots() -> None:
+    rows: list[tuple[str, dict[str, float | None]]]
+    rows = [("relmap-points", {"ate_m": 0.1, "total_s": 2.0}), ("batch", {"ate_m": None})]
+    figure = plot_comparison(rows, "two methods")
+    assert not any(axes.patches for axes in figure.axes)
+    (dot,) = figure.axes[0].get_lines()
+    assert np.asarray(dot.get_xdata()).tolist() == [0.1]
+    assert "no figure" in [text.get_text() for text in figure.axes[0].texts]
+
+
+def test_axes_of_a_comparison_have_numbers_however_near_its_figures_are() -> None:
+    for values in ((1.91, 1.95), (0.0146, 0.0984), (0.003, 0.15)):
+        rows: list[tuple[str, dict[str, float | None]]]
+        rows = [(f"method {value}", {"ate_m": value}) for value in values]
+        axes = plot_comparison(rows, "two methods").axes[0]
+        low, high = axes.get_xlim()
+        shown = [at for at in axes.get_xticks() if low <= at <= high]
+        assert shown
+        written = [axes.xaxis.get_major_formatter()(at) for at in shown]
+        assert [float(text) for text in written] == pytest.approx(shown)

@@ -14,17 +14,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from relmap.core.errors import RelmapError
-from relmap.plots import curves
-from relmap.plots.chart import (
-    ChartPicture,
-    chart_picture,
-    paper_stops,
-    plot_group,
-    plot_sorted,
-    plot_unsorted,
-)
-from relmap.plots.eight import plot_eight
-from relmap.plots.errors import plot_errors
+from relmap.figures.figure09_11 import plot_group, plot_sorted, plot_unsorted
+from relmap.figures.figure12 import Comparisons, plot_comparisons
+from relmap.figures.figure13 import plot_eight
+from relmap.figures.figure14 import LoopTiming, plot_loop_timing, running
+from relmap.figures.figure15 import fit_n_log_n, plot_density_timing
+from relmap.figures.figure16 import plot_errors
+from relmap.figures.point_chart import ChartPicture, chart_picture, paper_stops
 from relmap.plots.sheet import write_png
 from tests.tinyfigures import (
     SEEN,
@@ -41,10 +37,10 @@ DRAWN: dict[str, Callable[[], Figure]] = {
     "9": lambda: plot_unsorted(tiny_chart()),
     "10": lambda: plot_sorted(tiny_chart()),
     "11": lambda: plot_group(tiny_chart()),
-    "12": lambda: curves.plot_comparisons(tiny_comparisons()),
+    "12": lambda: plot_comparisons(tiny_comparisons()),
     "13": lambda: plot_eight(tiny_eight()),
-    "14": lambda: curves.plot_loop_timing(tiny_loop()),
-    "15": lambda: curves.plot_density_timing(tiny_densities()),
+    "14": lambda: plot_loop_timing(tiny_loop()),
+    "15": lambda: plot_density_timing(tiny_densities()),
     "16": lambda: plot_errors(tiny_errors(mine=(0.02, 0.01), theirs=(0.04, 0.05))),
 }
 
@@ -143,11 +139,11 @@ def test_group_picture_shows_where_the_papers_rule_differs() -> None:
 def test_comparisons_say_how_far_they_stay_within_n_log_n() -> None:
     data = tiny_comparisons()
     assert data.within_n_log_n == 2
-    assert "up to 40 % dynamic; beyond" in texts(curves.plot_comparisons(data))
-    every = curves.Comparisons(data.n, data.dynamic, data.comparisons * 0, data.right)
-    assert "up to 70 % dynamic" in texts(curves.plot_comparisons(every))
-    none = curves.Comparisons(data.n, data.dynamic, data.comparisons * 9, data.right)
-    assert "more than n log₂ n for every share" in texts(curves.plot_comparisons(none))
+    assert "up to 40 % dynamic; beyond" in texts(plot_comparisons(data))
+    every = Comparisons(data.n, data.dynamic, data.comparisons * 0, data.right)
+    assert "up to 70 % dynamic" in texts(plot_comparisons(every))
+    none = Comparisons(data.n, data.dynamic, data.comparisons * 9, data.right)
+    assert "more than n log₂ n for every share" in texts(plot_comparisons(none))
 
 
 def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
@@ -155,10 +151,10 @@ def test_a_flat_loop_is_called_flat_and_another_is_not() -> None:
     assert data.said.startswith("flat: ")
     assert "median time x 1.00 (per visible landmark x 1.00)" in data.said
     slower = data.time_ms * np.linspace(1, 2, 80)
-    grows = curves.LoopTiming(slower, data.visible, data.landmarks, data.true_landmarks)
+    grows = LoopTiming(slower, data.visible, data.landmarks, data.true_landmarks)
     assert grows.said.startswith("not flat: ")
     at_the_end = np.where(np.arange(80) % 10 == 0, np.where(np.arange(80) > 50, 50.0, 5.0), 1.0)
-    spikes = curves.LoopTiming(at_the_end, data.visible, data.landmarks, data.true_landmarks)
+    spikes = LoopTiming(at_the_end, data.visible, data.landmarks, data.true_landmarks)
     assert spikes.said.startswith("flat in the median, not in the mean: ")
 
 
@@ -169,11 +165,11 @@ def test_growth_beyond_n_log_n_is_called_so() -> None:
 
 def test_fit_finds_what_is_there() -> None:
     data = tiny_densities()
-    assert curves.fit_n_log_n(data.visible, data.median_ms) == pytest.approx((0.2, 1e-4))
+    assert fit_n_log_n(data.visible, data.median_ms) == pytest.approx((0.2, 1e-4))
 
 
 def test_running_median_follows_and_ignores_spikes() -> None:
-    smooth = curves.running(tiny_loop().time_ms, np.median)
+    smooth = running(tiny_loop().time_ms, np.median)
     assert smooth.tolist() == [1.0] * 80
 
 

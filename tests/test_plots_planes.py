@@ -14,23 +14,18 @@ from PIL import Image
 from relmap.cli import main
 from relmap.core.errors import RelmapError
 from relmap.evaluation.sources import truth_of
-from relmap.figures.bench import BenchFrame, BenchRecorder, frame_step
 from relmap.figures.corner_test import CornerTest, clearest, corner_tests
 from relmap.figures.figure04 import outcome as corner_outcome
+from relmap.figures.figure04 import plot_corner_test
+from relmap.figures.figure06 import PartialWall, longest, plot_partial_wall, run_partial_wall
 from relmap.figures.figure06 import outcome as wall_outcome
-from relmap.figures.partial_wall import (
-    PartialWall,
-    longest,
-    run_partial_wall,
-)
-from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
 from relmap.planes.stitching import weak_links
 from relmap.plots.bench import plot_bench, write_bench_gif
-from relmap.plots.corner_test import plot_corner_test
-from relmap.plots.partial_wall import plot_partial_wall
+from relmap.plots.bench_recorder import BenchFrame, BenchRecorder, frame_step
+from relmap.plots.path import fit_poses
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
 from tests.commands import Check
@@ -180,6 +175,12 @@ def test_bench_has_the_four_panels_of_the_paper(bench: BenchRecorder) -> None:
     assert titles[1] == "what the robot sees: 800 points"
     assert titles[2] == f"segmented: {len(last_frame(bench).ends_robot)} planes"
     assert titles[3] == "the map with group connectivity"
+
+
+def test_bench_calls_itself_a_figure_of_the_paper_only_there(bench: BenchRecorder) -> None:
+    assert plot_bench(last_frame(bench)).get_suptitle() == "the test bench, iteration 39"
+    in_paper = plot_bench(last_frame(bench), "Figure 5: the test bench").get_suptitle()
+    assert in_paper == "Figure 5: the test bench, iteration 39"
 
 
 def test_animation_holds_every_frame(bench: BenchRecorder, tmp_path: Path) -> None:

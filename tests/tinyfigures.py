@@ -6,10 +6,13 @@ import numpy as np
 
 from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
-from relmap.plots import curves
-from relmap.plots.chart import ChartPicture, chart_picture
-from relmap.plots.eight import EightPicture
-from relmap.plots.errors import Curve, ErrorCurves
+from relmap.figures.figure12 import Comparisons
+from relmap.figures.figure13 import EightPicture
+from relmap.figures.figure14 import LoopTiming
+from relmap.figures.figure15 import DensityTiming
+from relmap.figures.figure16 import Curve, ErrorCurves
+from relmap.figures.point_chart import ChartPicture, chart_picture
+from relmap.figures.timing import n_log_n
 
 # Who is seen in iterations 0 to 7.  Landmark 2, the seed, is seen in 1 to 6.
 SEEN = {
@@ -48,23 +51,23 @@ def dipping_chart() -> ChartPicture:
     return ChartPicture(0, 0, np.arange(6), visible, np.arange(6), 6)
 
 
-def tiny_comparisons() -> curves.Comparisons:
+def tiny_comparisons() -> Comparisons:
     n, dynamic = np.array([20, 50, 100]), np.array([0.1, 0.4, 0.7])
-    bound = curves.n_log_n(n)
+    bound = n_log_n(n)
     counts = np.stack([0.3 * bound, 0.9 * bound, 1.1 * bound])[:, :, None].repeat(5, axis=2)
-    return curves.Comparisons(n, dynamic, counts.astype(np.int64), counts % 2 < 1)
+    return Comparisons(n, dynamic, counts.astype(np.int64), counts % 2 < 1)
 
 
-def tiny_loop() -> curves.LoopTiming:
+def tiny_loop() -> LoopTiming:
     visible = np.full(80, 100)
     time_ms = np.where(np.arange(80) % 10 == 0, 5.0, 1.0)
-    return curves.LoopTiming(time_ms, visible, np.arange(1, 81) * 10, np.arange(1, 81) * 9)
+    return LoopTiming(time_ms, visible, np.arange(1, 81) * 10, np.arange(1, 81) * 9)
 
 
-def tiny_densities(power: float = 1.0) -> curves.DensityTiming:
+def tiny_densities(power: float = 1.0) -> DensityTiming:
     n = np.array([10.0, 40.0, 160.0, 640.0])
-    time_ms = 0.2 + 1e-4 * curves.n_log_n(n) ** power
-    return curves.DensityTiming(n, time_ms, 2 * time_ms)
+    time_ms = 0.2 + 1e-4 * n_log_n(n) ** power
+    return DensityTiming(n, time_ms, 2 * time_ms)
 
 
 def tiny_eight() -> EightPicture:

@@ -12,7 +12,7 @@ from relmap.cli.console import Out
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.figures.making import Made
+    from relmap.figures.base import Made
 
 T = TypeVar("T")
 

@@ -18,7 +18,7 @@ from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
 if TYPE_CHECKING:
     from relmap.evaluation.run import AnyMapper, Log, Run
     from relmap.evaluation.truth import Truth
-    from relmap.figures.bench import BenchRecorder
+    from relmap.plots.bench_recorder import BenchRecorder
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
@@ -149,7 +149,7 @@ def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder 
     if not (isinstance(log, ScanLog) and isinstance(mapper, PlaneMapper)):
         return None
     from relmap.evaluation.run import segmenter_for
-    from relmap.figures.bench import BenchRecorder, frame_step
+    from relmap.plots.bench_recorder import BenchRecorder, frame_step
 
     every = frame_step(len(log)) if job.animate else 0
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
+
+from matplotlib.figure import Figure
 
 from relmap.io.files import atomic_write
 from relmap.io.tables import csv_text
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 T = TypeVar("T")
 Verdict = Literal["borne out", "partly borne out", "not borne out"]
@@ -32,26 +31,13 @@ def unwatched(items: Sequence[T], /) -> Iterable[T]:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Data as they go into a CSV file.
-
-    Attributes
-    ----------
-    columns : sequence of str
-    rows : sequence of sequences
-        A cell for each column.
-    """
+    """Data as they go into a CSV file: names of columns, and rows with a cell for each."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
 
     def write(self, path: Path) -> None:
-        """Write it.
-
-        Raises
-        ------
-        RelmapError
-            Where the file cannot be written.
-        """
+        """Write it; a `RelmapError` says where the file cannot be written."""
         atomic_write(path, csv_text(self.columns, self.rows))
 
 
@@ -84,47 +70,54 @@ class Outcome:
     more: Mapping[str, Callable[[Path], object]] = field(default_factory=dict)
 
 
-class PaperFigure(Protocol):
-    """One figure of the paper."""
+@dataclass(frozen=True, eq=False)
+class PaperFigure:
+    """One figure of the paper.
+
+    Attributes
+    ----------
+    name : str
+        Its number, or the word that stands for a picture of ours.
+    title : str
+        What it shows, in a few words.
+    claim : str
+        What the paper says with it, in one sentence of our own.
+    criterion : str
+        When the claim counts as borne out.
+    run : callable
+        Does the runs: whether small ones are enough; where real data are, for the figure that needs
+        them; what wraps the long loop.  It raises a `RelmapError` where the data cannot be used.
+    """
+
+    name: str
+    title: str
+    claim: str
+    criterion: str
+    run: Callable[[bool, Path | None, Watch], Outcome]
 
     @property
-    def name(self) -> str:
-        """Its number, or the word that stands for a picture of ours."""
-        ...
+    def heading(self) -> str:
+        """How it is called."""
+        return f"Figure {self.name}" if self.name.isdigit() else self.name.capitalize()
 
     @property
-    def title(self) -> str:
-        """What it shows, in a few words."""
-        ...
+    def stem(self) -> str:
+        """How the names of its files begin."""
+        return f"figure{int(self.name):02d}" if self.name.isdigit() else self.name
 
-    @property
-    def claim(self) -> str:
-        """What the paper says with it, in one sentence of our own."""
-        ...
 
-    @property
-    def criterion(self) -> str:
-        """When the claim counts as borne out."""
-        ...
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A figure with what came out, or None where there is nothing, for the reason in `note`.
 
-    def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:
-        """Do the runs.
+    `files` are what was written, by name; the picture is one of them.
+    """
 
-        Parameters
-        ----------
-        quick : bool
-            Whether small runs are enough.
-        data : Path or None
-            Real data, for the figure that needs them.
-        watch : callable, optional
-            Wraps the long loop.
-
-        Raises
-        ------
-        RelmapError
-            Where the data cannot be used.
-        """
-        ...
+    figure: PaperFigure
+    outcome: Outcome | None
+    note: str = ""
+    files: tuple[str, ...] = ()
+    picture: bytes = b""
 
 
 def judged(*held: bool) -> Verdict:

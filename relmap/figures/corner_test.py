@@ -95,11 +95,8 @@ def corner_tests(history: PlaneHistory) -> list[CornerTest]:
         sizes = _largest(first), _largest(second)
         offsets, _ = midpoint_pairs(first, second, sizes)
         iterations = history.iteration[rows[i]]
-        tests.append(
-            CornerTest(
-                (plane, other), iterations, first, second, sizes, offsets, (side, other_side)
-            )
-        )
+        pair = (plane, other), iterations, first, second, sizes, offsets, (side, other_side)
+        tests.append(CornerTest(*pair))
     return tests
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.run import Run, run_mapper
-from relmap.figures.partial_wall import longest
+from relmap.evaluation.run import Association, run_mapper
+from relmap.figures.figure06 import longest
 from relmap.figures.surface_points import SurfacePoints, scan_surface_points
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
@@ -158,7 +158,7 @@ def run_crossing(
     runs: list[CrossingRow] = []
     for spacing_m, noise, seed in progress(cells) if progress else cells:
         seen = wall_points(spacing_m, noise, seed, iterations)
-        runs.extend(_row(method, seen, noise, seed) for method in METHODS)
+        runs.extend(map_of(method, seen, noise, seed)[1] for method in METHODS)
     return Crossing(tuple(runs))
 
 
@@ -170,27 +170,20 @@ def wall_points(
     return scan_surface_points(building, spacing_m, noise * spacing_m, seed)
 
 
-def map_planes(seen: SurfacePoints) -> Run:
-    """Segment the scans and map the walls."""
-    return run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
-
-
-def map_points(seen: SurfacePoints, ids_given: bool = False) -> Result:
-    """Map the points themselves."""
-    association: Literal["known", "nearest"] = "known" if ids_given else "nearest"
-    return run_mapper(PointMapper(), seen.points, association, refine=True).result
-
-
-def _row(method: Method, seen: SurfacePoints, noise: float, seed: int) -> CrossingRow:
-    about = (method, seen.spacing_m, noise, seen.sigma, seed)
+def map_of(
+    method: Method, seen: SurfacePoints, noise: float, seed: int
+) -> tuple[Result, CrossingRow]:
+    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
     if method == "planes":
-        run = map_planes(seen)
-        walls = evaluate(run.result, seen.walls_truth)
-        figures = walls.corner_rmse_m, walls.coverage or 0.0, walls.ate_m
-        matched = walls.counts["matched_poses"]
+        run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
+        found = evaluate(run.result, seen.walls_truth)
+        rmse_m = found.corner_rmse_m
     else:
-        result = map_points(seen, ids_given=method != "points")
-        points = evaluate(result, seen.points_truth, seen.points)
-        figures = points.landmark_rmse_m, points.coverage or 0.0, points.ate_m
-        matched = points.counts["matched_poses"]
-    return CrossingRow(*about, *figures, matched / len(seen.scans))
+        association: Association = "nearest" if method == "points" else "known"
+        run = run_mapper(PointMapper(), seen.points, association, refine=True)
+        found = evaluate(run.result, seen.points_truth, seen.points)
+        rmse_m = found.landmark_rmse_m
+    about = (method, seen.spacing_m, noise, seen.sigma, seed)
+    matched = found.counts["matched_poses"] / len(seen.scans)
+    row = CrossingRow(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
+    return run.result, row

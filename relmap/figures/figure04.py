@@ -3,13 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Wedge
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
-from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.figures.corner_test import SIDES, CornerTest, clearest, corner_tests
 from relmap.planes import PlaneMapper
-from relmap.plots.corner_test import plot_corner_test
+from relmap.plots.sheet import (
+    BLUE,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SAND,
+    blank,
+    draw_limits,
+    finish,
+    legend_below,
+    limits_of,
+)
 from relmap.segmentation import PlaneSegmenter
 from relmap.simulation import simulate_building
 from relmap.simulation.sensor import DEPTH_SENSOR
@@ -18,33 +36,22 @@ SIGMA_M = 0.02
 QUICK_ITERATIONS = 60
 OFTEN, MOSTLY = 0.95, 0.5
 """Shares of the pairs of walls for which the claim must hold, to be borne out, and partly so."""
+GREEN, BROWN, VIOLET = "#0b7a3b", "#8c564b", "#7b4fa3"
+MARGIN_M = 0.8
+RING: dict[str, Any] = {"linestyle": "", "markersize": 8, "markerfacecolor": "none", "zorder": 5.0}
 COLUMNS = ("first_wall", "second_wall", "iterations", "chosen_first", "chosen_second",
            "static_first", "static_second", "right")  # fmt: skip
 
 
-class CornerFigure:
-    """The corner test on a drive through a building."""
-
-    name = "4"
-    title = "which corners of partly seen walls are real"
-    claim = (
-        "Of the four pairs of midpoints estimated from either end of two partly seen walls, the "
-        "one whose distance deviates least over time belongs to the static corners."
-    )
-    criterion = (
-        f"the pair of lowest deviation is that of the static corners, as the simulator's ends tell "
-        f"them, for {OFTEN:.0%} of the pairs of walls; partly for {MOSTLY:.0%}"
-    )
-
-    def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:
-        """Map a building and test all pairs of walls that have one cut end each."""
-        sensor = DEPTH_SENSOR
-        building = simulate_building(sigma=SIGMA_M, iterations=QUICK_ITERATIONS if quick else None)
-        segmenter = PlaneSegmenter(view_rad=sensor.view_rad, range_m=sensor.range_m)
-        mapper = PlaneMapper(segmenter=segmenter)
-        for scan in watch(building.scans):
-            mapper.update(scan.points)
-        return outcome(corner_tests(mapper.history), sensor.view_rad, sensor.range_m)
+def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
+    """Map a building and test all pairs of walls that have one cut end each."""
+    sensor = DEPTH_SENSOR
+    building = simulate_building(sigma=SIGMA_M, iterations=QUICK_ITERATIONS if quick else None)
+    segmenter = PlaneSegmenter(view_rad=sensor.view_rad, range_m=sensor.range_m)
+    mapper = PlaneMapper(segmenter=segmenter)
+    for scan in watch(building.scans):
+        mapper.update(scan.points)
+    return outcome(corner_tests(mapper.history), sensor.view_rad, sensor.range_m)
 
 
 def outcome(tests: list[CornerTest], view_rad: float, range_m: float) -> Outcome:
@@ -72,3 +79,129 @@ def outcome(tests: list[CornerTest], view_rad: float, range_m: float) -> Outcome
         judged(share >= OFTEN, share >= MOSTLY),
         {"-pairs.csv": Table(COLUMNS, rows).write},
     )
+
+
+def plot_corner_test(test: CornerTest, view_rad: float, range_m: float) -> Figure:
+    """Draw a scan with its estimated midpoints, the four pairs, and their shifts over time.
+
+    As in the paper: observed corner points in blue, estimated midpoints in red, the static pair in
+    green.
+
+    Parameters
+    ----------
+    test : CornerTest
+    view_rad, range_m : float
+        Field of view and range of the sensor, drawn as the shaded frustum.
+    """
+    figure = blank(14.0, 4.8)
+    seen, pairs, shifts = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.15])
+    k = _shown(test)
+    ends = np.stack([test.first[k], test.second[k]])
+    midpoints = np.stack([_midpoints(*wall) for wall in zip(ends, test.sizes, strict=True)])
+    half = np.rad2deg(view_rad / 2)
+    for axes in (seen, pairs):
+        axes.add_patch(Wedge((0, 0), range_m, -half, half, color=SAND, alpha=0.45, zorder=0))
+        axes.plot(0, 0, ">", color=INK, markersize=9, zorder=4)
+        far = _draw_walls(axes, test, ends)
+        axes.plot(*midpoints.reshape(-1, 2).T, "o", color=RED, label="estimated midpoint", **RING)
+        places = np.concatenate([np.zeros((1, 2)), *ends, *midpoints, far])
+        draw_limits(axes, limits_of(places, places, MARGIN_M))
+    seen.plot(*ends.reshape(-1, 2).T, "o", color=BLUE, label="observed corner point", **RING)
+    seen.plot([], [], ">", color=INK, label="robot, with what it can see")
+    seen.plot([], [], "--", color=INK, label="size, fixed over the interval")
+    of = f"iteration {test.iterations[k]}: midpoints from either end"
+    finish(seen, of, "x, robot frame [m]", "y, robot frame [m]")
+    _draw_pairs(pairs, test, midpoints)
+    _draw_shifts(shifts, test)
+    legend_below(figure, 4, seen, pairs)
+    figure.suptitle(
+        f"Figure 4: the static corners of walls {test.planes[0]} and {test.planes[1]}, "
+        f"seen together in iterations {test.iterations[0]} to {test.iterations[-1]}"
+    )
+    return figure
+
+
+def _shown(test: CornerTest) -> int:
+    """Return the iteration in which midpoints and ends of both walls lie farthest apart."""
+    clear = np.full(len(test.iterations), np.inf)
+    for ends, size in ((test.first, test.sizes[0]), (test.second, test.sizes[1])):
+        seen = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        clear = np.minimum(clear, np.minimum(abs(size - seen), abs(size / 2 - seen)))
+    return int(clear.argmax())
+
+
+def _along(ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+
+
+def _midpoints(ends: NDArray[np.float64], size: float) -> NDArray[np.float64]:
+    """Return the midpoints (2, 2) estimated from the right and the left end (2, 2)."""
+    half = size / 2 * _along(ends)
+    return np.stack([ends[0] + half, ends[1] - half])
+
+
+def _draw_walls(axes: Axes, test: CornerTest, walls: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Draw walls as observed, dashed as far as their sizes say that they go on; return whereto."""
+    reached = []
+    for plane, fixed, size, ends in zip(test.planes, test.static, test.sizes, walls, strict=True):
+        along = _along(ends)
+        far = ends[fixed] + (1 - 2 * fixed) * size * along
+        axes.plot(*np.stack([ends[fixed], far]).T, "--", color=INK, linewidth=1, zorder=2)
+        axes.plot(*ends.T, color=INK, linewidth=2.5, zorder=2)
+        at = ends.mean(axis=0) - 0.45 * np.array([-along[1], along[0]])
+        axes.annotate(str(plane), at, ha="center", va="center", color=INK)
+        reached.append(far)
+    return np.array(reached)
+
+
+def _colours(test: CornerTest) -> dict[tuple[int, int], str]:
+    others = iter((ORANGE, BROWN, VIOLET))
+    pairs = ((0, 0), (0, 1), (1, 0), (1, 1))
+    return {pair: GREEN if pair == test.chosen else next(others) for pair in pairs}
+
+
+def _named(pair: tuple[int, int]) -> str:
+    return f"{SIDES[pair[0]]}–{SIDES[pair[1]]}"
+
+
+def _draw_pairs(axes: Axes, test: CornerTest, midpoints: NDArray[np.float64]) -> None:
+    for (i, j), colour in _colours(test).items():
+        width = 3.0 if (i, j) == test.chosen else 1.2
+        arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": width}
+        arrow |= {"shrinkA": 4, "shrinkB": 4}
+        axes.annotate("", midpoints[1, j], midpoints[0, i], arrowprops=arrow, zorder=6)
+        axes.plot([], [], color=colour, linewidth=width, label=f"from the ends {_named((i, j))}")
+    finish(axes, "the four midpoint pairs", "x, robot frame [m]", "y, robot frame [m]")
+
+
+def _draw_shifts(axes: Axes, test: CornerTest) -> None:
+    """Draw how far each pair's offset is from its mean in each iteration."""
+    off = np.linalg.norm(test.offsets - test.offsets.mean(axis=0), axis=3)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    for (i, j), colour in _colours(test).items():
+        chosen = (i, j) == test.chosen
+        told = test.deviation[i, j]
+        length = f"{told:.0e} m" if told < 1e-6 else f"{told:.3f} m"
+        label = f"{_named((i, j))}: {length}" + (", static" if chosen else "")
+        style: dict[str, Any] = {"color": colour, "linewidth": 2.5 if chosen else 1.2}
+        axes.plot(test.iterations, off[:, i, j], ".-", label=label, **style)
+    axes.axhline(0, color=GREY, linewidth=0.8)
+    right = "as" if test.chosen == test.static else "unlike what"
+    title = f"lowest deviation: {_named(test.chosen)}, {right} the end types say"
+    finish(axes, title, "iteration", "offset of the pair from its mean [m]")
+    axes.legend(fontsize=8, title="standard deviation", title_fontsize=8, loc="best")
+
+
+FIGURE = PaperFigure(
+    name="4",
+    title="which corners of partly seen walls are real",
+    claim=(
+        "Of the four pairs of midpoints estimated from either end of two partly seen walls, the "
+        "one whose distance deviates least over time belongs to the static corners."
+    ),
+    criterion=(
+        f"the pair of lowest deviation is that of the static corners, as the simulator's ends tell "
+        f"them, for {OFTEN:.0%} of the pairs of walls; partly for {MOSTLY:.0%}"
+    ),
+    run=_run,
+)

@@ -2,78 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.figures.base import Outcome, Table, Watch, judged, unwatched
-from relmap.figures.point_chart import ChartedRun, charted_run, shown_chart
-from relmap.plots.chart import (
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
+from relmap.figures.point_chart import (
     FEWEST_MEMBERS,
+    ChartedRun,
     ChartPicture,
     chart_picture,
+    charted_run,
     paper_stops,
-    plot_group,
-    plot_sorted,
-    plot_unsorted,
+    shown_chart,
 )
+from relmap.plots.sheet import BLUE, ORANGE, RED, blank, finish
 
 RIGHT, MOSTLY = 0.99, 0.9
 LARGEST, NEARLY = 0.99, 0.9
+NOT_SEEN, SEEN, SEED, SEED_INTERVAL, AREA = "#ffffff", "#5f6670", "#d9822b", "#fbe9cf", BLUE
 COLUMNS = ("row", "landmark", "iteration", "in_seed_interval")
-
-
-class ChartFigure:
-    """Who was visible when."""
-
-    name = "9"
-    title = "the point chart"
-    claim = "A chart tells for every landmark in which iterations it was visible."
-    criterion = (
-        f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
-        f"partly: {MOSTLY:.0%}"
-    )
-
-    def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:
-        """Chart a run and compare with what was truly visible."""
-        return of_chart(shown_chart(quick), charted_run(quick))
-
-
-class SortedChartFigure:
-    """The chart sorted around a landmark."""
-
-    name = "10"
-    title = "the chart, sorted"
-    claim = (
-        "Sorted by the iterations shared with one landmark, those that share many stand high and "
-        "those that were seen little or with gaps stand low."
-    )
-    criterion = "the shared iterations never rise from one row to the next"
-
-    def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:
-        """Sort the chart of figure 9."""
-        return of_sorted(shown_chart(quick))
-
-
-class GroupFigure:
-    """The group grown down the chart."""
-
-    name = "11"
-    title = "a group grown in the chart"
-    claim = (
-        "Landmarks are added down the sorted chart, four at least, for as long as members times "
-        "common interval grows; so the group has the largest such area."
-    )
-    criterion = (
-        "over all landmarks that come and go in the run, the area at which the rule stops is on "
-        f"average {LARGEST:.0%} of the largest there is down the chart; partly: {NEARLY:.0%}"
-    )
-
-    def run(self, quick: bool, data: Path | None, watch: Watch = unwatched) -> Outcome:
-        """Grow the group of figure 9's landmark, and those of all others."""
-        return of_groups(shown_chart(quick), all_charts(charted_run(quick), watch))
 
 
 def of_chart(chart: ChartPicture, run: ChartedRun) -> Outcome:
@@ -154,3 +108,138 @@ def visible_rows(chart: ChartPicture, order: NDArray[np.int64]) -> list[tuple[in
     landmark, within = chart.landmarks[order][row], chart.seed_interval[column].astype(int)
     columns = np.column_stack([row, landmark, chart.begin + column, within])
     return [tuple(line) for line in columns.tolist()]
+
+
+def plot_unsorted(chart: ChartPicture) -> Figure:
+    """Draw which landmark was visible when, in the order of their numbers (Fig. 9)."""
+    figure = blank(8.0, _height_in(chart))
+    cells = chart.visible.astype(int)
+    cells[chart.landmarks == chart.seed] *= 2
+    title = f"Figure 9: the point chart around landmark {chart.seed}, in order of first sight"
+    _draw(figure.subplots(), chart, cells, np.arange(len(cells)), title)
+    _legend(figure, chart)
+    return figure
+
+
+def plot_sorted(chart: ChartPicture) -> Figure:
+    """Draw the chart sorted by common interval, that of the seed shaded (Fig. 10)."""
+    figure = blank(8.0, _height_in(chart))
+    axes = figure.subplots()
+    title = f"Figure 10: sorted by the iterations shared with landmark {chart.seed}"
+    _draw(axes, chart, _sorted_cells(chart), chart.order, title)
+    beside = axes.secondary_yaxis("right")
+    beside.set_yticks(np.arange(len(chart.order)), chart.common_interval.tolist(), fontsize=7)
+    beside.tick_params(length=0)
+    beside.set_ylabel(f"iterations in common with landmark {chart.seed}")
+    _legend(figure, chart, {"its observation interval": SEED_INTERVAL})
+    return figure
+
+
+def plot_group(chart: ChartPicture) -> Figure:
+    """Draw the group grown down the sorted chart, and how its area changes (Fig. 11)."""
+    figure = blank(9.6, _height_in(chart))
+    axes, beside = figure.subplots(1, 2, sharey=True, width_ratios=[3.0, 1.0])
+    cells = _sorted_cells(chart)
+    cells[: chart.members, chart.group_interval] = 4
+    iterations = int(chart.group_interval.sum())
+    group = f"{chart.members} members x {iterations} iterations"
+    title = f"Figure 11: the group of landmark {chart.seed}: {group}"
+    _draw(axes, chart, cells, chart.order, title)
+    _draw_area(beside, chart)
+    of_group = {"its observation interval": SEED_INTERVAL, "members x common interval": AREA}
+    _legend(figure, chart, of_group)
+    return figure
+
+
+def _height_in(chart: ChartPicture) -> float:
+    return 1.5 + 0.14 * max(len(chart.landmarks), 15)
+
+
+def _sorted_cells(chart: ChartPicture) -> NDArray[np.int64]:
+    """Return what to paint in each cell (n, i): an index of the colours above."""
+    cells = np.where(chart.visible[chart.order], 1, np.where(chart.seed_interval, 3, 0))
+    cells[0, chart.seed_interval] = 2
+    return cells
+
+
+def _draw(
+    axes: Axes,
+    chart: ChartPicture,
+    cells: NDArray[np.int64],
+    rows: NDArray[np.int64],
+    title: str,
+) -> None:
+    n, i = cells.shape
+    colours = ListedColormap([NOT_SEEN, SEEN, SEED, SEED_INTERVAL, AREA])
+    columns = chart.begin - 0.5 + np.arange(i + 1)
+    axes.pcolormesh(columns, np.arange(n + 1) - 0.5, cells, cmap=colours, vmin=0, vmax=4)
+    finish(axes, title, "iteration", "landmark")
+    axes.hlines(np.arange(1, n) - 0.5, columns[0], columns[-1], color="white", linewidth=0.8)
+    axes.grid(visible=False)
+    axes.set_yticks(np.arange(n), chart.landmarks[rows].tolist(), fontsize=7)
+    seed_row = int(np.flatnonzero(chart.landmarks[rows] == chart.seed)[0])
+    axes.get_yticklabels()[seed_row].set(color=ORANGE, fontweight="bold")
+    axes.invert_yaxis()
+
+
+def _draw_area(axes: Axes, chart: ChartPicture) -> None:
+    """Draw how the area changes as one landmark after the other is added."""
+    n = np.arange(len(chart.area))
+    axes.plot(chart.area, n, "o-", color=BLUE, markersize=3, linewidth=1.0)
+    last, first_dip = chart.members - 1, paper_stops(chart.area) - 1
+    axes.axhspan(-0.5, last + 0.5, color=BLUE, alpha=0.1, linewidth=0)
+    axes.plot(chart.area[last], last, "o", color=BLUE, markersize=8, label="largest: taken")
+    if first_dip != last:
+        hollow: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "linestyle": ""}
+        label = "the paper's rule stops"
+        axes.plot(chart.area[first_dip], first_dip, "s", color=RED, label=label, **hollow)
+    finish(axes, "area as members are added", "members x iterations", "")
+    axes.set_xlim(left=0)
+    axes.tick_params(axis="y", length=0)
+    axes.legend(fontsize=8, loc="lower right")
+
+
+def _legend(figure: Figure, chart: ChartPicture, more: dict[str, str] | None = None) -> None:
+    named = {"visible": SEEN, f"landmark {chart.seed}, the seed": SEED} | (more or {})
+    patches = [Patch(facecolor=c, edgecolor="#b9b9b9", label=name) for name, c in named.items()]
+    style: dict[str, Any] = {"ncols": 4, "frameon": False, "fontsize": 9}
+    figure.legend(handles=patches, loc="outside lower center", **style)
+
+
+FIGURES = (
+    PaperFigure(
+        name="9",
+        title="the point chart",
+        claim="A chart tells for every landmark in which iterations it was visible.",
+        criterion=(
+            f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
+            f"partly: {MOSTLY:.0%}"
+        ),
+        run=lambda quick, data, watch: of_chart(shown_chart(quick), charted_run(quick)),
+    ),
+    PaperFigure(
+        name="10",
+        title="the chart, sorted",
+        claim=(
+            "Sorted by the iterations shared with one landmark, those that share many stand high "
+            "and those that were seen little or with gaps stand low."
+        ),
+        criterion="the shared iterations never rise from one row to the next",
+        run=lambda quick, data, watch: of_sorted(shown_chart(quick)),
+    ),
+    PaperFigure(
+        name="11",
+        title="a group grown in the chart",
+        claim=(
+            "Landmarks are added down the sorted chart, four at least, for as long as members "
+            "times common interval grows; so the group has the largest such area."
+        ),
+        criterion=(
+            "over all landmarks that come and go in the run, the area at which the rule stops is "
+            f"on average {LARGEST:.0%} of the largest there is down the chart; partly: {NEARLY:.0%}"
+        ),
+        run=lambda quick, data, watch: of_groups(
+            shown_chart(quick), all_charts(charted_run(quick), watch)
+        ),
+    ),
+)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from relmap.core.errors import RelmapError
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, unwatched
+from relmap.figures.base import Made, PaperFigure, Table, Watch, unwatched
 from relmap.figures.figure17 import victoria_park
-from relmap.figures.page import Entry, page
+from relmap.figures.page import page
 from relmap.figures.registry import NEEDS_DATA
 from relmap.io.files import atomic_write
 from relmap.plots.sheet import write_png
@@ -19,25 +18,6 @@ from relmap.plots.sheet import write_png
 PAGE = "index.html"
 VERDICTS = "verdicts.csv"
 NO_DATA = "needs the Victoria Park data: give their folder with --data PATH"
-
-
-@dataclass(frozen=True, eq=False)
-class Made:
-    """A figure with what came out, or None where there is nothing, for the reason in `note`.
-
-    `files` are what was written, by name; the picture is one of them.
-    """
-
-    figure: PaperFigure
-    outcome: Outcome | None
-    note: str = ""
-    files: tuple[str, ...] = ()
-    picture: bytes = b""
-
-
-def stem(figure: PaperFigure) -> str:
-    """Return how the names of a figure's files begin."""
-    return f"figure{int(figure.name):02d}" if figure.name.isdigit() else figure.name
 
 
 def check_data(figures: Sequence[PaperFigure], data: Path | None) -> None:
@@ -71,12 +51,12 @@ def make_figure(
         outcome = figure.run(quick, data, watch)
     except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
         return Made(figure, None, "failed: " + " ".join(str(error).split())[:200])
-    picture = folder / f"{stem(figure)}.png"
+    picture = folder / f"{figure.stem}.png"
     write_png(picture, outcome.draw)
     outcome.table.write(picture.with_suffix(".csv"))
     for ending, write in outcome.more.items():
-        write(folder / f"{stem(figure)}{ending}")
-    files = sorted(path.name for path in folder.glob(f"{stem(figure)}*"))
+        write(folder / f"{figure.stem}{ending}")
+    files = sorted(path.name for path in folder.glob(f"{figure.stem}*"))
     return Made(figure, outcome, files=tuple(files), picture=picture.read_bytes())
 
 
@@ -88,10 +68,7 @@ def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
     RelmapError
         Where a file cannot be written.
     """
-    done = [(each.figure, each.outcome) for each in made if each.outcome is not None]
-    rows = [(figure.name, found.value, found.verdict) for figure, found in done]
+    done = [(each.figure.name, each.outcome) for each in made if each.outcome is not None]
+    rows = [(name, found.value, found.verdict) for name, found in done]
     Table(("figure", "value", "verdict"), rows).write(folder / VERDICTS)
-    entries = [
-        Entry(each.figure, each.outcome, each.note, each.picture, [*each.files]) for each in made
-    ]
-    atomic_write(folder / PAGE, page(entries, quick))
+    atomic_write(folder / PAGE, page(made, quick))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 
 from relmap.evaluation.summary import versions
-from relmap.figures.base import Outcome, PaperFigure
+from relmap.figures.base import Made
 
 SKIPPED = "not run"
 DENSITY = 1.5
@@ -48,49 +47,11 @@ BADGES = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Entry:
-    """A figure on the page.
-
-    Attributes
-    ----------
-    figure : PaperFigure
-    outcome : Outcome or None
-    note : str
-        Why it was not run, where it was not.
-    picture : bytes
-        PNG.
-    files : list of str
-        Names of its files.
-    """
-
-    figure: PaperFigure
-    outcome: Outcome | None
-    note: str
-    picture: bytes
-    files: list[str]
-
-    @property
-    def verdict(self) -> str:
-        """What is said of the claim."""
-        return SKIPPED if self.outcome is None else self.outcome.verdict
-
-    @property
-    def heading(self) -> str:
-        """Number and title."""
-        name = self.figure.name
-        return f"Figure {name}" if name.isdigit() else name.capitalize()
-
-
-def page(entries: Sequence[Entry], quick: bool) -> str:
+def page(entries: Sequence[Made], quick: bool) -> str:
     """Return the page as HTML with everything in it, in the order of the entries."""
-    found = versions()
-    size = (
-        "small runs (--quick): figures and verdicts of the full size may differ"
-        if quick
-        else ("runs of full size")
-    )
-    said = ", ".join(f"{name} {version}" for name, version in found.items())
+    small = "small runs (--quick): figures and verdicts of the full size may differ"
+    size = small if quick else "runs of full size"
+    said = ", ".join(f"{name} {version}" for name, version in versions().items())
     parts = [
         "<!DOCTYPE html>",
         '<html lang="en"><head><meta charset="utf-8">',
@@ -110,16 +71,17 @@ def page(entries: Sequence[Entry], quick: bool) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _badge(verdict: str) -> str:
+def _badge(entry: Made) -> str:
+    verdict = SKIPPED if entry.outcome is None else entry.outcome.verdict
     return f'<span class="badge {BADGES[verdict]}">{escape(verdict)}</span>'
 
 
-def _summary(entries: Sequence[Entry]) -> str:
+def _summary(entries: Sequence[Made]) -> str:
     rows = [
-        f'<tr><td><a href="#f{entry.figure.name}">{escape(entry.heading)}</a></td>'
+        f'<tr><td><a href="#f{entry.figure.name}">{escape(entry.figure.heading)}</a></td>'
         f"<td>{escape(entry.figure.title)}</td>"
         f"{_figure(entry)}"
-        f'<td class="verdict">{_badge(entry.verdict)}</td></tr>'
+        f'<td class="verdict">{_badge(entry)}</td></tr>'
         for entry in entries
     ]
     names = ("figure", "shows", "our figure", "what that is", "the claim is")
@@ -127,11 +89,11 @@ def _summary(entries: Sequence[Entry]) -> str:
     return f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
 
 
-def _figure(entry: Entry) -> str:
+def _figure(entry: Made) -> str:
     """Return the two cells that hold our figure, and what it is."""
-    if entry.outcome is None:
-        return f"<td></td><td>{escape(entry.note)}</td>"
-    return f"<td>{entry.outcome.value:.3g}</td><td>{escape(entry.outcome.unit)}</td>"
+    found = entry.outcome
+    value, told = ("", entry.note) if found is None else (f"{found.value:.3g}", found.unit)
+    return f"<td>{value}</td><td>{escape(told)}</td>"
 
 
 def _shown_width(png: bytes) -> int:
@@ -142,21 +104,21 @@ def _shown_width(png: bytes) -> int:
     return round(int.from_bytes(png[16:20], "big") / DENSITY)
 
 
-def _section(entry: Entry) -> str:
+def _section(entry: Made) -> str:
     figure, outcome = entry.figure, entry.outcome
     ours = entry.note if outcome is None else outcome.ours
+    named = escape(f"{figure.heading}: {figure.title}", quote=True)
     parts = [
-        f'<section id="f{figure.name}"><h2>{escape(entry.heading)}: {escape(figure.title)}</h2>',
+        f'<section id="f{figure.name}"><h2>{named}</h2>',
         f'<div class="beside"><div><h3>The paper</h3><p>{escape(figure.claim)}</p></div>',
         f"<div><h3>relmap</h3><p>{escape(ours)}</p></div>",
-        f"<div><h3>The claim is</h3><p>{_badge(entry.verdict)}</p></div></div>",
+        f"<div><h3>The claim is</h3><p>{_badge(entry)}</p></div></div>",
         f'<p class="small">Borne out where: {escape(figure.criterion)}.</p>',
     ]
     if outcome is not None:
         picture = b64encode(entry.picture).decode()
-        alt = escape(f"{entry.heading}: {figure.title}", quote=True)
         names = ", ".join(f"<code>{escape(name)}</code>" for name in entry.files)
         width = _shown_width(entry.picture)
-        parts.append(f'<img alt="{alt}" width="{width}" src="data:image/png;base64,{picture}">')
+        parts.append(f'<img alt="{named}" width="{width}" src="data:image/png;base64,{picture}">')
         parts.append(f'<p class="small">Beside this page: {names}</p>')
     return "".join([*parts, "</section>"])

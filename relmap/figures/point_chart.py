@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from relmap.core.association import Constellation
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.growth import grow_group
 from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
-from relmap.plots.chart import ChartPicture, chart_picture
 from relmap.simulation import simulate_figure_eight
 
 QUICK_ITERATIONS = 300
@@ -22,6 +23,94 @@ VISIT = 100
 """Iterations for which the seed is in view, as nearly as may be."""
 MARGIN = 20
 """Iterations that are shown before and after."""
+FEWEST_MEMBERS = 4
+"""Landmarks that a group must have, as in section III."""
+
+
+@dataclass(frozen=True, eq=False)
+class ChartPicture:
+    """A window of the point chart around a seed, and the group grown in it.
+
+    Attributes
+    ----------
+    seed : int
+    begin : int
+        First iteration of the window.
+    landmarks : (n,) int64, ascending
+        All that were visible together with the seed, and the seed.
+    visible : (n, i) bool
+        One column for each iteration of the window.
+    order : (n,) int64
+        Rows sorted by the interval they have in common with the seed.
+    members : int
+        The group is the first so many of `order`.
+    """
+
+    seed: int
+    begin: int
+    landmarks: NDArray[np.int64]
+    visible: NDArray[np.bool_]
+    order: NDArray[np.int64]
+    members: int
+
+    @property
+    def seed_interval(self) -> NDArray[np.bool_]:
+        """In which iterations of the window the seed was visible; (i,)."""
+        return np.asarray(self.visible[self.order[0]])
+
+    @property
+    def common_interval(self) -> NDArray[np.int64]:
+        """Iterations that each landmark has in common with the seed, in sorted order; (n,)."""
+        return np.asarray((self.visible & self.seed_interval).sum(axis=1)[self.order])
+
+    @property
+    def group_interval(self) -> NDArray[np.bool_]:
+        """In which iterations all members of the group were visible; (i,)."""
+        return np.asarray(self.visible[self.order[: self.members]].all(axis=0))
+
+    @property
+    def area(self) -> NDArray[np.int64]:
+        """Members x common interval of the first 1, 2, ... landmarks in sorted order; (n,)."""
+        together = np.logical_and.accumulate(self.visible[self.order], axis=0)
+        return np.asarray(np.arange(1, len(together) + 1) * together.sum(axis=1))
+
+
+def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> ChartPicture:
+    """Chart the iterations `begin` to `end` around a seed, and grow its group as a map begins.
+
+    Raises
+    ------
+    RelmapError
+        Where the seed was not seen with enough others to be grouped.
+    """
+    chart = PointChart.around(seed, store, begin, end)
+    n = len(chart.landmarks)
+    rows, unmapped = np.arange(n), np.zeros(n)
+    group = grow_group(chart, rows, unmapped, FEWEST_MEMBERS, 0) if n else None
+    if group is None:
+        raise RelmapError(f"landmark {seed} makes no group in iterations {begin} to {end - 1}")
+    by_number = np.argsort(chart.landmarks)
+    landmarks, iterations = store.seen(begin, end)
+    charted = np.isin(landmarks, chart.landmarks)
+    visible = np.zeros((n, end - begin), dtype=bool)
+    row = np.searchsorted(chart.landmarks[by_number], landmarks[charted])
+    visible[row, iterations[charted] - begin] = True
+    order = np.argsort(by_number)[chart.sorted_by_common_interval(rows, unmapped)]
+    return ChartPicture(
+        seed, begin, chart.landmarks[by_number], visible, order, members=len(group.rows)
+    )
+
+
+def paper_stops(area: NDArray[np.int64]) -> int:
+    """Return how many members the paper's rule takes: up to the first that adds no area.
+
+    Parameters
+    ----------
+    area : (n,) int64
+        Members x common interval of the first 1, 2, ... landmarks.
+    """
+    falls = np.flatnonzero(np.diff(area[FEWEST_MEMBERS - 1 :]) <= 0)
+    return int(falls[0]) + FEWEST_MEMBERS if len(falls) else len(area)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +134,10 @@ class ChartedRun:
         landmarks, iterations = self.store.seen(0, self.store.n_iterations)
         order = np.argsort(landmarks, kind="stable")
         bounds = np.searchsorted(landmarks[order], np.arange(landmarks.max(initial=-1) + 2))
-        found = []
-        for landmark, (low, high) in enumerate(pairwise(bounds)):
-            when = iterations[order[low:high]]
-            if not len(when):
-                continue
-            begin, end = int(when[0]), int(when[-1]) + 1
-            if begin >= MARGIN and end <= self.store.n_iterations - MARGIN:
-                found.append((landmark, begin, end))
-        return found
+        seen = {n: iterations[order[a:b]] for n, (a, b) in enumerate(pairwise(bounds)) if a < b}
+        visits = [(n, int(when[0]), int(when[-1]) + 1) for n, when in seen.items()]
+        latest = self.store.n_iterations - MARGIN
+        return [visit for visit in visits if visit[1] >= MARGIN and visit[2] <= latest]
 
     def truly_visible(self, chart: ChartPicture) -> NDArray[np.bool_]:
         """Return what the simulator says to the cells (n, i) of a chart.

@@ -7,7 +7,7 @@ each time.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,10 +43,6 @@ class SurfacePoints:
     points_truth: Truth
     spacing_m: float
     sigma: float
-
-    def before(self, end: int) -> SurfacePoints:
-        """Return the first iterations alone; the truth stays."""
-        return replace(self, scans=self.scans.between(0, end), points=self.points.between(0, end))
 
 
 def scan_surface_points(

@@ -1,8 +1,9 @@
-"""Processor time of mapping, iteration by iteration: the data of figures 14 and 15."""
+"""How the work grows: processor time of mapping, and n log n; shared by figures 12, 14 and 15."""
 
 from __future__ import annotations
 
 from time import process_time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from relmap.datasets.base import ObservationLog
 from relmap.figures.base import Watch, unwatched
 from relmap.points.mapper import PointMapper
 from relmap.simulation import simulate_figure_eight
+
+MACHINE = "(milliseconds of one machine: compare ratios)"
 
 
 def timed(log: ObservationLog) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -43,3 +46,8 @@ def median_times(
 def warm_up() -> None:
     """Have everything compiled that is compiled when it is first used."""
     timed(simulate_figure_eight(density=100, iterations=100).log)
+
+
+def n_log_n(n: NDArray[Any]) -> NDArray[np.float64]:
+    """Return n log2 n."""
+    return np.asarray(n * np.log2(n), dtype=np.float64)

@@ -1,25 +1,36 @@
-"""The test bench of Fig. 5 as a picture and as an animation."""
+"""The test bench as a picture and as an animation: what a plane mapper sees and maps."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.animation import PillowWriter
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
 
 from relmap.core.errors import RelmapError
-from relmap.figures.bench import BenchFrame
-from relmap.plots.paper import GREY, RED, finish
-from relmap.plots.planes import CORNER, TRUE_WALL, WALL, draw_walls
-from relmap.plots.sheet import write_png
+from relmap.plots.bench_recorder import BenchFrame
+from relmap.plots.planes import CORNER, draw_true_walls, draw_walls
+from relmap.plots.sheet import (
+    GREY,
+    INK,
+    RED,
+    Limits,
+    blank,
+    draw_limits,
+    finish,
+    limits_of,
+    to_png,
+)
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-POINT = "#333333"
+TITLE = "the test bench"
+ROBOT_FRAME = ", robot frame"
 PLANE_COLOURS = (
     "#1f77b4", "#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#e377c2", "#17becf", "#bcbd22",
 )  # fmt: skip
@@ -31,25 +42,13 @@ HOLD = 16
 MARGIN_M = 0.8
 LEGEND_IN = 0.45
 """The legend is so far below its panel."""
-Limits = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Lowest and highest x, y, metres."""
-
-
-def write_bench_png(path: Path, frame: BenchFrame) -> None:
-    """Draw the bench into a PNG file; see `plot_bench`.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    write_png(path, lambda: plot_bench(frame))
 
 
 def write_bench_gif(
     path: Path,
     frames: Sequence[BenchFrame],
     progress: Callable[[Sequence[BenchFrame]], Iterable[BenchFrame]] | None = None,
+    title: str = TITLE,
 ) -> None:
     """Draw an animation of the bench into a GIF file.
 
@@ -59,87 +58,65 @@ def write_bench_gif(
     frames : sequence of BenchFrame
     progress : callable, optional
         Wraps the frames, to show how far it is.
+    title : str, optional
 
     Raises
     ------
     RelmapError
         Where there is no frame.
     """
-    import matplotlib as mpl
-    from matplotlib.animation import PillowWriter
-
     if not frames:
         raise RelmapError("an animation needs at least one scan")
     limits = _limits_of(frames)
     with mpl.rc_context():
         mpl.rcdefaults()
-        figure = _figure(GIF_DPI)
+        figure = blank(WIDTH_IN, HEIGHT_IN, GIF_DPI, layout=None)
         writer = PillowWriter(fps=FPS)
         with writer.saving(figure, str(path), GIF_DPI):
             for frame in progress(frames) if progress else frames:
                 figure.clear()
-                _draw(figure, frame, limits)
+                _draw(figure, frame, limits, title)
                 writer.grab_frame()
             for _ in range(HOLD):
                 writer.grab_frame()
 
 
-def plot_bench(frame: BenchFrame) -> Figure:
-    """Draw the four panels of Fig. 5.
+def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
+    """Draw four panels.
 
     Mapped against true walls; the robot's view of points; the segmented planes; the map with group
     connectivity.
     """
-    figure = _figure(DPI)
-    _draw(figure, frame, _limits_of([frame]))
-    return figure
-
-
-def _figure(dpi: int) -> Figure:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=dpi)
-    FigureCanvasAgg(figure)
+    figure = blank(WIDTH_IN, HEIGHT_IN, DPI, layout=None)
+    _draw(figure, frame, _limits_of([frame]), title)
     return figure
 
 
 def _limits_of(frames: Sequence[BenchFrame]) -> tuple[Limits, Limits]:
     """Return the limits of the world and those of what the robot sees, over all frames."""
-    world = [
-        points.reshape(-1, 2)
-        for frame in frames
-        for points in (frame.walls, frame.path, frame.true_walls)
-    ]
-    robot = [frame.points_robot for frame in frames]
-    return _box(world), _box([*robot, np.zeros((1, 2))])
+    walls = [ends.reshape(-1, 2) for frame in frames for ends in (frame.walls, frame.true_walls)]
+    world = np.concatenate(walls), np.concatenate([frame.path for frame in frames])
+    robot = np.concatenate([frame.points_robot for frame in frames]), np.zeros((1, 2))
+    return limits_of(*world, MARGIN_M), limits_of(*robot, MARGIN_M)
 
 
-def _box(parts: Sequence[NDArray[np.float64]]) -> Limits:
-    points = np.concatenate(parts)
-    if not len(points):
-        return -np.ones(2), np.ones(2)
-    return points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
-
-
-def _draw(figure: Figure, frame: BenchFrame, limits: tuple[Limits, Limits]) -> None:
+def _draw(figure: Figure, frame: BenchFrame, limits: tuple[Limits, Limits], title: str) -> None:
     """Draw all into an empty figure: the layout is fixed, so that an animation stands still."""
     panels = figure.subplots(2, 2)
     figure.subplots_adjust(0.07, 0.1, 0.98, 0.91, 0.16, 0.34)
     world, robot = limits
-    for axes, (low, high) in zip(panels.ravel(), (world, robot, robot, world), strict=True):
-        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        axes.set_aspect("equal")
+    for axes, limits_m in zip(panels.ravel(), (world, robot, robot, world), strict=True):
+        draw_limits(axes, limits_m)
     _draw_mapped(panels[0, 0], frame)
     _draw_points(panels[0, 1], frame)
     _draw_planes(panels[1, 0], frame)
     _draw_groups(panels[1, 1], frame)
-    figure.suptitle(f"Figure 5: the test bench, iteration {frame.iteration}", fontsize=13)
+    figure.suptitle(f"{title}, iteration {frame.iteration}", fontsize=13)
 
 
-def _legend(axes: Axes) -> None:
-    from matplotlib.transforms import ScaledTranslation
-
+def _name(axes: Axes, title: str, frame: str = "") -> None:
+    """Name a panel and its axes, and explain below it what it shows."""
+    finish(axes, title, f"x{frame} [m]", f"y{frame} [m]")
     figure = axes.get_figure()
     assert figure is not None
     below = axes.transAxes + ScaledTranslation(0, -LEGEND_IN, figure.dpi_scale_trans)
@@ -150,17 +127,15 @@ def _legend(axes: Axes) -> None:
 def _draw_mapped(axes: Axes, frame: BenchFrame) -> None:
     known = len(frame.true_walls) > 0
     if known:
-        draw_walls(axes, frame.true_walls, TRUE_WALL, 3.0, "true wall")
+        draw_true_walls(axes, frame.true_walls)
     _draw_map(axes, frame)
     axes.plot(*frame.path.T, color=GREY, linewidth=0.9, zorder=2, label="path")
-    title = "mapped walls over the true ones" if known else "mapped walls"
-    finish(axes, title, "x [m]", "y [m]")
-    _legend(axes)
+    _name(axes, "mapped walls over the true ones" if known else "mapped walls")
 
 
 def _draw_map(axes: Axes, frame: BenchFrame) -> None:
     """Draw walls, corners and the robot."""
-    draw_walls(axes, frame.walls, WALL, 1.2, "mapped wall")
+    draw_walls(axes, frame.walls)
     style: dict[str, Any] = {"linestyle": "", "zorder": 6}
     axes.plot(*frame.corners.T, "o", color=CORNER, markersize=2.5, label="corner", **style)
     x, y = frame.T_world_robot[:2, 3]
@@ -170,11 +145,10 @@ def _draw_map(axes: Axes, frame: BenchFrame) -> None:
 
 
 def _draw_points(axes: Axes, frame: BenchFrame) -> None:
-    axes.plot(*frame.points_robot.T, ".", color=POINT, markersize=1.5, label="point")
+    axes.plot(*frame.points_robot.T, ".", color=INK, markersize=1.5, label="point")
     axes.plot(0, 0, marker=(3, 0, -90), color=RED, markersize=9, linestyle="", label="robot")
     n = len(frame.points_robot)
-    finish(axes, f"what the robot sees: {n} points", "x, robot frame [m]", "y, robot frame [m]")
-    _legend(axes)
+    _name(axes, f"what the robot sees: {n} points", ROBOT_FRAME)
 
 
 def _draw_planes(axes: Axes, frame: BenchFrame) -> None:
@@ -185,23 +159,21 @@ def _draw_planes(axes: Axes, frame: BenchFrame) -> None:
         axes.plot(*ends.T, color=colour, linewidth=2.2)
     free = frame.points_robot[frame.label < 0]
     axes.plot(*free.T, ".", color=GREY, markersize=1.2, alpha=0.5)
-    style: dict[str, Any] = {"linestyle": "", "color": POINT, "markersize": 5, "zorder": 6}
+    style: dict[str, Any] = {"linestyle": "", "color": INK, "markersize": 5, "zorder": 6}
     axes.plot(*frame.ends_robot[frame.static_end].T, "o", label="static end", **style)
     cut = frame.ends_robot[~frame.static_end]
     axes.plot(*cut.T, "o", markerfacecolor="white", label="where the sight of it ends", **style)
     axes.plot(0, 0, marker=(3, 0, -90), color=RED, markersize=9, linestyle="")
-    title = f"segmented: {len(frame.ends_robot)} planes"
-    finish(axes, title, "x, robot frame [m]", "y, robot frame [m]")
-    _legend(axes)
+    _name(axes, f"segmented: {len(frame.ends_robot)} planes", ROBOT_FRAME)
 
 
 def _draw_groups(axes: Axes, frame: BenchFrame) -> None:
-    from matplotlib.collections import LineCollection
-
     alpha = float(np.clip(60 / max(len(frame.links), 1), 0.08, 0.6))
     lines = LineCollection(list(frame.links), colors=RED, linewidths=0.7, alpha=alpha, zorder=1)
     axes.add_collection(lines)
     axes.plot([], [], color=RED, linewidth=0.9, label="group, from its middle to its walls")
     _draw_map(axes, frame)
-    finish(axes, "the map with group connectivity", "x [m]", "y [m]")
-    _legend(axes)
+    _name(axes, "the map with group connectivity")
+
+
+write_bench_png = to_png(plot_bench)

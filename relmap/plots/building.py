@@ -2,31 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 
-from relmap.plots.sheet import Sheet, write_png
+from relmap.plots.sheet import BLUE, INK, RED, Sheet, to_png
 from relmap.simulation import Building
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-PATH = "#1f4e9e"
-POINTS = "#c0392b"
-WALL = "#333333"
-
-
-def write_building_png(path: Path, building: Building) -> None:
-    """Draw a building into a PNG file; see `plot_building`.  The same run gives the same bytes.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    write_png(path, lambda: plot_building(building))
 
 
 def plot_building(building: Building) -> Figure:
@@ -40,20 +21,21 @@ def plot_building(building: Building) -> Figure:
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.collections import LineCollection
-
     ends_map = building.walls[:, :4].reshape(-1, 2)
     way = building.trajectory[:, :3, 3]
     T_map_robot = building.trajectory[0]
     seen = building.scans[0].points @ T_map_robot[:3, :3].T + T_map_robot[:3, 3]
     flat = np.column_stack([ends_map, np.zeros(len(ends_map))])
-    sheet = Sheet(np.concatenate([flat, way]), planar=True)
+    sheet = Sheet(flat, way, planar=True)
     axes = sheet.views[0][0]
-    axes.add_collection(LineCollection(list(ends_map.reshape(-1, 2, 2)), colors=WALL, zorder=3))
-    axes.plot([], [], color=WALL, label="wall")
-    axes.plot(*way[:, :2].T, color=PATH, linewidth=1.2, zorder=4, label="path of the robot")
-    axes.plot(*way[0, :2], "o", color=PATH, markersize=5, zorder=5, label="start", linestyle="")
-    axes.plot(*seen[:, :2].T, ".", color=POINTS, markersize=0.8, zorder=2, label="first scan")
+    axes.add_collection(LineCollection(list(ends_map.reshape(-1, 2, 2)), colors=INK, zorder=3))
+    axes.plot([], [], color=INK, label="wall")
+    axes.plot(*way[:, :2].T, color=BLUE, linewidth=1.2, zorder=4, label="path of the robot")
+    axes.plot(*way[0, :2], "o", color=BLUE, markersize=5, zorder=5, label="start", linestyle="")
+    axes.plot(*seen[:, :2].T, ".", color=RED, markersize=0.8, zorder=2, label="first scan")
     walls, scans = len(building.walls), len(building.scans)
     sheet.finish(f"{walls} sides of walls, {scans} scans")
     return sheet.figure
+
+
+write_building_png = to_png(plot_building)

@@ -3,31 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
-from relmap.plots.paper import BLUE, GREY, ORANGE, blank, finish
-from relmap.plots.sheet import write_png
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish, to_png, write_in_full
 
 Figures = Mapping[str, float | None]
 OURS = "relmap"
 """What the names of relmap's own methods begin with."""
 ROW_IN = 0.34
-
-
-def write_comparison_png(path: Path, rows: Sequence[tuple[str, Figures]], title: str) -> None:
-    """Draw a comparison into a PNG file; see `plot_comparison`.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    write_png(path, lambda: plot_comparison(rows, title))
+MANY = 30.0
+"""Where the figures span more, only powers of ten are written."""
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
@@ -58,26 +46,26 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     for axes, (key, name) in zip(all_axes, shown, strict=True):
         _draw(axes, rows, key)
         finish(axes, "", name, "")
-        axes.grid(visible=False, axis="y")
     all_axes[0].set_yticks(range(len(rows)), [method for method, _ in rows])
     all_axes[0].set_ylim(len(rows) - 0.5, -0.5)
     return figure
 
 
 def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
-    """Draw one figure of every method as a bar from the smallest on, in logarithmic scale."""
-    from matplotlib.ticker import NullFormatter
-
+    """Draw one figure of every method as a dot, in logarithmic scale."""
     axes.set_xscale("log")
-    axes.xaxis.set_minor_formatter(NullFormatter())
     values = [f.get(key) for _, f in rows]
-    known = [value for value in values if value]
-    least = min(known, default=1.0) / 3
-    axes.set_xlim(least, 4 * max(known, default=1.0))
+    known = np.array([value for value in values if value] or [1.0])
+    least = known.min() / 2
+    axes.set_xlim(least, 4 * known.max())
+    write_in_full(axes.xaxis, known, (1, 2, 5) if known.max() < MANY * known.min() else (1,))
     for row, ((method, _), value) in enumerate(zip(rows, values, strict=True)):
         if not value:
             axes.text(least * 1.05, row, "no figure", va="center", fontsize=7, color=GREY)
             continue
         colour = BLUE if method.startswith(OURS) else ORANGE
-        axes.barh(row, value - least, left=least, height=0.62, color=colour)
-        axes.text(value * 1.08, row, f"{value:.3g}", va="center", fontsize=7)
+        axes.plot(value, row, "o", color=colour, markersize=6)
+        axes.text(value * 1.2, row, f"{value:.3g}", va="center", fontsize=7)
+
+
+write_comparison_png = to_png(plot_comparison)

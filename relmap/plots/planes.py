@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from relmap.evaluation.corners import MatchedCorners
+from relmap.evaluation.truth import Truth
 from relmap.planes.table import PlaneTable
-from relmap.plots.sheet import Sheet, write_png
+from relmap.plots.path import broken_at_jumps
+from relmap.plots.sheet import BLUE, PALE, Sheet, blank, to_png
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from relmap.evaluation.corners import MatchedCorners
-    from relmap.evaluation.truth import Truth
-
-WALL = "#1f4e9e"
+WALL = BLUE
 CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
 PANEL_IN = 3.4
@@ -27,59 +24,24 @@ TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
 
 
-def write_planes_png(
-    path: Path,
-    planes: PlaneTable,
-    poses: NDArray[np.float64],
-    truth: tuple[Truth, MatchedCorners] | None = None,
-    title: str | None = None,
-) -> None:
-    """Draw walls into a PNG file; see `plot_planes`.  The same run gives the same bytes.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    write_png(path, lambda: plot_planes(planes, poses, truth, title))
-
-
-def write_submaps_png(
-    path: Path, submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
-) -> None:
-    """Draw the walls and paths of submaps into a PNG file, each in a panel of its own.
+def plot_submaps(
+    submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
+) -> Figure:
+    """Draw the walls and paths of submaps, each in its own frame and a panel of its own.
 
     Parameters
     ----------
-    path : Path
     submaps : sequence of (PlaneTable, (k, 4, 4) float64)
         Those to be drawn, the map itself first.
     n_submaps : int
         How many there are.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
     """
     if len(submaps) < 2:
         title = None if n_submaps < 2 else f"the largest of {n_submaps} submaps"
-        planes, poses = submaps[0]
-        return write_planes_png(path, planes, poses, title=title)
-    return write_png(path, lambda: plot_submaps(submaps, n_submaps))
-
-
-def plot_submaps(
-    submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
-) -> Figure:
-    """Draw submaps side by side, each in its own frame; see `write_submaps_png`."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+        return plot_planes(*submaps[0], title=title)
     columns = int(np.ceil(np.sqrt(len(submaps))))
     rows = -(-len(submaps) // columns)
-    figure = Figure(figsize=(PANEL_IN * columns, PANEL_IN * rows + 0.8), dpi=110)
-    FigureCanvasAgg(figure)
+    figure = blank(PANEL_IN * columns, PANEL_IN * rows + 0.8, dpi=110, layout=None)
     for number, (planes, poses) in enumerate(submaps):
         axes = figure.add_subplot(rows, columns, number + 1, aspect="equal", adjustable="datalim")
         n_walls, n_corners = draw_map(axes, planes, poses)
@@ -87,7 +49,7 @@ def plot_submaps(
         axes.set_title(
             f"{name}: {len(poses)} scans, {n_walls} walls, {n_corners} corners", fontsize=8
         )
-        axes.grid(color="#e4e4e4", linewidth=0.5)
+        axes.grid(color=PALE, linewidth=0.5)
         axes.tick_params(labelsize=6)
     left = n_submaps - len(submaps)
     also = f", {left} of a few scans not drawn" if left else ""
@@ -102,10 +64,11 @@ def plot_submaps(
 def draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return how many walls and corners."""
     mapped = planes.status == "static"
-    draw_walls(axes, planes.ends[mapped], WALL, 1.0, "wall")
+    draw_walls(axes, planes.ends[mapped], "wall")
     at = planes.ends[mapped][planes.corner[mapped] >= 0]
     axes.plot(*at.T, "o", color=CORNER, markersize=2.2, zorder=6, label="corner", linestyle="")
-    axes.plot(*poses[:, :2, 3].T, color=PATH, linewidth=0.8, zorder=2, label="path of the robot")
+    path = broken_at_jumps(poses[:, :2, 3])
+    axes.plot(*path.T, color=PATH, linewidth=0.8, zorder=2, label="path of the robot")
     return int(mapped.sum()), len(at)
 
 
@@ -131,28 +94,42 @@ def plot_planes(
     -------
     matplotlib.figure.Figure
     """
-    mapped = planes.status == "static"
-    everything = [planes.ends[mapped].reshape(-1, 2), poses[:, :2, 3]]
+    places = planes.ends[planes.status == "static"].reshape(-1, 2)
     true_ends = np.empty((0, 2, 2))
     if truth is not None:
         true_ends = (truth[0].ends - truth[1].t) @ truth[1].R
-        everything.append(true_ends.reshape(-1, 2))
-    flat = np.concatenate(everything)
-    sheet = Sheet(np.column_stack([flat, np.zeros(len(flat))]), planar=True)
+    flat = np.concatenate([places, true_ends.reshape(-1, 2)])
+    sheet = Sheet(_in_space(flat), _in_space(poses[:, :2, 3]), planar=True)
     axes = sheet.views[0][0]
     if truth is not None:
-        draw_walls(axes, true_ends, TRUE_WALL, 3.0, "true wall")
+        draw_true_walls(axes, true_ends)
     n_walls, n_corners = draw_map(axes, planes, poses)
     sheet.finish(title or f"{n_walls} walls, {n_corners} corners, {len(poses)} poses")
     return sheet.figure
 
 
 def draw_walls(
-    axes: Axes, ends: NDArray[np.float64], colour: str, width: float, label: str
+    axes: Axes,
+    ends: NDArray[np.float64],
+    label: str = "mapped wall",
+    colour: str = WALL,
+    width: float = 1.5,
+    zorder: float = 5.0,
 ) -> None:
     """Draw walls (m, 2, 2) as lines."""
-    from matplotlib.collections import LineCollection
-
-    lines = LineCollection(list(ends), colors=colour, linewidths=width, zorder=5 - width / 3)
+    lines = LineCollection(list(ends), colors=colour, linewidths=width, zorder=zorder)
     axes.add_collection(lines)
     axes.plot([], [], color=colour, linewidth=width, label=label)
+
+
+def draw_true_walls(axes: Axes, ends: NDArray[np.float64]) -> None:
+    """Draw true walls (m, 2, 2) thinly, so that those of the map show over them."""
+    draw_walls(axes, ends, "true wall", TRUE_WALL, width=1.0, zorder=4.0)
+
+
+def _in_space(flat: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.column_stack([flat, np.zeros(len(flat))])
+
+
+write_planes_png = to_png(plot_planes)
+write_submaps_png = to_png(plot_submaps)

@@ -4,48 +4,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
-from relmap.plots.sheet import Sheet, write_png
+from relmap.plots.path import broken_at_gaps, broken_at_jumps
+from relmap.plots.sheet import BLUE, RED, Sheet, to_png
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from relmap.evaluation.landmarks import Overlay
-
-PATH = "#1f4e9e"
-TRUTH = "#c0392b"
 GROUP = "#7f7f7f"
-GAP = 3.0
-"""Steps, in usual ones, after which the path is not drawn through."""
 WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
 """Residual, in units of what the noise explains, above which a place is ringed."""
 MOST_LINKS = 6000
 """So many links between groups and members are drawn; of more groups only a part is shown."""
-
-
-def write_map_png(
-    path: Path,
-    result: Result,
-    groups: Sequence[NDArray[np.int64]] = (),
-    truth: Overlay | None = None,
-    title: str | None = None,
-) -> None:
-    """Draw a run into a PNG file; see `plot_run`.  The same run gives the same bytes.
-
-    Raises
-    ------
-    RelmapError
-        Where the file cannot be written.
-    """
-    write_png(path, lambda: plot_run(result, groups, truth, title))
 
 
 def plot_run(
@@ -70,10 +48,11 @@ def plot_run(
     matplotlib.figure.Figure
     """
     positions = result.landmarks.position[result.mapped]
-    everything = [positions, result.poses[:, :3, 3]]
+    places, way = positions, result.poses[:, :3, 3]
     if truth is not None:
-        everything += [truth.landmarks_map, truth.path_map]
-    sheet = Sheet(np.concatenate(everything), result.planar)
+        places = np.concatenate([places, truth.landmarks_map])
+        way = np.concatenate([way, truth.path_map])
+    sheet = Sheet(places, way, result.planar)
     for axes, pair in sheet.views:
         _draw_groups(axes, result, groups, pair)
         if truth is not None:
@@ -97,28 +76,24 @@ def _marker_area(n: int) -> float:
 
 def _draw_landmarks(axes: Axes, result: Result, pair: list[int]) -> Any:
     """Draw the mapped landmarks; return what the colour bar explains, None where nothing does."""
-    from matplotlib.colors import LogNorm
-
     table = result.landmarks
     area = _marker_area(int(result.mapped.sum()))
     static = result.mapped & (table.status != "dynamic")
     known = static & np.isfinite(table.sd) & (table.sd > 0)
-    x, y = pair
-    plain, moving = static & ~known, result.mapped & ~static
     style: dict[str, Any] = {"s": area, "linewidths": 0, "zorder": 6}
-    if plain.any():
-        at = table.position[plain]
-        axes.scatter(at[:, x], at[:, y], c="black", label="landmark", **style)
-    if moving.any():
-        cross = {**style, "marker": "x", "linewidths": 1.0, "s": area + 6}
-        at = table.position[moving]
-        axes.scatter(at[:, x], at[:, y], c="#d81b60", label="dynamic landmark", **cross)
+    cross = style | {"c": "#d81b60", "marker": "x", "linewidths": 1.0, "s": area + 6}
+    for of, label, how in (
+        (static & ~known, "landmark", style | {"c": "black"}),
+        (result.mapped & ~static, "dynamic landmark", cross),
+    ):
+        if of.any():
+            axes.scatter(*table.position[of][:, pair].T, label=label, **how)
     if not known.any():
         return None
     sd = table.sd[known]
     norm = LogNorm(sd.min(), sd.max()) if sd.max() > 1.2 * sd.min() else None
-    at = table.position[known]
-    return axes.scatter(at[:, x], at[:, y], c=sd, norm=norm, label="landmark", **style)
+    x, y = table.position[known][:, pair].T
+    return axes.scatter(x, y, c=sd, norm=norm, label="landmark", **style)
 
 
 def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
@@ -126,32 +101,16 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
     if not len(position):
         return
     whole = broken_at_gaps(result.stamps_s, position)
-    axes.plot(*whole.T, color=PATH, linewidth=1.4, zorder=7, label="path of the robot")
-    axes.plot(*position[0], "o", color=PATH, markersize=6, zorder=8, label="start", linestyle="")
-
-
-def broken_at_gaps(
-    stamps_s: NDArray[np.float64], position: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return positions (p + k, d) with NaN where the path is not known, so that none is drawn."""
-    step_s = np.diff(stamps_s)
-    usual_s = np.median(step_s) if len(step_s) else 0.0
-    gaps = np.flatnonzero(step_s > GAP * usual_s) + 1
-    return np.insert(position, gaps, np.nan, axis=0)
+    axes.plot(*whole.T, color=BLUE, linewidth=1.4, zorder=7, label="path of the robot")
+    axes.plot(*position[0], "o", color=BLUE, markersize=6, zorder=8, label="start", linestyle="")
 
 
 def _draw_groups(
     axes: Axes, result: Result, groups: Sequence[NDArray[np.int64]], pair: list[int]
 ) -> None:
-    from matplotlib.collections import LineCollection
-
-    place = dict(
-        zip(
-            result.landmarks.landmark[result.mapped].tolist(),
-            result.landmarks.position[result.mapped][:, pair],
-            strict=True,
-        )
-    )
+    mapped, table = result.mapped, result.landmarks
+    at = table.position[mapped][:, pair]
+    place = dict(zip(table.landmark[mapped].tolist(), at, strict=True))
     links: list[NDArray[np.float64]] = []
     every = max(1, math.ceil(sum(map(len, groups)) / MOST_LINKS))
     for group in groups[::every]:
@@ -185,18 +144,19 @@ def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
 
 
 def _draw_truth(axes: Axes, truth: Overlay, pair: list[int]) -> None:
-    from matplotlib.collections import LineCollection
-
     area = _marker_area(len(truth.landmarks_map))
     rings: dict[str, Any] = {
         "s": 2.5 * area + min(12.0, area / 2),
         "facecolors": "none",
-        "edgecolors": TRUTH,
+        "edgecolors": RED,
     }
     x, y = truth.landmarks_map[:, pair].T
     axes.scatter(x, y, linewidths=0.2 + area / 56, label="true landmark", zorder=5, **rings)
     lines = list(truth.errors_map[:, :, pair])
-    axes.add_collection(LineCollection(lines, colors=TRUTH, linewidths=0.7, zorder=5))
+    axes.add_collection(LineCollection(lines, colors=RED, linewidths=0.7, zorder=5))
     if len(truth.path_map):
-        path = truth.path_map[:, pair].T
-        axes.plot(*path, "--", color=TRUTH, linewidth=0.8, zorder=2, label="true path")
+        path = broken_at_jumps(truth.path_map)[:, pair]
+        axes.plot(*path.T, "--", color=RED, linewidth=0.8, zorder=2, label="true path")
+
+
+write_map_png = to_png(plot_run)

@@ -1,9 +1,9 @@
-"""The test bench of Fig. 5: what a plane mapper sees, segments and maps, scan by scan."""
+"""What the test bench shows (Fig. 5 of the paper): a plane mapper, scan by scan."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,12 +14,24 @@ from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation import metrics
 from relmap.evaluation.run import segment_scan
 from relmap.evaluation.truth import Truth
-from relmap.figures.pose_fit import fit_poses
 from relmap.planes import PlaneMapper
+from relmap.plots.path import fit_poses
 from relmap.segmentation import PlaneSegmenter
 
 FRAMES = 80
 """An animation has about so many, spread over the run."""
+
+
+COLUMNS = ("what", "number", "x0", "y0", "x1", "y1")
+
+
+def rows_of(shapes: Mapping[str, NDArray[np.float64]]) -> Iterator[tuple[object, ...]]:
+    """Yield a line for each line (n, 2, 2) or known place (n, 2), as `COLUMNS` name them."""
+    for what, each in shapes.items():
+        rest = () if each.ndim == 3 else ("", "")
+        flat = each.reshape(-1, 4 - len(rest))
+        for number, place in enumerate(flat[np.isfinite(flat[:, 0])].tolist()):
+            yield what, number, *place, *rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +55,14 @@ class BenchFrame:
     links : (l, 2, 2) float64, metres, world
         From the middle of each group to the walls that it ties.
     path : (k, 2) float64, metres, world
-        Of the iterations that have a pose.
+        NaN in iterations without a pose.
     T_world_robot : (4, 4) float64
         NaN where the scan has no pose.
     true_walls : (t, 2, 2) float64, metres, world
         Empty where they are not known.
     """
 
-    COLUMNS: ClassVar = ("what", "number", "x0", "y0", "x1", "y1")
+    COLUMNS: ClassVar = COLUMNS
 
     iteration: int
     points_robot: NDArray[np.float64]
@@ -68,17 +80,9 @@ class BenchFrame:
         """Yield a line for all that is drawn, as `COLUMNS` name them; points with their plane."""
         for label, point in zip(self.label.tolist(), self.points_robot.tolist(), strict=True):
             yield "point (robot)", label, *point, "", ""
-        for what, lines in (
-            ("plane (robot)", self.ends_robot),
-            ("wall", self.walls),
-            ("true wall", self.true_walls),
-            ("link", self.links),
-        ):
-            for number, line in enumerate(lines.reshape(-1, 4).tolist()):
-                yield what, number, *line
-        for what, places in (("corner", self.corners), ("pose", self.path)):
-            for number, place in enumerate(places.tolist()):
-                yield what, number, *place, "", ""
+        lines = {"plane (robot)": self.ends_robot, "wall": self.walls}
+        lines |= {"true wall": self.true_walls, "link": self.links}
+        yield from rows_of(lines | {"corner": self.corners, "pose": self.path})
 
 
 class BenchRecorder:
@@ -146,7 +150,6 @@ class BenchRecorder:
         walls = planes.ends[mapped] @ R.T + t
         T = np.eye(4)
         T[:2, :2], T[:2, 3] = R, t
-        placed = np.isfinite(poses[:, 0, 0])
         seen, view = self.segmenter.planes_, self._view
         c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
         ends_robot = seen.ends @ np.array([[c, s], [-s, c]]) + [view.x_m, view.y_m]
@@ -159,7 +162,7 @@ class BenchRecorder:
             walls,
             walls[planes.corner[mapped] >= 0],
             self._links(planes.plane[mapped], walls.mean(axis=1)),
-            poses[placed, :2, 3] @ R.T + t,
+            poses[:, :2, 3] @ R.T + t,
             T @ poses[-1],
             np.empty((0, 2, 2)) if self._truth is None else self._truth.ends,
         )

@@ -1,0 +1,52 @@
+"""Paths, brought onto one another, and not drawn where they are not known."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+GAP = 3.0
+"""Times between poses, in usual ones, after which the path is not drawn through."""
+JUMP = 5.0
+"""Steps, in those around them, that are none."""
+AROUND = 5
+"""So many steps before and after are held against each."""
+USUAL = 0.9
+"""This quantile of all steps, times `GAP`, is no jump yet."""
+
+
+def broken_at_gaps(
+    stamps_s: NDArray[np.float64], position: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return positions (p + k, d) with NaN where the path is not known, so that none is drawn."""
+    step_s = np.diff(stamps_s)
+    usual_s = np.median(step_s) if len(step_s) else 0.0
+    return _broken(position, step_s > GAP * usual_s)
+
+
+def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return positions (p + k, d) with NaN where the path leaps, for want of its times."""
+    step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    if not len(step_m):
+        return position
+    padded = np.pad(step_m, AROUND, constant_values=np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
+    most_m = np.maximum(JUMP * np.nanmedian(around, axis=1), GAP * np.quantile(step_m, USUAL))
+    return _broken(position, step_m > most_m)
+
+
+def _broken(position: NDArray[np.float64], gap: NDArray[np.bool_]) -> NDArray[np.float64]:
+    return np.insert(position, np.flatnonzero(gap) + 1, np.nan, axis=0)
+
+
+def fit_poses(
+    poses: NDArray[np.float64], others: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the planar motion R (2, 2), t (2,) that brings poses (k, 4, 4) onto others best.
+
+    The turn is the mean one of the poses, so that one pose is enough.
+    """
+    turn = np.einsum("kij,klj->il", others[:, :2, :2], poses[:, :2, :2])
+    angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
+    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return R, (others[:, :2, 3] - poses[:, :2, 3] @ R.T).mean(axis=0)
