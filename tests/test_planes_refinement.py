@@ -9,21 +9,21 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from relmap.planes.cholesky import CliquePattern
+from relmap.core.linalg.cholesky import Pattern
 from relmap.planes.closing import Loop, votes
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
 
-Pattern = tuple[CliquePattern, list[NDArray[np.int64]], NDArray[np.int64]]
+Cliques = tuple[Pattern, list[NDArray[np.int64]], NDArray[np.int64]]
 
 
-def cliques_of(rng: np.random.Generator, blocks: int) -> Pattern:
+def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
     """Return a pattern of random cliques, the unknowns of each, and where their entries are."""
     width = rng.integers(1, 5, blocks)
     cliques = [np.unique(rng.integers(0, blocks, 4)) for _ in range(blocks)]
     cliques += [np.array([block]) for block in range(blocks)]
     sizes = np.cumsum([0] + [len(clique) for clique in cliques])
-    pattern = CliquePattern(width, sizes, np.concatenate(cliques))
+    pattern = Pattern.of_cliques(width, sizes, np.concatenate(cliques))
     unknowns = [
         np.sort(np.concatenate([pattern.first[b] + np.arange(width[b]) for b in clique]))
         for clique in cliques
@@ -50,6 +50,7 @@ def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int
     dense[np.diag_indices(n)] *= 1.5
     dense[np.diag_indices(n)] += 0.25
     right = rng.normal(size=n)
+    pattern.factorise(values)
     np.testing.assert_allclose(
         pattern.solve(values, right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12
     )
@@ -59,15 +60,16 @@ def test_a_path_is_eliminated_without_filling() -> None:
     n = 50
     pairs = np.column_stack([np.arange(n - 1), np.arange(1, n)])
     pairs = np.random.default_rng(0).permutation(n)[pairs]
-    pattern = CliquePattern(np.ones(n, dtype=np.int64), 2 * np.arange(n), pairs.ravel())
+    pattern = Pattern.of_cliques(np.ones(n, dtype=np.int64), 2 * np.arange(n), pairs.ravel())
     # The last two stand in one panel, a square.
     assert pattern.size == 2 * n
 
 
 def test_what_rounding_leaves_nothing_of_stays() -> None:
-    pattern = CliquePattern(np.array([2]), np.array([0, 1]), np.array([0]))
+    pattern = Pattern.of_cliques(np.array([2]), np.array([0, 1]), np.array([0]))
     values = np.zeros(pattern.size)
     values[pattern.entries(np.array([0, 2]), np.arange(2))] = [1.0, 1.0, 1.0]
+    pattern.factorise(values)
     np.testing.assert_allclose(pattern.solve(values, np.array([3.0, 3.0])), [3.0, 0.0], atol=1e-12)
 
 

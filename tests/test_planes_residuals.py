@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
-from relmap.planes.cholesky import CliquePattern
+from relmap.core.linalg.cholesky import Pattern
 from relmap.simulation import Building, simulate_building
 
 
@@ -102,7 +102,7 @@ def test_walls_never_numbered_are_refused(
 
 def test_blocks_of_the_inverse() -> None:
     width, begin = np.array([2, 3, 1]), np.array([0, 2, 4])
-    pattern = CliquePattern(width, begin, np.array([0, 1, 1, 2]))
+    pattern = Pattern.of_cliques(width, begin, np.array([0, 1, 1, 2]))
     first, rng = pattern.first, np.random.default_rng(0)
     matrix, values = np.zeros((6, 6)), np.zeros(pattern.size)
     for blocks in ([0, 1], [1, 2]):
@@ -113,6 +113,7 @@ def test_blocks_of_the_inverse() -> None:
         ends = np.array([0, len(own)])
         np.add.at(values, pattern.entries(ends, own), part[np.tril_indices(len(own))])
     chosen = np.array([[0, 3], [5, 3], [1, 4]])
-    found = pattern.inverse(values, chosen)
+    pattern.factorise(values)
+    found = pattern.parts(pattern.inverse(values), chosen)
     expected = np.linalg.inv(matrix)[chosen[:, :, None], chosen[:, None, :]]
     np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.planes.cholesky import CliquePattern
+from relmap.core.linalg.cholesky import Pattern
 from relmap.planes.equations import WallEquations, Walls, between_neighbours, open_along
 
 SETTLED = 0.01
@@ -161,7 +161,9 @@ class WallSystem:
         wall = np.zeros(len(state.along), dtype=np.int64)
         wall[self._given.corner] = self._given.wall[self._given.corner_row]
         line = self._line[wall]
-        return self._pattern.inverse(values, np.column_stack([line, line + 1, self._corner]))
+        self._pattern.factorise(values)
+        chosen = np.column_stack([line, line + 1, self._corner])
+        return self._pattern.parts(self._pattern.inverse(values), chosen)
 
     def _weights(self, state: Walls, doubtful: float, by_scan: bool) -> Weights:
         """Return the weights of walls and corners where their residuals put them in doubt."""
@@ -178,6 +180,7 @@ class WallSystem:
         from relmap.planes.refinement_kernels import pose_steps
 
         values, right, away, alone = self._equations(state, weights, firmer)
+        self._pattern.factorise(values)
         step = self._pattern.solve(values, right)
         poses = pose_steps(self._stretches, away, alone, step)
         return poses, step[self._line[:, None] + [0, 1]], step[self._corner]
@@ -215,7 +218,7 @@ class WallSystem:
         key, row = np.unique(at * len(width) + seen, return_inverse=True)
         clique, member = key // len(width), key % len(width)
         begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
-        self._pattern = CliquePattern(width, begin, member)
+        self._pattern = Pattern.of_cliques(width, begin, member)
         first = self._pattern.first
         self._line, self._corner = first[:n_walls], first[block] + place
         # The same within each stretch, whose unknowns are in the order of elimination too.

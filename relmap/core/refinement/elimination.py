@@ -11,9 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import sums_each
-from relmap.core.linalg.tridiagonal import BARELY, Levels
+from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.rows import JointRows
+
+BARELY = 1e-13
+"""What keeps rounding from making a matrix indefinite, as a share of its entries."""
 
 
 class FreePlacements:
@@ -44,7 +47,7 @@ class FreePlacements:
         positions: NDArray[np.float64],
         placed: NDArray[np.float64],
         weight: NDArray[np.float64],
-        levels: Levels,
+        pattern: Pattern,
         buffer: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Add the normal equations of the landmarks to the matrix; return their right side.
@@ -56,7 +59,7 @@ class FreePlacements:
             Where the rows are.
         weight : (n,) float64
             Of one observation.
-        levels : Levels
+        pattern : Pattern
         buffer : float64
             The matrix, added to; nothing is where it is empty.
 
@@ -85,7 +88,7 @@ class FreePlacements:
                 T *= root[at]
                 part = T.T @ T
                 part.flat[:: len(part) + 1] -= root[at] ** 2 * seen[at]
-                subtract(part, rows.landmark[begin:end], d, buffer, *levels.layout)
+                subtract(part, rows.landmark[begin:end], d, buffer, pattern.blocks)
         right = sums_each((root * left).reshape(-1, d), rows.landmark, len(positions))
         squares = (errors * left).reshape(-1, d).sum(axis=1)
         cost = np.bincount(rows.segment, weights=squares, minlength=len(rows.segments))

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.geometry.robust import fit_robust_each
-from relmap.core.linalg.tridiagonal import BARELY, factor
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
+from relmap.core.refinement.elimination import BARELY
 from relmap.core.refinement.equations import Equations, equations
 from relmap.core.refinement.residuals import (
     MergeResiduals,
@@ -46,9 +46,10 @@ class Spread:
 
     def __call__(self) -> NDArray[np.float64]:
         """Return the covariances, square metres; NaN of what the observations do not fix."""
-        at, levels = (self.positions, self.placed, self.weight), self.system.levels
+        at, pattern = (self.positions, self.placed, self.weight), self.system.pattern
         matrix = self.system.normal(*at, (BARELY, 0.0))[1]
-        found = self.system.covariances(factor(levels, matrix), self.placed, self.weight)
+        pattern.factorise(matrix)
+        found = self.system.covariances(pattern.inverse(matrix), self.placed, self.weight)
         found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
         # No linear theory tells of errors as large as the map.
         extent = np.ptp(self.positions[self.chosen], axis=0).max()

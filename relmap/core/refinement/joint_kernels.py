@@ -1,7 +1,7 @@
 """The joint least squares with the landmarks eliminated, compiled, and what both ways share.
 
 A row is a landmark in a segment.  Rows come in the order of their segments; `begin` (s + 1,) tells
-where each segment's begin.  A matrix is a buffer of dense blocks; see `tridiagonal`.
+where each segment's begin.  A matrix is stored as its factor will be; see `cholesky`.
 """
 
 from __future__ import annotations
@@ -9,9 +9,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.linalg.cholesky_kernels import Layout
 from relmap.core.linalg.compiling import compiled
 from relmap.core.linalg.small_kernels import product
 from relmap.core.refinement.segment_kernels import derivative
+
+Blocks = tuple[NDArray[np.int64], Layout]
+"""First unknown of each node, and how the matrix is laid out."""
 
 
 @compiled
@@ -70,22 +74,25 @@ def subtract(
     nodes: NDArray[np.int64],
     q: int,
     buffer: NDArray[np.float64],
-    level: NDArray[np.int64],
-    place: NDArray[np.int64],
-    width: NDArray[np.int64],
-    offset: NDArray[np.int64],
+    blocks: Blocks,
 ) -> None:
-    """Subtract a part (n q, n q) over n nodes from the lower blocks of a matrix."""
-    for i in range(len(nodes)):
-        row, row_level = nodes[i], level[nodes[i]]
-        for j in range(len(nodes)):
-            column, column_level = nodes[j], level[nodes[j]]
-            same = row_level == column_level
-            if not (same and place[row] >= place[column]) and row_level != column_level + 1:
+    """Subtract a part (n q, n q) over n nodes, not all different, from a matrix."""
+    first, (start, column_of, row_begin, rows, offset) = blocks
+    place, last = np.empty_like(column_of), -1
+    for j in np.argsort(first[nodes]):
+        column = first[nodes[j]]
+        p = column_of[column]
+        if p != last:
+            for r in range(row_begin[p], row_begin[p + 1]):
+                place[rows[r]] = r - row_begin[p]
+            last = p
+        width = start[p + 1] - start[p]
+        for i in range(len(nodes)):
+            row = first[nodes[i]]
+            if row < column:
                 continue
-            start = offset[column_level, 0 if same else 1] + place[column]
             for a in range(q):
-                at = start + (place[row] + a) * width[column_level]
+                at = offset[p] + (place[row] + a) * width + column - start[p]
                 for b in range(q):
                     buffer[at + b] -= part[i * q + a, j * q + b]
 
@@ -123,10 +130,7 @@ def placement_equations(
     weight: NDArray[np.float64],
     gradient: NDArray[np.float64],
     buffer: NDArray[np.float64],
-    level: NDArray[np.int64],
-    place: NDArray[np.int64],
-    width: NDArray[np.int64],
-    offset: NDArray[np.int64],
+    blocks: Blocks,
 ) -> None:
     """Add the normal equations of the placements, with the landmarks eliminated.
 
@@ -170,30 +174,32 @@ def placement_equations(
                         own[n - 1, b, c] += weighted * J[a, c]
         if len(buffer) > 0:
             part = _eliminated(pull[:, : q * n], own[:n], total)
-            subtract(part, nodes[:n], q, buffer, level, place, width, offset)
+            subtract(part, nodes[:n], q, buffer, blocks)
 
 
 @compiled
-def _blocks(
+def _part(
     nodes: NDArray[np.int64],
     q: int,
     inverse: NDArray[np.float64],
-    level: NDArray[np.int64],
-    place: NDArray[np.int64],
-    width: NDArray[np.int64],
-    offset: NDArray[np.int64],
+    blocks: Blocks,
 ) -> NDArray[np.float64]:
     """Return the part (n q, n q) of the inverse of a matrix that is over n nodes."""
+    first, (start, column_of, row_begin, rows, offset) = blocks
     part = np.empty((q * len(nodes), q * len(nodes)))
-    for k in range(len(nodes)):
-        row = nodes[k]
-        for m in range(len(nodes)):
-            column = nodes[m]
-            if level[row] < level[column]:
+    place = np.empty_like(column_of)
+    for m in range(len(nodes)):
+        column = first[nodes[m]]
+        p = column_of[column]
+        for r in range(row_begin[p], row_begin[p + 1]):
+            place[rows[r]] = r - row_begin[p]
+        width = start[p + 1] - start[p]
+        for k in range(len(nodes)):
+            row = first[nodes[k]]
+            if row < column:
                 continue
-            start = offset[level[column], 0 if level[row] == level[column] else 1] + place[column]
             for a in range(q):
-                at = start + (place[row] + a) * width[level[column]]
+                at = offset[p] + (place[row] + a) * width + column - start[p]
                 for b in range(q):
                     part[q * k + a, q * m + b] = part[q * m + b, q * k + a] = inverse[at + b]
     return part
@@ -207,10 +213,7 @@ def spread_of_landmarks(
     points: NDArray[np.float64],
     weight: NDArray[np.float64],
     inverse: NDArray[np.float64],
-    level: NDArray[np.int64],
-    place: NDArray[np.int64],
-    width: NDArray[np.int64],
-    offset: NDArray[np.int64],
+    blocks: Blocks,
 ) -> NDArray[np.float64]:
     """Return the covariances (m, d, d) of landmarks, of unit noise, from that of placements."""
     d = points.shape[1]
@@ -227,7 +230,7 @@ def spread_of_landmarks(
             for a in range(d):
                 for b in range(q):
                     pull[a, q * k + b] = weight[rows[k]] / total * J[a, b]
-        half = product(pull, _blocks(nodes, q, inverse, level, place, width, offset))
+        half = product(pull, _part(nodes, q, inverse, blocks))
         for a in range(d):
             for b in range(d):
                 for c in range(half.shape[1]):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
 from relmap.core.linalg.small_kernels import factorise, identity, solve
-from relmap.core.refinement.joint_kernels import subtract
+from relmap.core.refinement.joint_kernels import Blocks, subtract
 from relmap.core.refinement.segment_kernels import derivative
 
 HELD = 1e-12
@@ -96,10 +96,7 @@ def power_equations(
     R: NDArray[np.float64],
     right: NDArray[np.float64],
     buffer: NDArray[np.float64],
-    level: NDArray[np.int64],
-    place: NDArray[np.int64],
-    width: NDArray[np.int64],
-    offset: NDArray[np.int64],
+    blocks: Blocks,
 ) -> None:
     """Add the equations of the landmarks.
 
@@ -135,7 +132,7 @@ def power_equations(
                     right[landmark[first + j], a] += W[a, c] * residual[first + j, c]
                 for c in range(len(gradient)):
                     right[landmark[first + j], a] -= WJ[j, a, c] * gradient[c]
-        subtract(part, landmark[first:end], d, buffer, level, place, width, offset)
+        subtract(part, landmark[first:end], d, buffer, blocks)
 
 
 @compiled

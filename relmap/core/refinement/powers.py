@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
-from relmap.core.linalg.tridiagonal import Levels, factor
-from relmap.core.refinement.equations import levels_of, rotations
+from relmap.core.linalg.cholesky import Pattern
+from relmap.core.refinement.equations import held, levels_of, rotations
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.observations import Observations
 
@@ -81,7 +81,7 @@ class _Solution:
     """Landmarks and placements of the least sum of powers of what is left."""
 
     seen: Observations
-    levels: Levels
+    pattern: Pattern
     positions: NDArray[np.float64]
     R: NDArray[np.float64]
     t: NDArray[np.float64]
@@ -92,7 +92,7 @@ class _Solution:
         """Return the solution of least squares."""
         level = levels_of(seen.begin, seen.landmark, len(positions))[0]
         R, t, _ = seen.placed_on(positions)
-        return cls(seen, Levels(level, positions.shape[1]), positions, R, t)
+        return cls(seen, Pattern.of_levels(level, positions.shape[1]), positions, R, t)
 
     @property
     def left(self) -> NDArray[np.float64]:
@@ -119,11 +119,12 @@ class _Solution:
         weight = np.maximum((left / left.max()) ** (power - 2), FAINT)
         turned = np.einsum("nij,nj->ni", self.R[at], self.seen.points)
         residual = turned + self.t[at] - self.positions[of]
-        right, buffer = np.zeros_like(self.positions), np.zeros(self.levels.size)
+        right, buffer = np.zeros_like(self.positions), np.zeros(self.pattern.size)
         rows = self.seen.begin, of, turned, residual, weight, self.R
-        power_equations(*rows, right, buffer, *self.levels.layout)
-        self.levels.hold(buffer, LOOSE)
-        move = factor(self.levels, buffer).solve(right)
+        power_equations(*rows, right, buffer, self.pattern.blocks)
+        held(self.pattern, buffer, LOOSE, 0.0)
+        self.pattern.factorise(buffer)
+        move = self.pattern.solve(buffer, right)
         steps = placement_steps(self.seen.begin, turned, residual - move[of], weight, self.R)
         tried = [self._moved(share / (power - 1), move, steps, power) for share in SHARES]
         return min(tried, key=lambda each: float(np.sum((each.left / left.max()) ** power)))

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.refinement.condensing import SegmentRows
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +112,16 @@ def searched(
         yield
     # Where one component ends, its last landmarks may stand a level beyond its last segments.
     return found[0], numbered(found[1])[1]
+
+
+def at_once(steps: Generator[None, None, Result]) -> Result:
+    """Run through all steps of a computation; return its result."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as done:
+            found: Result = done.value
+            return found
 
 
 def numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

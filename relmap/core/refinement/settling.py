@@ -17,7 +17,6 @@ from relmap.core.geometry.robust import (
     robust_cost,
     strict,
 )
-from relmap.core.linalg.tridiagonal import Factor, factor
 from relmap.core.refinement.equations import Equations
 from relmap.core.refinement.rows import JointRows
 
@@ -126,8 +125,8 @@ def _settled(
     rows: JointRows,
     positions: NDArray[np.float64],
     weight: NDArray[np.float64],
-    found: Factor | None = None,
-) -> tuple[NDArray[np.float64], Factor | None, bool]:
+    found: NDArray[np.float64] | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, bool]:
     """Return the positions of the least sum of squares, the last factor, and if it converged.
 
     Begins with the factor of a matrix that is nearly the same, where there is one.
@@ -137,7 +136,7 @@ def _settled(
     before, least, damping, best, length, residual = np.inf, np.inf, 0.0, positions, np.inf, 0.0
     for _ in range(ROUNDS):
         placed = lay_on(rows, positions, weight)
-        right, matrix = system.normal(positions, placed, weight, None if found else HOLD)
+        right, matrix = system.normal(positions, placed, weight, HOLD if found is None else None)
         cost = system.cost.sum()
         if not cost <= WORSE * least + rounding:
             damping = max(DAMPED, MORE * damping)
@@ -145,9 +144,10 @@ def _settled(
             continue
         best, least = positions, min(cost, least)
         if found is None:
-            system.levels.damp(matrix, damping)
-            found = factor(system.levels, matrix)
-        step = found.solve(right)
+            system.pattern.hold(matrix, damping, 0.0)
+            system.pattern.factorise(matrix)
+            found = matrix
+        step = system.pattern.solve(found, right)
         positions = system.moved(best, placed, weight, step)
         length = np.abs(positions - best).max()
         shrinks = length / before if np.isfinite(before) else None

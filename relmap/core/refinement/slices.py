@@ -7,8 +7,8 @@ from collections.abc import Generator, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.tridiagonal import Levels, factored
-from relmap.core.refinement.equations import rotations
+from relmap.core.linalg.cholesky import Pattern, level_flops
+from relmap.core.refinement.equations import held, rotations
 from relmap.core.refinement.rows import searched
 from relmap.core.state.growing import FEW, GrowingArray
 
@@ -51,7 +51,8 @@ class StepInSlices:
     )
 
     def __init__(self, n_rows: int, n_landmarks: int, n_placements: int, dimension: int) -> None:
-        d = self._d = dimension
+        d, self._q = dimension, 3 * dimension - 3
+        self._d = d
         self._rows = 0
         self._placed = np.zeros((n_rows, d))
         self._weight = np.zeros(n_rows)
@@ -117,13 +118,14 @@ class StepInSlices:
         yield
         entry = yield from self._entries(begin)
         means = self._sums[: len(self.members)] / self._total[: len(self.members), None]
-        levels = yield from self._levels(begin, entry)
-        right, matrix = yield from self._equations(begin, entry, levels, means)
-        levels.hold(matrix, LOOSE, LOOSE)
-        levels.fix(matrix, 0)
+        level = yield from self._levels(begin, entry)
+        pattern = Pattern.of_levels(level, self._q)
+        right, matrix = yield from self._equations(begin, entry, pattern, means)
+        held(pattern, matrix, LOOSE, LOOSE)
+        pattern.fix(matrix, 0, self._q)
         right[0] = 0.0
-        factor = yield from factored(levels, matrix)
-        step = factor.solve(right)
+        yield from pattern.factorised(matrix, MOST_FLOPS)
+        step = pattern.solve(matrix, right)
         yield
         turns, shifts = rotations(step[:, : -self._d]), step[:, -self._d :]
         self.latest = turns[-1], shifts[-1], self._centre[-1]
@@ -166,19 +168,20 @@ class StepInSlices:
             yield
         return np.asarray(sums / self._total[: len(sums), None])
 
-    def _levels(self, begin: Indices, entry: Indices) -> Generator[None, None, Levels]:
-        """Return levels of the bodies, neighbours joined until none costs too much."""
+    def _levels(self, begin: Indices, entry: Indices) -> Generator[None, None, Indices]:
+        """Return levels (b,) of the bodies, neighbours joined until none costs too much."""
         while True:
             of_rows = np.searchsorted(self._body, np.arange(len(self._bodies) + 1))
             landmark, body = self._landmark[: self._rows], self._body
             search = searched(0, of_rows, landmark, (begin, entry), body, LIGHT * SLICE)
-            levels = Levels((yield from search)[1], 3 * self._d - 3)
-            if levels.most_flops <= MOST_FLOPS or len(self._bodies) == 1:
-                return levels
-            self._join(max(1, int(np.log2(levels.most_flops / MOST_FLOPS) / 3)))
+            level = (yield from search)[1]
+            most = float(level_flops(level, self._q).max())
+            if most <= MOST_FLOPS or len(self._bodies) == 1:
+                return level
+            self._join(max(1, int(np.log2(most / MOST_FLOPS) / 3)))
 
     def _equations(
-        self, begin: Indices, entry: Indices, levels: Levels, means: Points
+        self, begin: Indices, entry: Indices, pattern: Pattern, means: Points
     ) -> Generator[None, None, tuple[Points, Points]]:
         """Return right side and matrix, the landmarks eliminated, some of them at a time."""
         from relmap.core.refinement.joint_kernels import placement_equations
@@ -189,14 +192,14 @@ class StepInSlices:
             centred[rows] = self._placed[rows] - centre[self._body[rows]]
             residual[rows] = self._placed[rows] - means[self._landmark[rows]]
             yield
-        gradient, buffer = np.zeros((len(self._bodies), levels.q)), np.zeros(levels.size)
+        gradient, buffer = np.zeros((len(self._bodies), self._q)), np.zeros(pattern.size)
         first = 0
         while first < len(means):
             end = int(np.searchsorted(begin, begin[first] + SLICE, side="right"))
             end = min(max(end - 1, first + 1), len(means))
             entries = begin[first : end + 1], entry, self._body
             rows_of = centred, residual, self._weight
-            placement_equations(*entries, *rows_of, gradient, buffer, *levels.layout)
+            placement_equations(*entries, *rows_of, gradient, buffer, pattern.blocks)
             first = end
             yield
         return -gradient, buffer

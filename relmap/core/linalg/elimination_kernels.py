@@ -1,4 +1,4 @@
-"""The order in which the unknowns of a sum of cliques are eliminated; see `relmap.planes.cholesky`.
+"""The order in which unknowns are eliminated; see `relmap.core.linalg.cholesky`.
 
 The graph is kept as its cliques.  Eliminating a block makes one clique of all those that it is in
 (the quotient graph; George and Liu, "The evolution of the minimum degree ordering", 1989).

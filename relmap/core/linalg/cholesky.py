@@ -1,0 +1,203 @@
+"""Sparse symmetric systems, solved by a Cholesky factor in small dense panels.
+
+Where the factor has entries depends on who is tied to whom alone.  That is found once, in one of
+two ways, however often the numbers change (T. A. Davis, "Direct Methods for Sparse Linear Systems",
+2006).  What a scan says of walls is a clique: a set of unknowns all tied to one another; an order
+of least degree leaves the factor of a sum of cliques sparse.  Landmarks and placements are ordered
+by breadth-first search instead, in levels that touch only their neighbours (Cuthill and McKee,
+1969): that takes no more time than looking at all rows once, and can be done in slices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from relmap.core.linalg.cholesky_kernels import Layout
+
+WIDE = 48
+"""Unknowns of a panel of a level at most: what is wider is better multiplied."""
+STIFF = 1e9
+"""What holds an unknown that is not free, as a multiple of what holds others."""
+
+
+def level_flops(level: NDArray[np.int64], q: int) -> NDArray[np.float64]:
+    """Return about how many operations each level (l,) of nodes of q unknowns takes."""
+    w = q * np.bincount(level).astype(np.float64)
+    below = np.append(w[1:], 0)
+    return np.asarray(w**3 / 3 + w**2 * below + w * below**2)
+
+
+class Pattern:
+    """In which order to eliminate, and where the factor has its entries.
+
+    Parameters
+    ----------
+    first : (b,) int64
+        Number of each block's first unknown; the others follow.
+    layout : as `relmap.core.linalg.cholesky_kernels` has it
+
+    Attributes
+    ----------
+    size : int
+        Entries of the factor.
+    """
+
+    def __init__(self, first: NDArray[np.int64], layout: Layout) -> None:
+        self.first, self.layout = first, layout
+        start, column_of, _, _, offset = layout
+        self.size = int(offset[-1])
+        heights = np.diff(offset) // np.maximum(np.diff(start), 1)
+        self._flops = np.diff(start) * heights.astype(np.float64) ** 2
+        within, width = np.arange(len(column_of)) - start[column_of], np.diff(start)[column_of]
+        self._diagonal = offset[column_of] + within * (width + 1)
+
+    @property
+    def flops(self) -> float:
+        """About how many operations a factorisation takes."""
+        return float(self._flops.sum())
+
+    @classmethod
+    def of_cliques(
+        cls, width: NDArray[np.int64], begin: NDArray[np.int64], cliques: NDArray[np.int64]
+    ) -> Pattern:
+        """Return an order that fills little.
+
+        Parameters
+        ----------
+        width : (b,) int64
+            Unknowns of each block; at least 1.
+        begin : (g + 1,) int64
+        cliques : (begin[-1],) int64
+            The blocks of each clique, one clique after another, no block twice in one.
+        """
+        from relmap.core.linalg.cholesky_kernels import panels
+        from relmap.core.linalg.elimination_kernels import minimum_degree
+
+        order, tied_begin, tied = minimum_degree(width, begin, cliques)
+        return cls(*panels(width, order, tied_begin, tied))
+
+    @classmethod
+    def of_levels(cls, level: NDArray[np.int64], q: int) -> Pattern:
+        """Return the order of levels.
+
+        Parameters
+        ----------
+        level : (n,) int64
+            Of each node, from 0, none left out; neighbours are at most one level apart.
+        q : int
+            Unknowns of each node.
+        """
+        ends = q * np.cumsum(np.bincount(level))
+        begins, step = np.append(0, ends[:-1]), q * max(WIDE // q, 1)
+        pieces = [np.arange(*of, step) for of in zip(begins, ends, strict=True)]
+        last = np.repeat(np.append(ends[1:], ends[-1]), [len(piece) for piece in pieces])
+        start = np.concatenate([*pieces, ends[-1:]])
+        rows = [np.arange(*of) for of in zip(start[:-1], last, strict=True)]
+        heights, widths = last - start[:-1], np.diff(start)
+        row_begin = np.append(0, np.cumsum(heights))
+        offset = np.append(0, np.cumsum(heights * widths))
+        column_of = np.repeat(np.arange(len(widths)), widths)
+        first = np.empty(len(level), dtype=np.int64)
+        first[np.argsort(level, kind="stable")] = q * np.arange(len(level))
+        return cls(first, (start, column_of, row_begin, np.concatenate(rows), offset))
+
+    @property
+    def blocks(self) -> tuple[NDArray[np.int64], Layout]:
+        """First unknown of each block, and the layout."""
+        return self.first, self.layout
+
+    def entries(self, begin: NDArray[np.int64], unknowns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return where the lower triangles of dense parts are, row after row, part after part.
+
+        Parameters
+        ----------
+        begin : (g + 1,) int64
+        unknowns : (begin[-1],) int64
+            The unknowns of each part, ascending; all tied to one another.
+        """
+        from relmap.core.linalg.cholesky_kernels import entries
+
+        return entries(self.layout, begin, unknowns)
+
+    def hold(self, values: NDArray[np.float64], share: float, least: float) -> None:
+        """Hold every unknown where it is a little: a share of what holds it, and at least so much.
+
+        `values` (size,) is the matrix.
+        """
+        values[self._diagonal] *= 1 + share
+        values[self._diagonal] += least
+
+    def largest(self, values: NDArray[np.float64]) -> float:
+        """Return the largest entry of the matrix's diagonal."""
+        return float(values[self._diagonal].max())
+
+    def fix(self, values: NDArray[np.float64], node: int, q: int) -> None:
+        """Let a node's q unknowns stay where they are."""
+        own = self._diagonal[self.first[node] : self.first[node] + q]
+        values[own] += STIFF * max(self.largest(values), 1.0)
+
+    def factorise(self, values: NDArray[np.float64]) -> None:
+        """Put its Cholesky factor in place of a matrix.
+
+        `values` (size,) is the matrix, positive definite, its lower triangle where `entries` tells.
+        An unknown of which rounding leaves nothing stays where it is.
+        """
+        for _ in self.factorised(values):
+            pass
+
+    def factorised(self, values: NDArray[np.float64], flops: float = np.inf) -> Iterator[None]:
+        """Factorise about so many operations' worth of panels at a time; see `factorise`."""
+        from relmap.core.linalg.cholesky_kernels import begun, factorise
+
+        progress, done = begun(self.layout), np.append(0.0, np.cumsum(self._flops))
+        first = 0
+        while first < len(self._flops):
+            end = int(np.searchsorted(done, done[first] + flops, side="right")) - 1
+            end = max(end, first + 1)
+            factorise(self.layout, values, progress, first, end)
+            first = end
+            yield
+
+    def solve(self, values: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the solution for a right side; `values` (size,) is the factor.
+
+        Both are (u,) in the order of elimination, or (b, q) of blocks of q unknowns each.
+        """
+        from relmap.core.linalg.cholesky_kernels import solve
+
+        if right.ndim == 1:
+            return solve(self.layout, values, right)
+        ordered = np.empty(right.size)
+        ordered[self._unknowns(right.shape[1])] = right
+        return solve(self.layout, values, ordered)[self._unknowns(right.shape[1])]
+
+    def _unknowns(self, q: int) -> NDArray[np.int64]:
+        """Return the unknowns (b, q) of blocks of q each."""
+        return self.first[:, None] + np.arange(q)
+
+    def inverse(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the inverse (size,) where the factor, `values` (size,), has entries."""
+        from relmap.core.linalg.cholesky_kernels import inverse
+
+        return inverse(self.layout, values)
+
+    def diagonal(self, inverse: NDArray[np.float64], q: int) -> NDArray[np.float64]:
+        """Return the part (b, q, q) of the inverse of each block of q unknowns."""
+        return self.parts(inverse, self._unknowns(q))
+
+    def parts(self, inverse: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
+        k, m = chosen.shape
+        order = np.argsort(chosen, axis=1)
+        ascending = np.take_along_axis(chosen, order, axis=1)
+        at = self.entries(m * np.arange(k + 1), ascending.ravel()).reshape(k, -1)
+        row, column = np.tril_indices(m)
+        row, column = order[:, row], order[:, column]
+        found, own = np.empty((k, m, m)), np.arange(k)[:, None]
+        found[own, row, column] = found[own, column, row] = inverse[at]
+        return found

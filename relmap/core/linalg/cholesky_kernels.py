@@ -1,0 +1,298 @@
+"""Sparse Cholesky, panel by panel; see `relmap.core.linalg.cholesky`.
+
+Unknowns are numbered in the order in which they are eliminated.  The factor is stored in panels: of
+some unknowns in a row, ``start[p]`` to ``start[p + 1]``, the columns (h, k), row after row, over
+the rows ``rows[row_begin[p]:row_begin[p + 1]]``, which begin with themselves.  `column_of` tells
+the panel of each unknown.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Layout = tuple[Index, Index, Index, Index, Index]
+"""start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and offset (p + 1,) of each panel."""
+Progress = tuple[Index, Index, Index, Array]
+"""Panels that are waited for, how many of their rows are done with, and room to work in."""
+
+WIDE = 48
+"""Unknowns of a panel at most, but for those of one block: what is wider is better multiplied."""
+MUCH = 2000
+"""Multiplications from which the BLAS is faster than a loop."""
+ROUNDING = 1e-14
+"""A pivot that is a smaller share of its diagonal entry is rounding: its unknown stays."""
+
+
+@compiled
+def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) -> Index:
+    """Return the places of blocks that begin a panel, and their number at the end.
+
+    A block goes into the panel of the one before it where both are tied to the same others.
+    """
+    n, count, wide = len(order), 0, 0
+    heads, before = np.empty(n + 1, dtype=np.int64), -1
+    for p in range(n):
+        others, nearest = 0, n
+        for q in tied[begin[p] : begin[p + 1]]:
+            others += width[q]
+            nearest = min(nearest, place[q])
+        wide += width[order[p]]
+        if before != width[order[p]] + others or wide > WIDE:
+            heads[count], wide = p, width[order[p]]
+            count += 1
+        before = others if nearest == p + 1 else -1
+    heads[count] = n
+    return heads[: count + 1]
+
+
+@compiled
+def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index, Layout]:
+    """Return the first unknown (b,) of each block, and how the factor is laid out.
+
+    The arguments are as from `relmap.core.linalg.elimination_kernels.minimum_degree`.
+    """
+    n = len(order)
+    place, at = np.empty(n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
+    for p in range(n):
+        place[order[p]] = p
+        at[p + 1] = at[p] + width[order[p]]
+    heads = _heads(width, order, begin, place, tied)
+    m, start = len(heads) - 1, at[heads]
+    row_begin, offset = np.zeros(m + 1, dtype=np.int64), np.zeros(m + 1, dtype=np.int64)
+    for g in range(m):
+        p = heads[g]
+        height = width[order[p]] + width[tied[begin[p] : begin[p + 1]]].sum()
+        row_begin[g + 1] = row_begin[g] + height
+        offset[g + 1] = offset[g] + height * (start[g + 1] - start[g])
+    rows, column_of = np.empty(row_begin[m], dtype=np.int64), np.empty(at[n], dtype=np.int64)
+    for g in range(m):
+        p, r = heads[g], row_begin[g]
+        column_of[start[g] : start[g + 1]] = g
+        for q in np.append(p, np.sort(place[tied[begin[p] : begin[p + 1]]])):
+            for u in range(at[q], at[q + 1]):
+                rows[r] = u
+                r += 1
+    return at[place], (start, column_of, row_begin, rows, offset)
+
+
+@compiled
+def located(layout: Layout, own: Index, place: Index, found: Index) -> None:
+    """Find where the lower triangle of a dense part over ascending unknowns is, row after row.
+
+    `place` (u,) is room to work in, `found` what is filled.
+    """
+    start, column_of, row_begin, rows, offset = layout
+    last = -1
+    for b in range(len(own)):
+        p = column_of[own[b]]
+        if p != last:
+            for r in range(row_begin[p], row_begin[p + 1]):
+                place[rows[r]] = r - row_begin[p]
+            last = p
+        column, width = offset[p] + own[b] - start[p], start[p + 1] - start[p]
+        for a in range(b, len(own)):
+            found[a * (a + 1) // 2 + b] = column + place[own[a]] * width
+
+
+@compiled
+def entries(layout: Layout, begin: Index, unknowns: Index) -> Index:
+    """Return where in the panels the lower triangle of each dense part is, row after row.
+
+    Parameters
+    ----------
+    layout : as from `panels`
+    begin, unknowns : int64
+        The unknowns of each part, ascending, one part after another.
+    """
+    total, at = 0, 0
+    for g in range(len(begin) - 1):
+        n = begin[g + 1] - begin[g]
+        total += n * (n + 1) // 2
+    found, place = np.empty(total, dtype=np.int64), np.zeros(len(layout[1]), dtype=np.int64)
+    for g in range(len(begin) - 1):
+        n = begin[g + 1] - begin[g]
+        located(layout, unknowns[begin[g] : begin[g + 1]], place, found[at:])
+        at += n * (n + 1) // 2
+    return found
+
+
+@compiled
+def _times_transposed(A: Array, B: Array, C: Array) -> None:
+    """Put ``A @ B.T`` into C, of which only the lower triangle is needed."""
+    if A.size * len(B) > MUCH:
+        np.dot(A, B.T, C)
+        return
+    for i in range(len(A)):
+        for j in range(min(i + 1, len(B))):
+            entry = 0.0
+            for k in range(A.shape[1]):
+                entry += A[i, k] * B[j, k]
+            C[i, j] = entry
+
+
+@compiled
+def _take_away(
+    layout: Layout, values: Array, p: int, s: int, done: int, place: Index, work: Array
+) -> int:
+    """Take away from panel p what panel s, from its row `done` on, leaves of it; return how many.
+
+    Rows of panel s that are unknowns of panel p.
+    """
+    start, _, row_begin, rows, offset = layout
+    own, first = rows[row_begin[s] + done : row_begin[s + 1]], start[p]
+    panel = values[offset[s] : offset[s + 1]].reshape(-1, start[s + 1] - start[s])[done:]
+    target = values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - first)
+    shared = 0
+    while shared < len(own) and own[shared] < start[p + 1]:
+        shared += 1
+    left = work[: len(own) * shared].reshape(len(own), shared)
+    _times_transposed(panel, panel[:shared], left)
+    for r in range(len(own)):
+        row = target[place[own[r]]]
+        for c in range(min(r + 1, shared)):
+            row[own[c] - first] -= left[r, c]
+    return shared
+
+
+@compiled
+def _add_multiple(values: Array, factor: float, others: Array) -> None:
+    for r in range(len(values)):
+        values[r] += factor * others[r]
+
+
+@compiled
+def _factorise_panel(panel: Array, least: Array) -> None:
+    """Put the columns of the factor (h, k) in place of a panel's own; see `ROUNDING`."""
+    k = panel.shape[1]
+    upper = np.zeros((k, k))
+    for c in range(k):
+        upper[c, c:] = panel[c:k, c]
+        for b in range(c):
+            _add_multiple(upper[c, c:], -upper[b, c], upper[b, c:])
+        pivot = upper[c, c] if upper[c, c] > least[c] else 1e300
+        upper[c, c:] /= np.sqrt(pivot)
+        upper[c, c] = np.sqrt(pivot)
+        panel[c:k, c] = upper[c, c:]
+    for r in range(k, len(panel)):
+        row = panel[r]
+        for c in range(k):
+            row[c] /= upper[c, c]
+            _add_multiple(row[c + 1 :], -row[c], upper[c, c + 1 :])
+
+
+@compiled
+def begun(layout: Layout) -> Progress:
+    """Return what `factorise` keeps track of, before its first panel."""
+    start, column_of, row_begin, _, _ = layout
+    n = len(start) - 1
+    most = np.diff(row_begin).max() * np.diff(start).max() if n else 0
+    queues, done = np.full((2, n), -1), np.zeros(n, dtype=np.int64)
+    return queues, done, np.empty_like(column_of), np.empty(most)
+
+
+@compiled
+def factorise(layout: Layout, values: Array, progress: Progress, first: int, end: int) -> None:
+    """Put the columns of the Cholesky factor in place of those of the matrix, of some panels.
+
+    Each less what those before it leave (left-looking; Ng and Peyton, 1993).
+    """
+    start, column_of, row_begin, rows, offset = layout
+    (head, following), done, place, work = progress
+    for p in range(first, end):
+        width, height = start[p + 1] - start[p], row_begin[p + 1] - row_begin[p]
+        for r in range(height):
+            place[rows[row_begin[p] + r]] = r
+        panel = values[offset[p] : offset[p + 1]].reshape(height, width)
+        least = np.empty(width)
+        for c in range(width):
+            least[c] = ROUNDING * panel[c, c]
+        s = head[p]
+        while s >= 0:
+            after = following[s]
+            done[s] += _take_away(layout, values, p, s, done[s], place, work)
+            if row_begin[s] + done[s] < row_begin[s + 1]:
+                q = column_of[rows[row_begin[s] + done[s]]]
+                following[s], head[q] = head[q], s
+            s = after
+        _factorise_panel(panel, least)
+        done[p] = width
+        if width < height:
+            q = column_of[rows[row_begin[p] + width]]
+            following[p], head[q] = head[q], p
+
+
+@compiled
+def solve(layout: Layout, values: Array, right: Array) -> Array:
+    """Return the solution (u,) for a right side (u,), with the factor."""
+    start, _, row_begin, rows, offset = layout
+    x, n = right.copy(), len(start) - 1
+    for p in range(n):
+        own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
+        panel = values[offset[p] : offset[p + 1]].reshape(-1, k)
+        known = x[start[p] : start[p + 1]]
+        for r in range(len(own)):
+            total = 0.0
+            for c in range(min(r, k)):
+                total += panel[r, c] * known[c]
+            x[own[r]] -= total
+            if r < k:
+                known[r] /= panel[r, r]
+    for p in range(n - 1, -1, -1):
+        own, k = rows[row_begin[p] : row_begin[p + 1]], start[p + 1] - start[p]
+        panel = values[offset[p] : offset[p + 1]].reshape(-1, k)
+        wanted = x[start[p] : start[p + 1]]
+        for r in range(k, len(own)):
+            _add_multiple(wanted, -x[own[r]], panel[r])
+        for c in range(k - 1, -1, -1):
+            wanted[c] /= panel[c, c]
+            _add_multiple(wanted[:c], -wanted[c], panel[c])
+    return x
+
+
+@compiled
+def gather(values: Array, at: Index, part: Array) -> None:
+    """Fill a symmetric part (n, n) with its entries, which are where `located` tells."""
+    i = 0
+    for a in range(len(part)):
+        for b in range(a + 1):
+            part[a, b] = part[b, a] = values[at[i]]
+            i += 1
+
+
+@compiled
+def _inverse_of_triangle(L: Array) -> Array:
+    """Return the inverse of a lower triangle (k, k)."""
+    found = np.zeros((len(L), len(L)))
+    for r in range(len(L)):
+        for c in range(r):
+            _add_multiple(found[r, : c + 1], -L[r, c], found[c])
+        found[r, r] = 1.0
+        found[r] /= L[r, r]
+    return found
+
+
+@compiled
+def inverse(layout: Layout, values: Array) -> Array:
+    """Return the inverse where the factor has entries (Takahashi, Fagan and Chin, 1973)."""
+    start, column_of, row_begin, rows, offset = layout
+    found, place = np.empty_like(values), np.empty_like(column_of)
+    for p in range(len(start) - 2, -1, -1):
+        k, below = start[p + 1] - start[p], rows[row_begin[p] : row_begin[p + 1]]
+        below, panel = below[k:], values[offset[p] : offset[p + 1]].reshape(-1, k)
+        target = found[offset[p] : offset[p + 1]].reshape(-1, k)
+        root = _inverse_of_triangle(panel[:k])
+        np.dot(root.T, root, target[:k])
+        if len(below):
+            n = len(below)
+            at, later = np.empty(n * (n + 1) // 2, dtype=np.int64), np.empty((n, n))
+            located(layout, below, place, at)
+            gather(found, at, later)
+            pull = np.dot(panel[k:], root)
+            target[k:] = -np.dot(later, pull)
+            target[:k] -= np.dot(pull.T, target[k:])
+    return found
