@@ -202,29 +202,3 @@ def rpe(
     motion = np.linalg.solve(poses[step], poses[step + 1])
     true_motion = np.linalg.solve(true_poses[step], true_poses[step + 1])
     return rms(np.linalg.solve(true_motion, motion)[:, :3, 3])
-
-
-def wrong_steps(
-    poses: NDArray[np.float64],
-    true_poses: NDArray[np.float64],
-    most_m: float = 0.3,
-    most_rad: float = np.deg2rad(10.0),
-) -> NDArray[np.intp]:
-    """Return the scans whose pose relative to the one before is wrong.
-
-    Parameters
-    ----------
-    poses, true_poses : (k, 4, 4) float64
-        T_map_robot of consecutive scans of one submap; NaN where there is none.
-    most_m, most_rad : float
-        A step that is off by more than either is wrong.
-
-    Returns
-    -------
-    (n,) int, ascending
-    """
-    step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
-    off = np.linalg.inv(true_step) @ step
-    turn_rad = np.arccos(np.clip((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
-    shift_m = np.linalg.norm(off[:, :3, 3], axis=1)
-    return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))

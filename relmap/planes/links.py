@@ -11,19 +11,17 @@ from numpy.typing import NDArray
 
 from relmap.planes.matching import Match
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import LEVER_M, worth
+from relmap.planes.placement import LEVER_M, PlanarMotion, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
 """Share of the walls and corners of the poorer side that must agree on a motion."""
-EXPECTED = 0.3
-"""The same for going on as before."""
+EXPECTED, APART_M, APART_RAD = 0.3, 0.25, np.deg2rad(5.0)
+"""The same for going on as before, which is a motion so near the usual one."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
-USUAL, KNOWN = 200, 20
+USUAL, KNOWN = 200, 5
 """Last steps that tell which are usual, and how few do not."""
-SURPRISE = 3.0
-"""Usual surprises, in units of which a step may differ from what is expected at most."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
 """Walls whose directions spread less than by this hold no motion along themselves."""
 STEADY = 5
@@ -39,43 +37,35 @@ ASTRAY_M = 1.0
 
 
 def believed(
-    tracks: PlaneTracks, seen: PlaneObservation, match: Match, expected: bool = False
+    tracks: PlaneTracks,
+    seen: PlaneObservation,
+    found: tuple[PlanarMotion, Match],
+    usual: PlanarMotion,
 ) -> bool:
     """Tell whether enough of the walls expected and of those seen agree on a motion.
 
     One that does not is nothing: it may be a speck, or just have come into view.
     """
+    motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)
-    supported = EXPECTED if expected else SUPPORTED
+    turned = abs((motion.yaw - usual.yaw + np.pi) % (2 * np.pi) - np.pi)
+    near = turned < APART_RAD and np.hypot(*(motion.t - usual.t)) < APART_M
+    supported = EXPECTED if near else SUPPORTED
     return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
 
 
-def farthest_m(steps_m: NDArray[np.float64]) -> float:
+def farthest_m(before: NDArray[np.float64]) -> float:
     """Return how far a robot goes at most from one scan to the next, metres.
 
     Parameters
     ----------
-    steps_m : (n,) float64
-        Lengths of all steps so far that are believed.
+    before : (n, 3) float64
+        yaw, x, y of all motions so far.
     """
-    if len(steps_m) < KNOWN:
+    if len(before) < KNOWN:
         return np.inf
-    last = np.sort(steps_m[-USUAL:])
+    last = np.sort(_lengths(before[-USUAL:]))
     return JUMP_M + JUMP * float(last[len(last) // 2])
-
-
-def credible_m(surprises_m: NDArray[np.float64]) -> float:
-    """Return by how much a step may differ from what is expected, metres.
-
-    Parameters
-    ----------
-    surprises_m : (n,) float64
-        By how much all steps so far that are believed did.
-    """
-    if len(surprises_m) < KNOWN:
-        return np.inf
-    last = np.sort(surprises_m[-USUAL:])
-    return SURPRISE * float(last[len(last) // 2])
 
 
 def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:

@@ -64,13 +64,13 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, normal, size, wall_sd, static = seen
     n, m = len(angle), len(size)
-    found, facing = np.zeros((n, m)), np.arctan2(normal[:, 1], normal[:, 0])
+    found = np.zeros((n, m))
     for i in range(n):
         nx, ny = math.cos(angle[i]), math.sin(angle[i])
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         for j in range(m):
             spread = math.hypot(sd[i], wall_sd[j])
-            turn = _half_turn(facing[j] - angle[i])
+            turn = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
             blunt = SIGMAS * math.sqrt(12.0) * spread / min(own, size[j])
             turn_gate = TURN_RAD * widened + min(blunt, WIDEST_TURN_RAD)
             x = 0.5 * (wall_ends[j, 0, 0] + wall_ends[j, 1, 0])
@@ -248,46 +248,12 @@ def settled(
 
 
 @compiled
-def _near(one: Array, other: Array, near_m: float, near_rad: float) -> bool:
-    """Tell whether two motions are one but for noise."""
-    apart_m = math.hypot(one[1] - other[1], one[2] - other[2])
-    return apart_m < near_m and abs(_half_turn(one[0] - other[0])) < near_rad
-
-
-@compiled
-def _keep(
-    best: Array, found: Array, score: float, motion: Array, near: tuple[float, float]
-) -> None:
-    """Put a motion among the best found (n, 3), of which none are near to one another."""
-    last = len(best) - 1
-    for k in range(len(best)):
-        if best[k] > 0 and _near(motion, found[k], *near):
-            if score <= best[k]:
-                return
-            last = k
-            break
-    if score <= best[last]:
-        return
-    while last > 0 and score > best[last - 1]:
-        best[last], found[last] = best[last - 1], found[last - 1]
-        last -= 1
-    best[last], found[last] = score, motion
-
-
-@compiled
 def guesses(
-    tracks: Tracks,
-    seen: Seen,
-    roughly: float,
-    reach: tuple[float, float],
-    other_than: Array,
-    near: tuple[float, float],
-    most: int,
+    tracks: Tracks, seen: Seen, roughly: float, reach_m: float, reach_rad: float, most: int
 ) -> tuple[Array, Array]:
     """Return the motions (most, 3) that bring a corner onto a corner and make most agree.
 
-    With how well at most all agree then, best first; unused rows are 0.  None is longer than
-    `reach` (metres, radians), nor as near as `near` to another or to those `other_than` (k, 3).
+    With how well at most all agree then, best first; unused rows are 0.
     """
     angle, _, _, _, corner_at = tracks
     wall_ends, _, normal, _, _, static = seen
@@ -295,22 +261,25 @@ def guesses(
     for i in range(len(angle)):
         for j in range(len(static)):
             yaw = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            if abs(yaw) >= reach[1]:
+            if abs(yaw) >= reach_rad:
                 continue
             c, s = math.cos(yaw), math.sin(yaw)
             for e in range(2):
                 a, b = corner_at[i, e]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
                 # Of a track without that corner this is NaN.
-                if not (static[j, e] and math.hypot(x, y) < reach[0]):
+                if not (static[j, e] and math.hypot(x, y) < reach_m):
                     continue
-                motion, known = np.array([yaw, x, y]), False
-                for k in range(len(other_than)):
-                    known |= _near(motion, other_than[k], *near)
-                if not known:
-                    worth = agreement(carried(tracks, motion), seen, roughly)
-                    score = 0.0
-                    for k in range(worth.shape[1]):
-                        score += worth[:, k].max()
-                    _keep(best, found, score, motion, near)
+                motion = np.array([yaw, x, y])
+                worth = agreement(carried(tracks, motion), seen, roughly)
+                score = 0.0
+                for k in range(worth.shape[1]):
+                    score += worth[:, k].max()
+                at = most
+                while at > 0 and score > best[at - 1]:
+                    at -= 1
+                if at < most:
+                    for k in range(most - 1, at, -1):
+                        best[k], found[k] = best[k - 1], found[k - 1]
+                    best[at], found[at] = score, motion
     return found, best

@@ -20,8 +20,6 @@ ROUGHLY = 3.0
 REACH_M = 3.0
 TURN_RAD = np.deg2rad(45.0)
 """How far the wider search goes between two scans."""
-APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
-"""Motions that differ by less are one, but for noise."""
 HELD = 1e-2
 """Weight of going on as before, where nothing that is seen tells: a wall's is 1."""
 ROUNDS = 3
@@ -88,16 +86,16 @@ def place(
     """
     from relmap.planes.matching_kernels import guesses
 
-    best, still = (settled(tracks, seen, guess) for guess in (before, STILL))
+    arrays = _arrays(tracks), _seen(seen)
+    best, still = (_settled(*arrays, guess) for guess in (before, STILL))
     if still[1].score > best[1].score + HALTED:
         best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
-        arrays, reach = arrays_of(tracks, seen), (REACH_M, TURN_RAD)
-        motions, scores = guesses(*arrays, ROUGHLY, reach, np.empty((0, 3)), (0.0, 0.0), GUESSES)
+        motions, scores = guesses(*arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
         for motion in motions[scores > best[1].score]:
-            found = settled(tracks, seen, PlanarMotion(float(motion[0]), motion[1:]))
+            found = _settled(*arrays, PlanarMotion(float(motion[0]), motion[1:]))
             doubt = _doubt(found[0], before)
             if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found
@@ -110,15 +108,11 @@ def _jumps(motion: PlanarMotion, match: Match, farthest_m: float) -> bool:
 
 def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
     """Return how many walls and corners more must agree on a motion, the more sudden it is."""
-    return 0.5 + DOUBT * min(1.0, surprise_m(motion, before) / SUDDEN_M)
-
-
-def surprise_m(motion: PlanarMotion, before: PlanarMotion) -> float:
-    """Return how far a motion is from going on as before, or from standing still, metres."""
-    return min(
-        float(np.hypot(*(motion.t - usual.t)) + LEVER_M * abs(motion.yaw - usual.yaw))
+    jumps = [
+        np.hypot(*(motion.t - usual.t)) + LEVER_M * abs(motion.yaw - usual.yaw)
         for usual in (before, STILL)
-    )
+    ]
+    return float(0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M))
 
 
 def worth(
@@ -131,22 +125,21 @@ def worth(
     )
 
 
-def arrays_of(tracks: PlaneTracks, seen: PlaneObservation) -> tuple[Any, Any]:
-    """Return what the kernels know of tracks, and of the walls of a scan."""
-    return (
-        (tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at),
-        (seen.ends, seen.along, seen.normal, seen.size, seen.sd, seen.static),
-    )
+def _arrays(tracks: PlaneTracks) -> Any:
+    """Return what the kernels know of tracks."""
+    return tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at
 
 
-def settled(
-    tracks: PlaneTracks, seen: PlaneObservation, guess: PlanarMotion
-) -> tuple[PlanarMotion, Match]:
+def _seen(seen: PlaneObservation) -> Any:
+    """Return what the kernels know of the walls of a scan."""
+    return seen.ends, seen.along, seen.normal, seen.size, seen.sd, seen.static
+
+
+def _settled(tracks: Any, seen: Any, guess: PlanarMotion) -> tuple[PlanarMotion, Match]:
     """Fit a guess to what agrees with it, and see again what agrees."""
-    from relmap.planes.matching_kernels import settled as fitted
+    from relmap.planes.matching_kernels import settled
 
     start = np.array([guess.yaw, *guess.t])
-    arrays = arrays_of(tracks, seen)
-    motion, track_of, score = fitted(*arrays, start, ROUGHLY, ROUNDS, HELD, LEAST_M)
+    motion, track_of, score = settled(tracks, seen, start, ROUGHLY, ROUNDS, HELD, LEAST_M)
     walls = np.flatnonzero(track_of >= 0)
     return PlanarMotion(float(motion[0]), motion[1:]), Match(track_of[walls], walls, score)

@@ -14,18 +14,9 @@ from numpy.typing import NDArray
 
 from relmap.core.state.growing import GrowingArray
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import (
-    ASTRAY_M,
-    STEADY,
-    believed,
-    credible_m,
-    farthest_m,
-    measured_along,
-    unsure_m,
-)
+from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL, PlanarMotion, place, surprise_m
-from relmap.planes.rivals import apart, rivalled
+from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -73,7 +64,6 @@ class PlaneRegistration:
         self._n_planes = 0
         self._n_submaps = 0
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
-        self._steps_m: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
@@ -152,14 +142,10 @@ class PlaneRegistration:
 
     def _followed(self, tracks: PlaneTracks, seen: PlaneObservation) -> PlaneTracks | None:
         """Return the tracks where a scan sees them; None where it is tied to them by too little."""
-        usual, (steps_m, surprises_m) = self._usual, self._steps_m.values.T
-        found = place(tracks, seen, usual, farthest_m(steps_m))
-        if found is None or not believed(tracks, seen, found[1], not apart(found[0], usual)):
-            return None
-        if rivalled(tracks, seen, usual, found, credible_m(surprises_m)):
+        found = place(tracks, seen, self._usual, farthest_m(self.history.motion))
+        if found is None or not believed(tracks, seen, found, self._usual):
             return None
         motion, match = found
-        self._steps_m.extend(np.array([[np.hypot(*motion.t), surprise_m(motion, usual)]]))
         if measured_along(tracks, seen, match):
             self._unsure_m = 0.0
         else:
