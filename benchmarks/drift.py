@@ -59,9 +59,9 @@ def main(iterations: int) -> None:
             if k in (iterations // 10, iterations):
                 off = errors_m(mapper, places)
                 rmse = float(np.sqrt(np.mean(off**2)))
-                rows.append([name, f"{k}", f"{len(off)}", f"{len(mapper.pieces)}"])
+                rows.append([name, f"{k}", f"{len(off)}", f"{len(mapper.submaps)}"])
                 rows[-1] += [f"{rmse:.1e}", f"{off.max():.1e}", "yes" if rmse <= BAR_M else "no"]
-    header = ["run", "iterations", "mapped", "pieces", "RMSE [m]", "worst [m]", f"<= {BAR_M:g}"]
+    header = ["run", "iterations", "mapped", "submaps", "RMSE [m]", "worst [m]", f"<= {BAR_M:g}"]
     table("Without noise, known ids, seed 0", header, rows)
 
 

@@ -92,11 +92,11 @@ FAULTS: dict[str, Make] = {
 
 @dataclass(frozen=True, eq=False)
 class Mapped:
-    """What came out: places and true ids of what is mapped, pieces and rejected iterations."""
+    """What came out: places and true ids of what is mapped, submaps and rejected iterations."""
 
     positions: np.ndarray
     true_ids: np.ndarray
-    pieces: int
+    submaps: int
     rejected: np.ndarray
 
 
@@ -108,7 +108,7 @@ def mapped(log: ObservationLog, known: bool) -> Mapped:
     landmarks = mapper.landmarks_of(np.concatenate(labels))
     stands_for = dict(zip(*majority_ids(landmarks, log.ids)[:2], strict=True))
     true_ids = np.array([stands_for[label] for label in mapper.map.landmark_ids.tolist()])
-    return Mapped(mapper.map.positions, true_ids, len(mapper.pieces), mapper.rejected)
+    return Mapped(mapper.map.positions, true_ids, len(mapper.submaps), mapper.rejected)
 
 
 def rmse(result: Mapped, world: FigureEight, ids: np.ndarray) -> float:
@@ -129,7 +129,7 @@ def what_is_right(log: ObservationLog, true: ObservationLog) -> ObservationLog:
 
 
 def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) -> list[float]:
-    """Return RMSE, its ratio, the limit, coverage, pieces, and what was rejected, also wrongly."""
+    """Return RMSE, its ratio, the limit, coverage, submaps, and what was rejected, also wrongly."""
     fault = make(world.log, np.random.default_rng([seed, 1]))
     result = mapped(fault.log, known)
     right = what_is_right(fault.log, world.log)
@@ -143,7 +143,7 @@ def loss(world: FigureEight, sound: Mapped, make: Make, known: bool, seed: int) 
     found = np.isin(result.rejected, fault.useless).sum()
     covered = np.isin(due, result.true_ids).mean()
     named = [found, len(fault.useless), len(result.rejected) - found]
-    return [error, error / before, best / before, covered, result.pieces, *named]
+    return [error, error / before, best / before, covered, result.submaps, *named]
 
 
 def compare(density: float, known: bool, seeds: range) -> list[list[str]]:
@@ -155,14 +155,14 @@ def compare(density: float, known: bool, seeds: range) -> list[list[str]]:
             found[name].append(loss(world, sound, make, known, seed))
     rows = []
     for name, of_seeds in found.items():
-        error, ratio, limit, covered, pieces, right, useless, wrong = np.array(of_seeds).T
+        error, ratio, limit, covered, submaps, right, useless, wrong = np.array(of_seeds).T
         rows.append(
             [
                 *(f"{density:g}", "known" if known else "none", name, f"{np.median(error):.4f}"),
                 *(f"{np.median(ratio):.2f}", f"{ratio.max():.2f}"),
                 f"{np.median(limit):.2f}",
                 "yes" if np.median(ratio) <= BAR else "no",
-                *(f"{covered.min():.3f}", f"{pieces.max():.0f}"),
+                *(f"{covered.min():.3f}", f"{submaps.max():.0f}"),
                 f"{right.sum():.0f} of {useless.sum():.0f}, {wrong.sum():.0f} others",
             ]
         )
@@ -170,7 +170,7 @@ def compare(density: float, known: bool, seeds: range) -> list[list[str]]:
 
 
 HEADER = ["density", "ids", "fault", "RMSE [m]", "ratio", "worst", "limit", f"<= {BAR}"]
-HEADER += ["least covered", "most pieces", "rejected"]
+HEADER += ["least covered", "most submaps", "rejected"]
 
 
 def main(densities: list[float], seeds: range) -> None:

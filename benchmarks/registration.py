@@ -139,9 +139,9 @@ def metres(rmse: tuple[float | None, int]) -> str:
     return "-" if rmse[0] is None else f"{rmse[0]:.4f} ({rmse[1]})"
 
 
-def pieces(result: Result) -> str:
-    """Say how many pieces the map has, and how many landmarks are in the largest."""
-    sizes = [len(piece.landmark_ids) for piece in result.pieces]
+def submaps(result: Result) -> str:
+    """Say how many submaps the map has, and how many landmarks are in the largest."""
+    sizes = [len(submap.landmark_ids) for submap in result.submaps]
     return f"{len(sizes)} ({sizes[0] if sizes else 0} of {sum(sizes)})"
 
 
@@ -150,7 +150,7 @@ def common_rows(runs: Sequence[Outcome]) -> None:
     row("landmarks seen often that are mapped", (share(run.mapped()) for run in runs))
     row("tracks per landmark", (f"{run.tracks_per_landmark:.2f}" for run in runs))
     row("iterations left unmatched", (str(run.unmatched) for run in runs))
-    row("pieces (landmarks in the largest)", (pieces(run.result) for run in runs))
+    row("submaps (landmarks in the largest)", (submaps(run.result) for run in runs))
 
 
 def figure_eight() -> None:
@@ -205,14 +205,14 @@ def victoria_park(data: Path) -> None:
     runs = outcomes(log)
     title("Victoria Park, all scans, published ids")
     common_rows(runs)
-    largest_pieces(runs[0].result)
+    largest_submaps(runs[0].result)
 
 
-def largest_pieces(result: Result, n: int = 5) -> None:
-    print(f"  largest pieces of {REGISTRATIONS[0]}:")
-    for piece in result.summary["pieces"][:n]:
-        scans = f"{piece['first_iteration']}:{piece['last_iteration'] + 1}"
-        print(f"    {piece['landmarks']} landmarks, scans {scans}", flush=True)
+def largest_submaps(result: Result, n: int = 5) -> None:
+    print(f"  largest submaps of {REGISTRATIONS[0]}:")
+    for submap in result.summary["submaps"][:n]:
+        scans = f"{submap['iterations'][0]}:{submap['iterations'][1] + 1}"
+        print(f"    {submap['landmarks']} landmarks, scans {scans}", flush=True)
 
 
 def small_robots(data: Path) -> None:

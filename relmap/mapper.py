@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -16,7 +17,7 @@ from relmap.core import readout, turns
 from relmap.core.association import KnownAssociation
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
 from relmap.core.refinement.joint import Refined
@@ -108,9 +109,9 @@ class Mapper(ABC):
         return readout.landmark_table(self._engine)
 
     @property
-    def pieces(self) -> list[Piece]:
-        """The pieces of the map, the largest first; more than one where it fell apart."""
-        return readout.map_pieces(self._engine)
+    def submaps(self) -> Sequence[Submap]:
+        """The submaps, the largest first; more than one where nothing ties parts of the run."""
+        return readout.map_submaps(self._engine)
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -119,7 +120,7 @@ class Mapper(ABC):
 
     @property
     def refined(self) -> list[Refined]:
-        """The pieces of the map as refined, in ascending order; none after a later update.
+        """The submaps as refined, in ascending order; none after a later update.
 
         They tell how well each segment of the run, and each merge, fits the map.  Landmarks go by
         their numbers there, in order of first sight.

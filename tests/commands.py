@@ -15,7 +15,7 @@ RESULT_FILES = [
     "map.ply",
     "map.png",
     "mapper.npz",
-    "pieces.csv",
+    "submaps.csv",
     "summary.json",
     "tracks.csv.gz",
     "trajectory.tum",

@@ -52,7 +52,7 @@ def make_result() -> Result:
         last_iteration=np.full(N, K - 1),
         level=np.ones(N, np.int64),
         status=np.full(N, "static"),
-        piece=np.zeros(N, np.int64),
+        submap=np.zeros(N, np.int64),
         moving_bin=np.full(N, -1),
     )
     tracks = Tracks(log.iteration, log.rows, log.ids + 10)

@@ -143,18 +143,18 @@ def test_victoria_park_is_mapped_without_ids(shared_data: Path, begin: int, end:
     assert aligned_rmse(mapper.map.positions[known][:, :2], there[:, :2]) <= 0.40
 
 
-def test_the_whole_of_victoria_park_falls_into_pieces_that_are_reported(shared_data: Path) -> None:
+def test_the_whole_of_victoria_park_falls_into_submaps_that_are_reported(shared_data: Path) -> None:
     log = open_log(shared_data / "victoria-park")
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
     assert purity(landmarks, log.ids) >= 0.999
-    table, pieces = mapper.landmarks, mapper.pieces
+    table, submaps = mapper.landmarks, mapper.submaps
     assert table.observations.sum() == len(log.points_robot)
-    assert len(pieces) > 1
-    for number, piece in enumerate(pieces):
-        np.testing.assert_array_equal(table.landmark[table.piece == number], piece.landmark_ids)
-    assert np.isfinite(np.concatenate([piece.positions for piece in pieces])).all()
-    assert (np.diff([len(piece.landmark_ids) for piece in pieces]) <= 0).all()
+    assert len(submaps) > 1
+    for number, submap in enumerate(submaps):
+        np.testing.assert_array_equal(table.landmark[table.submap == number], submap.landmark_ids)
+    assert np.isfinite(np.concatenate([submap.positions for submap in submaps])).all()
+    assert (np.diff([len(submap.landmark_ids) for submap in submaps]) <= 0).all()
 
 
 def purity(landmarks: NDArray[np.int64], ids: NDArray[np.int64]) -> float:

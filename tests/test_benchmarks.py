@@ -58,7 +58,7 @@ def test_drift_is_told_of_both_runs(repo_root: Path, child_env: dict[str, str]) 
     (rows,) = tables_of(repo_root, child_env, "drift.py", "--iterations", "300").values()
     assert [row["iterations"] for row in rows] == ["30", "300"] * 2
     assert all(float(row["RMSE [m]"]) < 1e-9 for row in rows)
-    assert all(int(row["mapped"]) > 20 and row["pieces"] == "1" for row in rows)
+    assert all(int(row["mapped"]) > 20 and row["submaps"] == "1" for row in rows)
 
 
 def test_dynamics_judges_every_landmark(repo_root: Path, child_env: dict[str, str]) -> None:

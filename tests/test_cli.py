@@ -21,7 +21,7 @@ LANDMARK_COLUMNS = [
     "last_iteration",
     "level",
     "status",
-    "piece",
+    "submap",
     "moving_bin",
 ]
 FIGURES = ["landmark_rmse_m", "coverage", "landmarks_per_true", "purity", "ate_m", "rpe_m"]

@@ -197,7 +197,7 @@ def test_interrupted_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
     pytest.fail("a process was left behind")
 
 
-def test_a_map_in_pieces_is_judged_by_the_largest() -> None:
+def test_a_map_in_submaps_is_judged_by_the_largest() -> None:
     """Nothing that is seen before iteration 50 is seen after 65, and nothing in between."""
     world = EightSource(iterations=90, sigma=0.02).load()
     log = world.log

@@ -150,7 +150,7 @@ def test_the_first_scan_may_be_the_wrong_one(known: bool) -> None:
 @pytest.mark.parametrize("make", [faults.lost_scans, faults.few_landmarks, faults.big_step])
 def test_gaps_are_bridged(make: Callable[..., ObservationLog], known: bool) -> None:
     mapper = mapped(make(LOG, AT, 10), known)
-    assert len(mapper.pieces) == 1
+    assert len(mapper.submaps) == 1
     assert len(mapper.map.landmark_ids) > 0.9 * len(mapped(LOG, known).map.landmark_ids)
 
 

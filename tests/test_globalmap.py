@@ -27,15 +27,15 @@ def empty_map(n: int, d: int) -> GlobalMap:
 
 def average_in(
     global_map: GlobalMap,
-    piece: int,
+    submap: int,
     landmarks: NDArray[np.int64],
     positions: Points,
     weights: Points,
 ) -> None:
-    """Average positions into a piece, as a new interval of the landmarks does."""
-    global_map.join(piece, landmarks, positions)
+    """Average positions into a submap, as a new interval of the landmarks does."""
+    global_map.join(submap, landmarks, positions)
     global_map.table.settle(landmarks)
-    global_map.place(piece, landmarks, positions, weights)
+    global_map.place(submap, landmarks, positions, weights)
 
 
 def elsewhere(points: Points, rng: np.random.Generator) -> Points:
@@ -53,14 +53,14 @@ def distances(points: Points) -> Points:
 def test_positions_are_the_weighted_means_of_what_was_averaged_in(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     global_map = empty_map(8, d)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     given_positions: list[list[Points]] = [[] for _ in range(8)]
     given_weights: list[list[float]] = [[] for _ in range(8)]
     for _ in range(6):
         landmarks = rng.permutation(8)[: rng.integers(1, 9)]
         positions = rng.normal(size=(len(landmarks), d))
         weights = rng.integers(1, 10, len(landmarks)).astype(float)
-        average_in(global_map, piece, landmarks, positions, weights)
+        average_in(global_map, submap, landmarks, positions, weights)
         for landmark, position, weight in zip(landmarks, positions, weights, strict=True):
             given_positions[landmark].append(position)
             given_weights[landmark].append(weight)
@@ -73,68 +73,68 @@ def test_positions_are_the_weighted_means_of_what_was_averaged_in(seed: int, d: 
         mean = np.average(given_positions[landmark], axis=0, weights=given_weights[landmark])
         np.testing.assert_allclose(global_map.table.position[landmark], mean, atol=1e-12)
         assert global_map.table.weight[landmark] == sum(given_weights[landmark])
-        assert global_map.table.submap[landmark] == piece
+        assert global_map.table.submap[landmark] == submap
 
 
 def test_a_better_group_takes_the_place_of_what_is_not_settled() -> None:
     global_map = empty_map(2, 2)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     both = np.arange(2)
-    global_map.place(piece, both, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([5.0, 5.0]))
-    global_map.place(piece, both, np.array([[2.0, 2.0], [5.0, 4.0]]), np.array([8.0, 8.0]))
+    global_map.place(submap, both, np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([5.0, 5.0]))
+    global_map.place(submap, both, np.array([[2.0, 2.0], [5.0, 4.0]]), np.array([8.0, 8.0]))
     np.testing.assert_allclose(global_map.table.position, [[2.0, 2.0], [5.0, 4.0]])
     np.testing.assert_array_equal(global_map.table.weight, [8.0, 8.0])
     global_map.table.settle(both[:1])
-    global_map.place(piece, both, np.array([[6.0, 2.0], [6.0, 4.0]]), np.array([8.0, 8.0]))
+    global_map.place(submap, both, np.array([[6.0, 2.0], [6.0, 4.0]]), np.array([8.0, 8.0]))
     np.testing.assert_allclose(global_map.table.position, [[4.0, 2.0], [6.0, 4.0]])
     np.testing.assert_array_equal(global_map.table.weight, [16.0, 8.0])
 
 
 def test_what_is_settled_moves_with_the_landmark() -> None:
     global_map = empty_map(1, 2)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     only = np.arange(1)
-    average_in(global_map, piece, only, np.array([[1.0, 1.0]]), np.array([5.0]))
+    average_in(global_map, submap, only, np.array([[1.0, 1.0]]), np.array([5.0]))
     global_map.table.settle(only)
     global_map.move(only, np.array([[3.0, 1.0]]))
-    global_map.place(piece, only, np.array([[5.0, 1.0]]), np.array([5.0]))
+    global_map.place(submap, only, np.array([[5.0, 1.0]]), np.array([5.0]))
     np.testing.assert_allclose(global_map.table.position, [[4.0, 1.0]])
 
 
 def test_one_that_turns_out_to_be_another_keeps_what_is_settled_of_both() -> None:
     global_map = empty_map(2, 2)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     for landmark, x, weight in ((0, 1.0, 6.0), (1, 4.0, 2.0)):
         only = np.array([landmark])
-        average_in(global_map, piece, only, np.array([[x, 0.0]]), np.array([weight]))
+        average_in(global_map, submap, only, np.array([[x, 0.0]]), np.array([weight]))
         global_map.table.settle(only)
-    global_map.place(piece, np.array([1]), np.array([[8.0, 0.0]]), np.array([2.0]))
+    global_map.place(submap, np.array([1]), np.array([[8.0, 0.0]]), np.array([2.0]))
     global_map.table.merge(1, 0)
-    assert global_map.table.submap.tolist() == [piece, NONE]
+    assert global_map.table.submap.tolist() == [submap, NONE]
     np.testing.assert_allclose(global_map.table.position[0], [(6 * 1 + 2 * 4 + 2 * 8) / 10, 0.0])
-    global_map.place(piece, np.array([0]), np.array([[3.0, 0.0]]), np.array([8.0]))
+    global_map.place(submap, np.array([0]), np.array([[3.0, 0.0]]), np.array([8.0]))
     np.testing.assert_allclose(global_map.table.position[0], [(6 * 1 + 2 * 4 + 8 * 3) / 16, 0.0])
 
 
 def test_what_is_removed_begins_again() -> None:
     global_map = empty_map(3, 2)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     everything = np.arange(3)
-    average_in(global_map, piece, everything, np.eye(3, 2), np.full(3, 4.0))
+    average_in(global_map, submap, everything, np.eye(3, 2), np.full(3, 4.0))
     global_map.table.take_off_map(np.array([1]))
-    assert global_map.table.submap.tolist() == [piece, NONE, piece]
+    assert global_map.table.submap.tolist() == [submap, NONE, submap]
     assert global_map.table.weight.tolist() == [4.0, 0.0, 4.0]
     assert np.isnan(global_map.table.position[1]).all()
-    assert global_map.weights_in(piece, everything).tolist() == [4.0, 0.0, 4.0]
-    average_in(global_map, piece, np.array([1]), np.array([[7.0, 7.0]]), np.array([2.0]))
+    assert global_map.weights_in(submap, everything).tolist() == [4.0, 0.0, 4.0]
+    average_in(global_map, submap, np.array([1]), np.array([[7.0, 7.0]]), np.array([2.0]))
     np.testing.assert_array_equal(global_map.table.position[1], [7.0, 7.0])
     assert global_map.table.weight[1] == 2.0
 
 
 def test_room_for_more_keeps_what_is_there() -> None:
     global_map = empty_map(2, 3)
-    piece = global_map.new_submap()
-    average_in(global_map, piece, np.arange(2), np.ones((2, 3)), np.ones(2))
+    submap = global_map.new_submap()
+    average_in(global_map, submap, np.arange(2), np.ones((2, 3)), np.ones(2))
     global_map.table.resize(100, 0, 3)
     assert (
         len(global_map.table.position)
@@ -147,7 +147,7 @@ def test_room_for_more_keeps_what_is_there() -> None:
     assert set(global_map.table.submap[2:].tolist()) == {NONE}
 
 
-def test_pieces_come_with_the_oldest_first() -> None:
+def test_submaps_come_with_the_oldest_first() -> None:
     global_map = empty_map(9, 2)
     first, second = global_map.new_submap(), global_map.new_submap()
     assert first != second
@@ -167,11 +167,11 @@ def test_align_is_the_weighted_least_squares_fit(seed: int, d: int) -> None:
     places = rng.uniform(-5, 5, (7, d))
     in_map, n_iterations = rng.uniform(1, 20, 5), rng.integers(1, 20, 7)
     global_map = empty_map(7, d)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     there = places[:5] + 0.1 * rng.standard_normal((5, d))
-    average_in(global_map, piece, np.arange(5), there, in_map)
+    average_in(global_map, submap, np.arange(5), there, in_map)
     relative = elsewhere(places, rng) + 0.1 * rng.standard_normal((7, d))
-    placed = global_map.align(piece, np.arange(7), relative, n_iterations)
+    placed = global_map.align(submap, np.arange(7), relative, n_iterations)
     assert placed is not None
     # A position averaged over n iterations has a variance of 1 / n; those of both sides add.
     root = 1 / np.sqrt(1 / in_map + 1 / n_iterations[:5])
@@ -192,18 +192,18 @@ def test_align_is_the_weighted_least_squares_fit(seed: int, d: int) -> None:
 
 def test_align_needs_members_that_fix_a_rotation() -> None:
     global_map = empty_map(6, 3)
-    piece = global_map.new_submap()
+    submap = global_map.new_submap()
     line = np.outer(np.arange(5.0), [1.0, 2.0, 2.0])
-    average_in(global_map, piece, np.arange(5), line, np.ones(5))
+    average_in(global_map, submap, np.arange(5), line, np.ones(5))
     ones = np.ones(6, dtype=np.int64)
     group = np.vstack([line, [[3.0, 0.0, 0.0]]])
-    assert global_map.align(piece, np.arange(6), group, ones) is None
-    assert global_map.align(piece, np.array([5]), group[5:], ones[5:]) is None
+    assert global_map.align(submap, np.arange(6), group, ones) is None
+    assert global_map.align(submap, np.array([5]), group[5:], ones[5:]) is None
 
 
 @settings(max_examples=30)
 @given(seeds, dimensions)
-def test_pieces_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
+def test_submaps_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     world = rng.uniform(-20, 20, (20, d))
     global_map = empty_map(20, d)
@@ -223,7 +223,7 @@ def test_pieces_join_by_the_motion_that_ties_them(seed: int, d: int) -> None:
 
 
 @both_dimensions
-def test_members_of_a_piece_that_they_do_not_fix_change_over_alone(d: int) -> None:
+def test_members_of_a_submap_that_they_do_not_fix_change_over_alone(d: int) -> None:
     rng = np.random.default_rng(d)
     world = rng.uniform(-20, 20, (10, d))
     global_map = empty_map(10, d)
@@ -256,18 +256,18 @@ def driven(d: int) -> tuple[PointMapper, Points, int]:
         mapper.update(np.empty((0, d)), np.empty(0, dtype=np.int64))
     for x in np.arange(101, 82, -0.5):
         see(x)
-    n_pieces = len(mapper.pieces)
+    n_submaps = len(mapper.submaps)
     for x in np.arange(82, 68, -0.5):
         see(x)
     mapper.finish()
-    return mapper, road, n_pieces
+    return mapper, road, n_submaps
 
 
 @both_dimensions
 def test_a_map_that_fell_apart_comes_together(d: int) -> None:
-    mapper, road, n_pieces = driven(d)
-    assert n_pieces == 2
-    assert len(mapper.pieces) == 1
+    mapper, road, n_submaps = driven(d)
+    assert n_submaps == 2
+    assert len(mapper.submaps) == 1
     found = mapper.map
     assert len(found.landmark_ids) >= 100
     true_distances = distances(road[found.landmark_ids])
@@ -275,6 +275,6 @@ def test_a_map_that_fell_apart_comes_together(d: int) -> None:
 
 
 @both_dimensions
-def test_the_frame_stays_that_of_the_first_pose_when_pieces_join(d: int) -> None:
+def test_the_frame_stays_that_of_the_first_pose_when_submaps_join(d: int) -> None:
     mapper, _, _ = driven(d)
     np.testing.assert_allclose(mapper.trajectory[0], np.eye(4), atol=1e-8)

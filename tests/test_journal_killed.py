@@ -20,7 +20,7 @@ from relmap.io.journal.layout import POINTS
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 
-SAME = ["landmarks.csv", "map.ply", "mapper.npz", "pieces.csv", "tracks.csv.gz", "trajectory.tum"]
+SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
 
 
 def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(

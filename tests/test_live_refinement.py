@@ -91,7 +91,7 @@ def test_live_refinement_is_exact_without_noise(d: int) -> None:
 
 @pytest.mark.parametrize(("density", "seed"), [(6, 11), (3, 4), (4, 1)])
 def test_a_sparse_world_is_mapped(density: int, seed: int) -> None:
-    """Where little is seen, parts of one piece of the map share no segment."""
+    """Where little is seen, parts of one submap of the map share no segment."""
     world = simulate_figure_eight(density=density, seed=seed)
     mapper = driven(world, 900)
     mapper.finish()

@@ -58,11 +58,11 @@ def test_figures_against_the_truth(building: Path) -> None:
     assert figures["ate_m"] < 0.04
 
 
-def test_one_piece_with_all_the_corners_that_are_mapped(building: Path) -> None:
-    (piece,) = json.loads((building / "result" / "summary.json").read_text())["pieces"]
+def test_one_submap_with_all_the_corners_that_are_mapped(building: Path) -> None:
+    (submap,) = json.loads((building / "result" / "summary.json").read_text())["submaps"]
     with (building / "result" / "landmarks.csv").open() as stream:
         mapped = [row for row in csv.DictReader(stream) if row["x"]]
-    assert piece["landmarks"] == len(mapped) > 5
+    assert submap["landmarks"] == len(mapped) > 5
 
 
 def test_wrong_corners_are_told(building: Path, capsys: pytest.CaptureFixture[str]) -> None:

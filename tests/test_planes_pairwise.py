@@ -57,7 +57,7 @@ def test_chain_of_relations_is_exact_where_all_ends_are_seen() -> None:
     np.testing.assert_allclose(distances, truth, atol=1e-12)
 
 
-def test_pieces_are_stitched_by_motions() -> None:
+def test_submaps_are_stitched_by_motions() -> None:
     poses = np.tile(np.eye(4), (7, 1, 1))
     poses[:, 0, 3] = np.arange(7.0)
     motions = np.zeros((7, 3))

@@ -51,8 +51,8 @@ def test_a_scan_that_nothing_supports_begins_a_submap() -> None:
             np.testing.assert_allclose(steps, 0.05, atol=1e-6)
         mapper.refine()
     assert 20 not in mapper.weak_links
-    assert len(mapper.pieces) == 2
-    assert set(mapper.landmarks.piece.tolist()) >= {0, 1}
+    assert len(mapper.submaps) == 2
+    assert set(mapper.landmarks.submap.tolist()) >= {0, 1}
 
 
 def test_a_long_bridge_ends_the_submap() -> None:

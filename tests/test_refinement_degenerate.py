@@ -61,7 +61,7 @@ def test_fewer_than_fix_a_pose(d: int) -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("d", [2, 3])
-def test_two_pieces_that_never_meet(d: int) -> None:
+def test_two_submaps_that_never_meet(d: int) -> None:
     rng = np.random.default_rng(0)
     here, there = rng.uniform(-5, 5, (12, d)), rng.uniform(-5, 5, (9, d))
     mapper = PointMapper()
@@ -70,9 +70,9 @@ def test_two_pieces_that_never_meet(d: int) -> None:
     for points in seen_from(there):
         mapper.update(points, np.arange(100, 109))
     assert finite(mapper)
-    assert [len(piece.landmark_ids) for piece in mapper.pieces] == [12, 9]
-    assert all(np.isfinite(piece.positions).all() for piece in mapper.pieces)
-    assert sorted(len(piece.landmarks) for piece in mapper.refined) == [9, 12]
+    assert [len(submap.landmark_ids) for submap in mapper.submaps] == [12, 9]
+    assert all(np.isfinite(submap.positions).all() for submap in mapper.submaps)
+    assert sorted(len(submap.landmarks) for submap in mapper.refined) == [9, 12]
     assert mapper.map.covariances.shape == (12, 3, 3)
 
 

@@ -31,11 +31,11 @@ def refined_of(scans: Scans, of: NDArray[np.int64], start: NDArray[np.float64]) 
 def test_residuals_are_about_one_where_noise_explains_all() -> None:
     mapper = mapped(walk(3, 1, sigma=0.05, iterations=400).scans)
     mapper.refine()
-    (piece,) = mapper.refined
-    assert piece.noise_m == pytest.approx(0.05, rel=0.1)
-    assert 0.8 < np.median(piece.segments.residual) < 1.2
-    assert piece.segments.residual.max() < 2
-    assert len(piece.merges.residual) == 0
+    (submap,) = mapper.refined
+    assert submap.noise_m == pytest.approx(0.05, rel=0.1)
+    assert 0.8 < np.median(submap.segments.residual) < 1.2
+    assert submap.segments.residual.max() < 2
+    assert len(submap.merges.residual) == 0
 
 
 def test_a_bent_stretch_stands_out() -> None:
@@ -45,10 +45,10 @@ def test_a_bent_stretch_stands_out() -> None:
         points *= 1.03  # what no placement mends
     mapper = mapped(scans)
     mapper.refine()
-    (piece,) = mapper.refined
-    worst = piece.segments.first_iteration[np.argmax(piece.segments.residual)]
+    (submap,) = mapper.refined
+    worst = submap.segments.first_iteration[np.argmax(submap.segments.residual)]
     assert worst == 200
-    assert piece.segments.residual.max() > 3
+    assert submap.segments.residual.max() > 3
 
 
 def test_a_wrong_merge_stands_out() -> None:

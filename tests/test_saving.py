@@ -279,7 +279,7 @@ def test_a_log_is_added_to_a_map(tour: Path, capsys: pytest.CaptureFixture[str])
     assert "no scan was found" not in capsys.readouterr().out
     summary = load(tour / "more" / "summary.json")
     assert summary["tied_at"] == 300
-    assert len(summary["pieces"]) == 1
+    assert len(summary["submaps"]) == 1
     before, after = (table(tour / name / "landmarks.csv") for name in ("part", "more"))
     mapped = {row["landmark"]: row for row in after if row["status"] == "static"}
     assert len(mapped) > len(before) + 20

@@ -163,8 +163,8 @@ def test_after_a_gap_known_landmarks_go_on(lost: int) -> None:
     mapper.finish()
     kept = np.intersect1d(before[-1], after[0])
     assert len(kept) >= 0.8 * len(after[0])
-    assert len(mapper.pieces) == 1
-    assert sum(len(piece.landmark_ids) for piece in mapper.pieces) >= 25
+    assert len(mapper.submaps) == 1
+    assert sum(len(submap.landmark_ids) for submap in mapper.submaps) >= 25
     assert len(mapper.trajectory) == 160 + lost
 
 
@@ -175,19 +175,19 @@ def test_with_ids_a_gap_ties_by_itself() -> None:
         gone = 60 <= k < 75
         mapper.update(points[:0] if gone else points, ids[:0] if gone else ids)
     mapper.finish()
-    assert len(mapper.pieces) == 1
+    assert len(mapper.submaps) == 1
     found = mapper.map
     assert aligned_rmse(found.positions, world.landmarks[found.landmark_ids]) < 1e-6
 
 
-def test_sight_of_another_place_after_a_gap_is_a_piece_of_its_own() -> None:
+def test_sight_of_another_place_after_a_gap_is_a_submap_of_its_own() -> None:
     here, there = stream(3)[:60], stream(11)[:60]
     mapper = PointMapper()
     for points in [*here, *[np.empty((0, 3))] * 20, *there]:
         mapper.update(points)
     mapper.finish()
-    assert len(mapper.pieces) == 2
-    first, second = sorted(mapper.pieces, key=lambda piece: piece.first_iteration)
+    assert len(mapper.submaps) == 2
+    first, second = sorted(mapper.submaps, key=lambda submap: submap.first_iteration)
     assert (first.first_iteration, second.first_iteration) == (0, 80)
     assert first.last_iteration < 80
 

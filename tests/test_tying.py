@@ -1,4 +1,4 @@
-"""Pieces of the map that show the same place become one without ids, and others do not."""
+"""Submaps of the map that show the same place become one without ids, and others do not."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ both_dimensions = pytest.mark.parametrize("d", [2, 3])
 Points = NDArray[np.float64]
 
 
-def in_pieces(*places: Points) -> GlobalMap:
-    """Return a map of pieces at positions (n, d), each in a frame of its own."""
+def in_submaps(*places: Points) -> GlobalMap:
+    """Return a map of submaps at positions (n, d), each in a frame of its own."""
     table, n, d = LandmarkState(), sum(map(len, places)), places[0].shape[1]
     table.resize(n, 0, d)
     global_map = GlobalMap(table)
@@ -44,9 +44,9 @@ def moved(points: Points, rng: np.random.Generator, sigma: float = 0.0) -> Point
 def test_what_overlaps_is_laid_on_one_another(seed: int, d: int, sigma: float) -> None:
     rng = np.random.default_rng(seed)
     world = rng.uniform(0, 20, (120, d))
-    # They share what lies in the middle, more than half of the smaller piece.
+    # They share what lies in the middle, more than half of the smaller submap.
     first, second = world[world[:, 0] < 15], world[world[:, 0] > 6]
-    global_map = in_pieces(moved(first, rng, sigma), moved(second, rng, sigma))
+    global_map = in_submaps(moved(first, rng, sigma), moved(second, rng, sigma))
     (tied,) = list(tie_submaps(global_map, sigma))
     assert len(tied) == len(first) + len(second)
     assert len(np.unique(global_map.table.submap)) == 1
@@ -55,10 +55,10 @@ def test_what_overlaps_is_laid_on_one_another(seed: int, d: int, sigma: float) -
 
 
 @both_dimensions
-def test_many_pieces_of_one_place_become_one(d: int) -> None:
+def test_many_submaps_of_one_place_become_one(d: int) -> None:
     rng = np.random.default_rng(2)
     world = rng.uniform(0, 20, (60, d))
-    global_map = in_pieces(*(moved(world, rng, 0.01) for _ in range(5)))
+    global_map = in_submaps(*(moved(world, rng, 0.01) for _ in range(5)))
     for tied in tie_submaps(global_map, 0.01):  # of those that are the same one is left
         _, kept = np.unique(tied % len(world), return_index=True)
         global_map.table.take_off_map(np.delete(tied, kept))
@@ -71,7 +71,7 @@ def test_many_pieces_of_one_place_become_one(d: int) -> None:
 @given(seeds, dimensions)
 def test_different_places_stay_apart(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
-    global_map = in_pieces(*(rng.uniform(0, 20, (60, d)) for _ in range(4)))
+    global_map = in_submaps(*(rng.uniform(0, 20, (60, d)) for _ in range(4)))
     assert list(tie_submaps(global_map, 0.05)) == []
     assert len(np.unique(global_map.table.submap)) == 4
 
@@ -80,7 +80,7 @@ def test_few_landmarks_that_lie_alike_by_chance_tie_nothing() -> None:
     """Half of so few are found somewhere in any world, if the noise is large."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        global_map = in_pieces(*(rng.uniform(0, 10, (12, 2)) for _ in range(4)))
+        global_map = in_submaps(*(rng.uniform(0, 10, (12, 2)) for _ in range(4)))
         assert list(tie_submaps(global_map, 0.2)) == []
 
 
@@ -89,7 +89,7 @@ def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
     rng = np.random.default_rng(0)
     motif = rng.uniform(0, 8, (14, d))
     street = np.vstack([motif + np.eye(d)[0] * 12 * k for k in range(5)])
-    global_map = in_pieces(street, moved(motif, rng))
+    global_map = in_submaps(street, moved(motif, rng))
     assert list(tie_submaps(global_map, 0.01)) == []
 
 
@@ -97,12 +97,12 @@ def test_landmarks_on_a_grid_tie_nothing() -> None:
     grid = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
     rng = np.random.default_rng(1)
     first, second = (part + 0.01 * rng.standard_normal(part.shape) for part in (grid, grid[:60]))
-    assert list(tie_submaps(in_pieces(first, second), 0.01)) == []
+    assert list(tie_submaps(in_submaps(first, second), 0.01)) == []
 
 
-def test_nothing_mapped_and_single_pieces_tie_nothing() -> None:
+def test_nothing_mapped_and_single_submaps_tie_nothing() -> None:
     assert list(tie_submaps(GlobalMap(LandmarkState()), 0.01)) == []
-    alone = in_pieces(np.random.default_rng(0).uniform(0, 9, (30, 3)))
+    alone = in_submaps(np.random.default_rng(0).uniform(0, 9, (30, 3)))
     assert list(tie_submaps(alone, 0.01)) == []
     alone.table.take_off_map(np.arange(20))
     assert list(tie_submaps(alone, 0.01)) == []
@@ -127,7 +127,7 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
         true.append(ids)
     mapper.finish()
     mapper.refine()
-    assert len(mapper.pieces) == 1
+    assert len(mapper.submaps) == 1
     found = mapper.landmarks_of(np.concatenate(labels))
     pairs = np.unique(np.column_stack([found, np.concatenate(true)]), axis=0)
     stands_for = dict(pairs.tolist())
@@ -154,7 +154,7 @@ def test_nobody_stays_double_after_a_brief_second_visit(d: int, seed: int) -> No
         found = mapper.landmarks_of(of)
         stands_for = dict(np.column_stack([found, true]).tolist())
         assert len(stands_for) == len(np.unique(np.column_stack([found, true]), axis=0))
-        assert len(mapper.pieces) == 1
+        assert len(mapper.submaps) == 1
         mapped = [stands_for[label] for label in mapper.map.landmark_ids.tolist()]
         assert len(mapped) == len(set(mapped))
     assert aligned_rmse(mapper.map.positions[:, :d], place[mapped]) < 0.02

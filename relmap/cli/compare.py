@@ -62,7 +62,7 @@ The figures:
   RMSE10      the same of those seen at least ten times
   cover       share of the landmarks seen at least ten times that are in the map
   ATE, RPE    error of the path, as a whole and from one step to the next [m]
-  path        share of the iterations that have a pose; of a map in pieces only the largest counts
+  path        share of the iterations that have a pose; of several submaps only the largest counts
   pairs, turn mean error against checked relations between poses [m], [rad]
   ms, mean    processor time of an iteration, median and mean [ms]; one thread
   end         the same, median of the last 100 iterations [ms]

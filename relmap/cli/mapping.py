@@ -136,8 +136,8 @@ def _write(folder: Path, run: Run) -> None:
         write_map_png(picture, result, run.groups)
         return
     write_planes(folder, result.planes)
-    write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in result.submaps])
-    drawn = [(submap.planes, submap.poses) for submap in result.submaps]
+    write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in result.drawn])
+    drawn = [(submap.planes, submap.poses) for submap in result.drawn]
     write_submaps_png(picture, drawn, len(result.summary["submaps"]))
 
 

@@ -34,12 +34,12 @@ def report(job: Job) -> None:
         told += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
-            f"{each(timing['median_ms'])}{untied(len(run.result.pieces) - 1)}"
+            f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
-        typer.echo(f"no scan was found in the map of {job.onto}: the log is a piece of its own")
+        typer.echo(f"no scan was found in the map of {job.onto}: the log is a submap of its own")
     if summary["interrupted"]:
         if job.journal is not None:
             typer.echo(f"'relmap resume {job.journal}' goes on with it")
@@ -76,11 +76,11 @@ def torn(summary: dict[str, Any]) -> str:
     return told
 
 
-def untied(pieces: int) -> str:
-    """Return how many pieces of a map are apart, as the end of a message."""
-    if pieces < 1:
+def untied(submaps: int) -> str:
+    """Return how many submaps of a map are apart, as the end of a message."""
+    if submaps < 1:
         return ""
-    return f"; {pieces} piece{'s' if pieces > 1 else ''} could not be tied to the map"
+    return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be tied to the map"
 
 
 def unconverged(refinement: dict[str, Any] | None) -> str:

@@ -18,7 +18,7 @@ def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap:
-    """The mapped landmarks: those of the largest piece.
+    """The mapped landmarks: those of the largest submap.
 
     Attributes
     ----------
@@ -39,13 +39,13 @@ class LandmarkMap:
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class Submap:
     """A part of the map with a frame of its own, which nothing ties to the rest.
 
     Attributes
     ----------
     landmark_ids : (m,) int64
-    positions : (m, 3) float64, frame of the piece, metres
+    positions : (m, 3) float64, frame of the submap, metres
     first_iteration, last_iteration : int
         When its landmarks were seen first and last, counted from the mapper's first update.
     """
@@ -77,9 +77,9 @@ class LandmarkTable:
         Grouping level of the position; 0 where the landmark is not mapped.
     status : (n,) str
         "static", "dynamic" or "unmapped".
-    piece : (n,) int64
-        Place of the landmark's piece in the order of their sizes: 0 for the map itself, above 0
-        for pieces that nothing ties to it (those landmarks count as not mapped here), -1 for none.
+    submap : (n,) int64
+        Place of the landmark's submap in the order of their sizes: 0 for the map itself, above 0
+        for submaps that nothing ties to it (those landmarks count as not mapped here), -1 for none.
     moving_bin : (n,) int64
         Of a dynamic landmark that keeps its distances from others, as the parts of a vehicle do,
         the label of one of them, the same for all; -1 for every other landmark.
@@ -93,7 +93,7 @@ class LandmarkTable:
     last_iteration: NDArray[np.int64]
     level: NDArray[np.int64]
     status: NDArray[np.str_]
-    piece: NDArray[np.int64]
+    submap: NDArray[np.int64]
     moving_bin: NDArray[np.int64]
 
 

@@ -19,11 +19,11 @@ from relmap.core.grouping.levels import GroupLevels
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.placing import Placing
 from relmap.core.model import LandmarkModel
+from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.live import LiveRefinement
 from relmap.core.refinement.observations import KeptObservations
-from relmap.core.refinement.piecewise import refine_submaps
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import LandmarkState

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece, in_space
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
 from relmap.core.map.pose import trajectory
 from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE, LandmarkState
@@ -75,12 +75,12 @@ def landmark_table(engine: RelativeMapper) -> LandmarkTable:
         last_iteration=table.last[order],
         level=np.where(mapped, table.highest_level, 0)[order],
         status=status[order],
-        piece=rank[order],
+        submap=rank[order],
         moving_bin=_moving_bins(table, status, called)[order],
     )
 
 
-def map_pieces(engine: RelativeMapper) -> list[Piece]:
+def map_submaps(engine: RelativeMapper) -> list[Submap]:
     """Return the submaps, the largest first."""
     table, called = engine.table, labels(engine)
     rank = _ranks(table)
@@ -90,7 +90,7 @@ def map_pieces(engine: RelativeMapper) -> list[Piece]:
         members = members[np.argsort(called[members])]
         positions = in_space(table.position[members])
         seen = int(table.first[members].min()), int(table.last[members].max())
-        submaps.append(Piece(called[members], positions, *seen))
+        submaps.append(Submap(called[members], positions, *seen))
     return submaps
 
 

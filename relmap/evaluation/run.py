@@ -117,10 +117,10 @@ def run_mapper(
     summary = {
         **(about or {}),
         "association": association,
-        **summary_of(result, log, len(groups), first - before),
+        **summary_of(result, log, len(groups)),
         "interrupted": len(log) < n_input,
         "input_iterations": n_input,
-        **(submaps_told(mapper, first) if isinstance(mapper, PlaneMapper) else {}),
+        **submaps_told(mapper, first - before),
         "refined": refine,
         **residuals_told(mapper, first - before),
         "timing": timing(durations_s, refine_s, isinstance(log, ScanLog)),
@@ -155,18 +155,18 @@ def _result(
         stamps_of(log),
     )
     there, table = np.isfinite(poses).all(axis=(1, 2)), shifted(mapper.landmarks, offset)
-    tracks, pieces = _tracks(mapper, log, labels), tuple(mapper.pieces)
+    tracks, submaps = _tracks(mapper, log, labels), tuple(mapper.submaps)
     dimensions = 2 if isinstance(log, ScanLog) else log.points_robot.shape[1]
     summary = {"dimensions": dimensions}
-    result = Result(table, tracks, stamps_s[there], poses[there], summary, pieces)
+    result = Result(table, tracks, stamps_s[there], poses[there], summary, submaps)
     if isinstance(mapper, PointMapper):
         return result
-    submaps = tuple(
+    drawn = tuple(
         DrawnSubmap(stamps_s[slice(*submap.span)], submap.poses, mapper.planes_of(number))
         for number, submap in enumerate(mapper.submaps)
         if number == 0 or len(submap.poses) >= SHOWN
     )
-    return PlaneResult(**vars(result), planes=shifted(mapper.planes, offset), submaps=submaps)
+    return PlaneResult(**vars(result), planes=shifted(mapper.planes, offset), drawn=drawn)
 
 
 def _tracks(mapper: AnyMapper, log: Log, labels: Sequence[NDArray[np.int64]]) -> Tracks:

@@ -17,6 +17,7 @@ from relmap.datasets.scans import ScanLog
 from relmap.io.results import Result
 from relmap.planes import PlaneMapper
 from relmap.planes.files import PlaneResult
+from relmap.planes.submaps import WallSubmap
 from relmap.points import PointMapper
 
 MANY = 100
@@ -26,9 +27,7 @@ SHOWN = 5
 STATUS = ("static", "dynamic", "unmapped")
 
 
-def summary_of(
-    result: Result, log: ObservationLog | ScanLog, n_groups: int, offset: int
-) -> dict[str, Any]:
+def summary_of(result: Result, log: ObservationLog | ScanLog, n_groups: int) -> dict[str, Any]:
     """Return what a summary tells of any result.
 
     Parameters
@@ -37,8 +36,6 @@ def summary_of(
     log : ObservationLog or ScanLog
         What was mapped.
     n_groups : int
-    offset : int
-        The log's number of the mapper's first iteration.
     """
     k = len(log)
     counts = {"iterations": k}
@@ -54,14 +51,6 @@ def summary_of(
         "scans": [log.first_iteration, log.first_iteration + k],
         "versions": versions(),
         "counts": counts | {"iterations_without_pose": k - len(result.poses)},
-        "pieces": [
-            {
-                "landmarks": len(piece.landmark_ids),
-                "first_iteration": offset + piece.first_iteration,
-                "last_iteration": offset + piece.last_iteration,
-            }
-            for piece in result.pieces
-        ],
     }
 
 
@@ -90,18 +79,22 @@ def _counts_of_walls(result: PlaneResult) -> dict[str, int]:
     }
 
 
-def submaps_told(mapper: PlaneMapper, first: int) -> dict[str, Any]:
-    """Return what is told of the submaps and weak links of walls from iteration `first` on."""
-    submaps = [
-        {
-            "scans": submap.span[1] - submap.span[0],
-            "iterations": [first + submap.span[0], first + submap.span[1] - 1],
-            "metres": submap.length_m,
-            "refined": submap.refined,
+def submaps_told(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
+    """Return one row for each submap, the map itself first; of walls also paths and weak links."""
+    rows = []
+    for submap in mapper.submaps:
+        row: dict[str, Any] = {
+            "landmarks": len(submap.landmark_ids),
+            "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
         }
-        for submap in mapper.submaps
-    ]
-    return {"submaps": submaps, "weak_links": (mapper.weak_links + first).tolist()}
+        if isinstance(submap, WallSubmap):
+            scans, metres = len(submap.poses), submap.length_m
+            row |= {"scans": scans, "metres": metres, "refined": submap.refined}
+        rows.append(row)
+    told: dict[str, Any] = {"submaps": rows}
+    if isinstance(mapper, PlaneMapper):
+        told["weak_links"] = (mapper.weak_links + offset).tolist()
+    return told
 
 
 def residuals_told(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
@@ -128,7 +121,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     Parameters
     ----------
     refined : sequence of Refined
-        The pieces of the map; the largest is told of.
+        Of the submaps, the largest is told of.
     first_iteration : int
         The log's number of the mapper's first iteration.
 
@@ -139,13 +132,13 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     """
     if not refined:
         return None
-    piece = max(refined, key=lambda piece: len(piece.landmarks))
-    segments, merges = piece.segments, piece.merges
+    submap = max(refined, key=lambda submap: len(submap.landmarks))
+    segments, merges = submap.segments, submap.merges
     return {
         "converged": all(each.converged for each in refined),
-        "noise_m": piece.noise_m,
-        "power": piece.power,
-        "anchor_iteration": first_iteration + piece.anchor_iteration,
+        "noise_m": submap.noise_m,
+        "power": submap.power,
+        "anchor_iteration": first_iteration + submap.anchor_iteration,
         "segments": len(segments.residual),
         "segment_residual_median": float(np.median(segments.residual)),
         "weakest_segments": [

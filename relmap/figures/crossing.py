@@ -50,7 +50,7 @@ class CrossingRow:
     ate_m : float or None
         Absolute trajectory error, over the poses that there are.
     poses : float
-        Share of the scans that have a pose in the map's largest piece.
+        Share of the scans that have a pose in the map's largest submap.
     """
 
     method: Method

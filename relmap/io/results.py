@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.core.landmarks import LandmarkTable, Piece
+from relmap.core.landmarks import LandmarkTable, Submap
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.tables import Kind, compressed, csv_text, read_table
 
@@ -20,7 +20,7 @@ T = TypeVar("T", bound=Any)
 LANDMARKS = "landmarks.csv"
 TRACKS = "tracks.csv.gz"
 TRAJECTORY = "trajectory.tum"
-PIECES = "pieces.csv"
+SUBMAPS = "submaps.csv"
 MAP_PLY = "map.ply"
 MAP_PNG = "map.png"
 SUMMARY = "summary.json"
@@ -38,10 +38,10 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
     "last_iteration": "int",
     "level": "int",
     "status": "text",
-    "piece": "int",
+    "submap": "int",
     "moving_bin": "int",
 }
-PIECE_COLUMNS = ("piece", "landmark", "x", "y", "z")
+SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
 TRACK_COLUMNS: dict[str, Kind] = {"iteration": "int", "row": "int", "landmark": "int"}
 
 
@@ -78,8 +78,8 @@ class Result:
         T_map_robot of the iterations that have one.
     summary : dict
         Configuration, versions, counts and timing, ready for JSON.
-    pieces : tuple of Piece
-        Pieces of the map, the map itself first; empty in a result that was read.
+    submaps : tuple of Submap
+        Submaps of the map, the map itself first; empty in a result that was read.
     """
 
     landmarks: LandmarkTable
@@ -87,7 +87,7 @@ class Result:
     stamps_s: NDArray[np.float64]
     poses: NDArray[np.float64]
     summary: dict[str, Any]
-    pieces: tuple[Piece, ...] = ()
+    submaps: tuple[Submap, ...] = ()
 
     @property
     def planar(self) -> bool:
@@ -126,22 +126,22 @@ def write_result(folder: Path, result: Result) -> None:
     labels = [getattr(tracks, name).tolist() for name in TRACK_COLUMNS]
     track_text = csv_text(list(TRACK_COLUMNS), zip(*labels, strict=True))
     atomic_write(folder / TRACKS, compressed(track_text))
-    atomic_write(folder / PIECES, pieces_text(result.pieces))
+    atomic_write(folder / SUBMAPS, submaps_text(result.submaps))
     write_tum(folder / TRAJECTORY, result.stamps_s, result.poses)
     atomic_write(folder / MAP_PLY, ply_text(table.position[result.mapped]))
     atomic_write(folder / SUMMARY, json_text(result.summary))
 
 
-def pieces_text(pieces: tuple[Piece, ...]) -> str:
-    """Return the landmarks that nothing ties to the map as CSV, each in the frame of its piece."""
+def submaps_text(submaps: tuple[Submap, ...]) -> str:
+    """Return the landmarks that nothing ties to the map as CSV, each in the frame of its submap."""
     rows = [
         (number, label, *position)
-        for number, piece in enumerate(pieces[1:], start=1)
+        for number, submap in enumerate(submaps[1:], start=1)
         for label, position in zip(
-            piece.landmark_ids.tolist(), piece.positions.tolist(), strict=True
+            submap.landmark_ids.tolist(), submap.positions.tolist(), strict=True
         )
     ]
-    return csv_text(list(PIECE_COLUMNS), rows)
+    return csv_text(list(SUBMAP_COLUMNS), rows)
 
 
 def ply_text(points_map: NDArray[np.float64]) -> str:

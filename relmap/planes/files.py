@@ -68,13 +68,13 @@ class PlaneResult(Result):
     ----------
     planes : PlaneTable
         Iterations are the log's own numbers.
-    submaps : tuple of DrawnSubmap
+    drawn : tuple of DrawnSubmap
         Parts of the run that nothing ties to one another, the map itself first; empty in a result
         that was read.
     """
 
     planes: PlaneTable
-    submaps: tuple[DrawnSubmap, ...] = ()
+    drawn: tuple[DrawnSubmap, ...] = ()
 
     @property
     def planar(self) -> bool:

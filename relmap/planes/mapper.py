@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Piece
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
 from relmap.core.map.pose import trajectory
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
@@ -26,7 +25,7 @@ from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.solving import tracks_astray
 from relmap.planes.stitching import weak_links
-from relmap.planes.submaps import Submap, among_all, chained_poses
+from relmap.planes.submaps import WallSubmap, among_all, chained_poses
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
@@ -74,7 +73,7 @@ class PlaneMapper(Mapper):
     _unused = WITH_WALLS
     _variant = "planes"
 
-    _refined_walls: tuple[list[Submap], WallNumbers] | None
+    _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
     STATE = "walls=_planes refined_walls=_refined_walls _astray"
 
     def __init__(
@@ -161,12 +160,13 @@ class PlaneMapper(Mapper):
             np.where(corner, chained.corner_of, numbers.corner_of),
         )
 
-    def _at_rest(self, submap: Submap) -> Submap:
+    def _at_rest(self, submap: WallSubmap) -> WallSubmap:
         """Return a submap without the tracks that went astray."""
         if submap.assembled is None or not submap.refined:
             return submap
         track = self._planes.history.plane[submap.assembled.rows]
-        return replace(submap, assembled=submap.assembled.only(~np.isin(track, self._astray)))
+        kept = submap.assembled.only(~np.isin(track, self._astray))
+        return WallSubmap.of(submap.span, submap.poses, kept, refined=True)
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now.
@@ -185,7 +185,7 @@ class PlaneMapper(Mapper):
         return self._planes.history
 
     @property
-    def submaps(self) -> list[Submap]:
+    def submaps(self) -> list[WallSubmap]:
         """The parts of the run that nothing ties to one another, those of most scans first."""
         return self._state[0]
 
@@ -220,19 +220,6 @@ class PlaneMapper(Mapper):
         assembled = [submap.assembled for submap in submaps]
         moving, spread = chosen[dynamic], self._covariances
         return corner_table(self._planes.history, numbers, assembled, moving, spread)
-
-    @property
-    def pieces(self) -> list[Piece]:
-        """The mapped corners of each submap, in its frame."""
-        table, found = self.landmarks, []
-        for submap in self.submaps:
-            corners = corner_map(submap.assembled, None)
-            rows = np.searchsorted(table.landmark, corners.landmark_ids)
-            first, last = submap.span[0], submap.span[1] - 1
-            if len(rows):
-                first, last = table.first_iteration[rows].min(), table.last_iteration[rows].max()
-            found.append(Piece(corners.landmark_ids, corners.positions, int(first), int(last)))
-        return found if any(len(piece.landmark_ids) for piece in found) else []
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -294,19 +281,19 @@ class PlaneMapper(Mapper):
         return self._segmenter.planes_
 
     @property
-    def _chained(self) -> list[Submap]:
+    def _chained(self) -> list[WallSubmap]:
         """The submaps as the chained map has them, weak links included."""
         history, numbers, moving = self._planes.history, self._numbers, self._moving
         paths, found = self._paths, []
         for span in history.spans:
             poses = chained_poses(paths, span, history)
             there = among_all(poses, span, history)
-            found.append(Submap(span, poses, assemble(history, numbers, there, moving)))
+            found.append(WallSubmap.of(span, poses, assemble(history, numbers, there, moving)))
         return found
 
     @property
     def _paths(self) -> list[NDArray[np.float64]]:
-        """The poses (i, 4, 4) that each piece of the chained map tells, the largest first."""
+        """The poses (i, 4, 4) that each submap of the chained map tells, the largest first."""
         table, rows = self._engine.table, self._engine.rows
         submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
         paths = []
@@ -316,7 +303,7 @@ class PlaneMapper(Mapper):
         return paths
 
     @property
-    def _state(self) -> tuple[list[Submap], WallNumbers]:
+    def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
         """What the map is now, and who is who in it."""
         if self._refined_walls is not None:
             return self._refined_walls

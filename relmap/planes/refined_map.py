@@ -18,7 +18,7 @@ from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.links import disagreement
 from relmap.planes.solving import refined, refined_to_the_noise
 from relmap.planes.stitching import stitched, without_strays
-from relmap.planes.submaps import Submap, among_all
+from relmap.planes.submaps import WallSubmap, among_all
 
 _LOG = logging.getLogger(__name__)
 
@@ -37,9 +37,9 @@ JOINED = 4
 def refined_map(
     history: PlaneHistory,
     numbers: WallNumbers,
-    chained: Submap,
+    chained: WallSubmap,
     moving: NDArray[np.bool_],
-) -> tuple[Submap, WallNumbers] | None:
+) -> tuple[WallSubmap, WallNumbers] | None:
     """Bring walls, corners and poses of a submap to where all observations agree best.
 
     Walls that come to lie on one another are joined, which closes loops.
@@ -77,11 +77,11 @@ def refined_map(
             again = assemble(history, numbers, path, moving)
             best = best if again is None else refined(again, rounds)
     best = refined_to_the_noise(best)
-    found = Submap(span, poses_of(best, span, history), best, refined=True)
+    found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
     return (found, numbers) if _better(found, chained, history.motion[slice(*span)]) else None
 
 
-def _better(found: Submap, chained: Submap, motions: NDArray[np.float64]) -> bool:
+def _better(found: WallSubmap, chained: WallSubmap, motions: NDArray[np.float64]) -> bool:
     """Tell whether a refined map settled and agrees with the links between its scans."""
     assert found.assembled is not None
     torn, off_m = disagreement(found.poses, motions)

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.landmarks import Submap
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
 from relmap.planes.stitching import stitched
+from relmap.planes.table import corner_map
 
 
 @dataclass(frozen=True, eq=False)
-class Submap:
-    """Where the scans of one submap were made, and what is mapped in it.
+class WallSubmap(Submap):
+    """A submap of walls: its corners are its landmarks.
 
     Attributes
     ----------
-    span : (int, int)
-        Its first iteration, and one after its last.
     poses : (k, 4, 4) float64
         ``T_submap_robot`` of its iterations.
     assembled : Assembled or None
@@ -28,10 +28,29 @@ class Submap:
         Whether its walls and poses are where all observations agree best.
     """
 
-    span: tuple[int, int]
     poses: NDArray[np.float64]
     assembled: Assembled | None
-    refined: bool = False
+    refined: bool
+
+    @classmethod
+    def of(
+        cls,
+        span: tuple[int, int],
+        poses: NDArray[np.float64],
+        assembled: Assembled | None,
+        refined: bool = False,
+    ) -> WallSubmap:
+        """Return the submap of the iterations of a span: the first, and one after the last."""
+        corners = corner_map(assembled, None)
+        begin, end = span
+        return cls(
+            corners.landmark_ids, corners.positions, begin, end - 1, poses, assembled, refined
+        )
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Its first iteration, and one after its last."""
+        return self.first_iteration, self.last_iteration + 1
 
     @property
     def length_m(self) -> float:
@@ -52,7 +71,7 @@ def among_all(
 def chained_poses(
     paths: list[NDArray[np.float64]], span: tuple[int, int], history: PlaneHistory
 ) -> NDArray[np.float64]:
-    """Return the poses of a submap by the paths (i, 4, 4) that pieces of the map tell."""
+    """Return the poses of a submap by the paths (i, 4, 4) that submaps of the map tell."""
     rows = slice(*span)
     there = [path[rows] for path in paths if np.isfinite(path[rows, 0, 0]).any()]
     return stitched(there, history.motion[rows])

@@ -173,13 +173,13 @@ def corner_table(
     np.maximum.at(last, at, history.iteration[row])
     position, sd = np.full((n, 3), np.nan), np.full(n, np.nan)
     status = np.where(np.isin(label, moving), "dynamic", "unmapped")
-    level, piece = np.zeros(n, dtype=np.int64), np.full(n, -1)
+    level, submap = np.zeros(n, dtype=np.int64), np.full(n, -1)
     for number, assembled in enumerate(submaps):
         if assembled is None:
             continue
         mapped = mapped_corners(assembled)
         there = np.searchsorted(label, assembled.corners[mapped])
-        piece[there] = number
+        submap[there] = number
         if number > 0:
             continue
         position[there] = in_space(assembled.corner_at[mapped])
@@ -196,7 +196,7 @@ def corner_table(
         last_iteration=last,
         level=level,
         status=status,
-        piece=piece,
+        submap=submap,
         moving_bin=np.full(n, -1),
     )
 

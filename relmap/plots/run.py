@@ -63,9 +63,9 @@ def plot_run(
     if dots is not None:
         sheet.add_colours(dots, "standard deviation of a landmark [m]")
     mapped, known = len(positions), len(result.landmarks.landmark)
-    apart = len(result.pieces) - 1
-    pieces = f", {apart} pieces apart" if apart > 0 else ""
-    sheet.finish(title or f"{mapped} of {known} landmarks mapped{pieces}")
+    apart = len(result.submaps) - 1
+    submaps = f", {apart} submaps apart" if apart > 0 else ""
+    sheet.finish(title or f"{mapped} of {known} landmarks mapped{submaps}")
     return sheet.figure
 
 

@@ -104,7 +104,7 @@ class PointMapper(Mapper):
         self._engine.refine()
 
     def finish(self) -> None:
-        """Map what is left, spread what has drifted since, and without ids tie pieces.
+        """Map what is left, spread what has drifted since, and without ids tie submaps.
 
         Those that show the same place become one.  Landmarks that turn out to be the same are
         merged on the way: see `landmarks_of`.

@@ -72,7 +72,7 @@ class Relmap(Method):
 
     @property
     def map(self) -> LandmarkMap:
-        """The landmarks of the largest piece."""
+        """The landmarks of the largest submap."""
         return self._mapper.map
 
     @property

@@ -41,7 +41,7 @@ iterations alone, as coverage is: methods that map what they saw once are compar
 """
 PATH = ("path_coverage", "relation_m", "relation_rad")
 """Further figures of the path: the share of the iterations that have a pose in the map, which of a
-map in pieces are those of the largest, and the error of checked relations between poses."""
+map in submaps are those of the largest, and the error of checked relations between poses."""
 COST = ("median_ms", "mean_ms", "last_100_median_ms", "total_s", "memory_mb")
 """Figures that depend on the machine: processor time of one core, and what the process grew by."""
 WARM_UP = {"landmarks": 30, "scans": 4}
@@ -223,6 +223,6 @@ def table_of(
         last_iteration=last,
         level=mapped.astype(np.int64),
         status=np.where(mapped, "static", "unmapped"),
-        piece=np.where(mapped, 0, -1),
+        submap=np.where(mapped, 0, -1),
         moving_bin=np.full(m, -1),
     )

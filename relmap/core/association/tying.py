@@ -1,4 +1,4 @@
-"""Which submaps of the map show the same place, told by how their landmarks lie.
+"""Which submaps show the same place, told by how their landmarks lie.
 
 Without ids a stretch that cannot be tied to what was before begins a submap of its own.  Some of
 these come to places that others have been to.  Neighbourhoods of one submap are looked for in all

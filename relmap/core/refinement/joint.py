@@ -63,7 +63,7 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A piece of the map on which all observations agree best.
+    """A submap on which all observations agree best.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ def refine(
     others: NDArray[np.bool_],
     suspects: NDArray[np.bool_],
 ) -> Refined | None:
-    """Return where landmarks of one piece of the map lie by all observations.
+    """Return where landmarks of one submap lie by all observations.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def refine(
     positions : (m, d) float64, metres
         The chained map to start from.
     chosen : (m,) bool
-        The landmarks of the piece.
+        The landmarks of the submap.
     of : (m,) int64
         The landmark that each number stands for, after merging.
     others : (m,) bool
@@ -224,9 +224,9 @@ def _joint_rows(
     landmark: NDArray[np.int64],
     others: NDArray[np.bool_],
 ) -> tuple[JointRows, NDArray[np.float64]]:
-    """Return the rows of a piece, and of others seen with it; and where all of these may be.
+    """Return the rows of a submap, and of others seen with it; and where all of these may be.
 
-    Segments that are not fixed by the piece are left out.
+    Segments that are not fixed by the submap are left out.
     """
     mapped = chosen[landmark]
     placed, fixed = _laid_on(rows, positions, mapped, landmark)

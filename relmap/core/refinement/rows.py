@@ -1,4 +1,4 @@
-"""What segments say of the landmarks of one piece of the map, ready for the joint least squares."""
+"""What segments say of the landmarks of one submap, ready for the joint least squares."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
-    """Rows of segments that belong to one piece of the map, numbered without gaps.
+    """Rows of segments that belong to one submap, numbered without gaps.
 
     Attributes
     ----------
