@@ -50,9 +50,9 @@ def test_folder(tmp_path: Path) -> None:
     assert read_ids(tmp_path).tolist() == read_ids(path).tolist() == [6]
     put(tmp_path, CIRCLES, "again.circles")
     message = failure(tmp_path, "dlr-circles")
-    assert "expected one *.circles in the folder: again.circles, map.c" in message
+    assert "expected one *.circles, found again.circles, map.c" in message
     (tmp_path / "empty").mkdir()
-    assert "in the folder: none" in failure(tmp_path / "empty", "dlr-circles")
+    assert "holds no *.circles, expected one" in failure(tmp_path / "empty", "dlr-circles")
 
 
 @pytest.mark.parametrize(

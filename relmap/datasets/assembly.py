@@ -20,7 +20,12 @@ def iteration_column(name: str) -> Column:
     return Column(name, 0, MAX_ITERATION, integer=True)
 
 
-def id_column(name: str, required: bool) -> Column:
+def metres_column(name: str, required: bool = True) -> Column:
+    """Return a column of coordinates."""
+    return Column(name, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=required)
+
+
+def id_column(name: str, required: bool = True) -> Column:
     """Return the column of known associations; negative or empty where there is none."""
     limit = MAX_EXACT_INTEGER
     return Column(name, -limit, limit, integer=True, required=required, empty=-1.0)
@@ -31,36 +36,22 @@ def assemble_log(
     iteration_name: str,
     points_robot: NDArray[np.float64],
     ids: NDArray[np.int64] | None,
-    id_name: str = "id",
 ) -> ObservationLog:
     """Sort the rows of a table by iteration, keeping their order within one.
 
-    Parameters
-    ----------
-    table : Table
-        With a column of iteration numbers.
-    iteration_name, id_name : str
-        Names of the columns, `id_name` for messages only.
-    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-        Of each row.
-    ids : (n,) int64 or None
-        Of each row.
-
-    Raises
-    ------
-    RelmapError
-        Where the iteration numbers leave out too many, or an id stands twice in one.
+    Points (n, 2) or (n, 3), robot frame, metres, and ids (n,) are those of the rows. RelmapError
+    where the iteration numbers leave out too many, or an id stands twice in one iteration.
     """
     iteration = table.integers(iteration_name)
-    order = np.argsort(iteration, kind="stable")
+    order = np.argsort(iteration, kind="stable").astype(np.int64)
     _check_span(table, iteration_name, iteration[order], order)
     if ids is not None:
-        _check_unique(table, id_name, iteration, ids)
+        _check_unique(table, iteration, ids)
         ids = ids[order]
     return ObservationLog(
         points_robot=points_robot[order],
         iteration=iteration[order],
-        rows=order.astype(np.int64),
+        rows=order,
         first_iteration=int(iteration[order[0]]),
         end_iteration=int(iteration[order[-1]]) + 1,
         ids=ids,
@@ -68,7 +59,7 @@ def assemble_log(
 
 
 def _check_span(
-    table: Table, name: str, ascending: NDArray[np.int64], order: NDArray[np.intp]
+    table: Table, name: str, ascending: NDArray[np.int64], order: NDArray[np.int64]
 ) -> None:
     steps = np.diff(ascending)
     empty = int(np.maximum(steps - 1, 0).sum())
@@ -82,9 +73,7 @@ def _check_span(
         )
 
 
-def _check_unique(
-    table: Table, name: str, iteration: NDArray[np.int64], ids: NDArray[np.int64]
-) -> None:
+def _check_unique(table: Table, iteration: NDArray[np.int64], ids: NDArray[np.int64]) -> None:
     """Check that no landmark stands twice in one iteration."""
     known = np.flatnonzero(ids >= 0)
     order = known[np.lexsort((ids[known], iteration[known]))]
@@ -95,7 +84,7 @@ def _check_unique(
         row, before = int(order[k + 1]), int(order[k])
         table.fail(
             row,
-            name,
+            "id",
             f"{ids[row]} stands twice in iteration {iteration[row]} (before in "
             f"{table.place} {table.lines[before]}), expected each landmark once",
         )

@@ -22,21 +22,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import (
-    MAX_COORDINATE_M,
-    assemble_log,
-    id_column,
-    iteration_column,
-)
+from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column, iteration_column
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.number_rows import NumberRows, parse_number, read_rows
+from relmap.datasets.headers import columns_of, only_one, tables_with
+from relmap.datasets.number_rows import NumberRows, finite_numbers, read_rows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import columns_of, only_one, only_table, shown, tables_with
+from relmap.datasets.textfile import shown
 
 _COLUMNS = (
     iteration_column("step"),
-    id_column("id", required=True),
+    id_column("id"),
     Column("range_m", 0.0, MAX_COORDINATE_M, "metres"),
     Column("yaw_rad", -math.tau, math.tau, "radians"),
     Column("pitch_rad", -math.tau, math.tau, "radians"),
@@ -68,13 +64,9 @@ class MrptLandmarks:
         """Read the log: points in the robot's frame, two columns where the world is planar.
 
         It is where the pitch is free of noise and always 0, and the sensor stands upright.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
         """
-        table = read_table(only_table(path, _HALLMARK, "MRPT landmark log"), _COLUMNS)
+        file = only_one(path, tables_with(path, _HALLMARK), "MRPT landmark log (*.csv or *.csv.gz)")
+        table = read_table(file, _COLUMNS)
         R_robot_sensor, t_robot_sensor = _sensor_pose(table)
         points_robot = _points_sensor(table) @ R_robot_sensor.T + t_robot_sensor
         upright = np.array_equal(R_robot_sensor[2], [0.0, 0.0, 1.0])
@@ -96,13 +88,13 @@ def _sensor_pose(table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]
     """Return rotation (3, 3) and translation (3,) of the sensor on the robot, metres."""
     for comment in table.comments:
         if match := _SENSOR.search(comment):
-            try:
-                t = np.array([parse_number(text) for text in match[1].split()])
-                R = np.array([parse_number(text) for text in match[2].split()]).reshape(3, 3)
-            except ValueError:
+            t = np.array(finite_numbers(match[1].split()))
+            R = np.array(finite_numbers(match[2].split()))
+            if len(t) != 3 or len(R) != 9:
                 break
+            R = R.reshape(3, 3)
             rigid = np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_TOLERANCE
-            if t.shape == (3,) and np.isfinite(t).all() and rigid and np.linalg.det(R) > 0:
+            if rigid and np.linalg.det(R) > 0:
                 return R, t
             break
     raise RelmapError(
@@ -115,10 +107,7 @@ def _pitch_sigma(table: Table) -> float:
     """Return the pitch noise that the comments tell, radians; NaN where they do not."""
     for comment in table.comments:
         if match := _PITCH_SIGMA.search(comment):
-            try:
-                return parse_number(match[1])
-            except ValueError:
-                break
+            return next(iter(finite_numbers([match[1]])), math.nan)
     return math.nan
 
 
@@ -152,17 +141,17 @@ def read_ground_truth(
         Where a file is missing, or a row of it is not what the format promises.
     """
     base = _truth_base(Path(path))
-    landmarks_file = Path(f"{base}{_LANDMARKS}")
-    rows = _rows(landmarks_file, "x y z 5 0 0.0 id")
-    landmarks, lines = rows.values, rows.lines
+    file = Path(f"{base}{_LANDMARKS}")
+    rows = _rows(file, "x y z 5 0 0.0 id")
+    landmarks = rows.values
     ids = landmarks[:, 6]
     different, counts = np.unique(ids, return_counts=True)
     wrong = (ids != np.rint(ids)) | np.isin(ids, different[counts > 1])
     if wrong.any():
         row = int(np.argmax(wrong))
         raise RelmapError(
-            f"{shown(landmarks_file)}: line {lines[row]}, field id: {ids[row]:.10g} is no "
-            "integer or stands twice, expected each landmark's own number"
+            f"{shown(file)}: line {rows.lines[row]}, field id: {ids[row]:.10g} is no integer or "
+            "stands twice, expected each landmark's own number"
         )
     path_6d = _rows(Path(f"{base}{_PATH}"), "x y z yaw pitch roll").values
     poses = poses_of(Rotation.from_euler("ZYX", path_6d[:, 3:]), path_6d[:, :3])

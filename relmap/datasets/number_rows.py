@@ -1,9 +1,10 @@
-"""Rows of numbers, gathered one by one at 8 bytes a number."""
+"""Lines of numbers, gathered one by one at 8 bytes a number."""
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,15 @@ def parse_number(cell: str) -> float:
     return float(cell)
 
 
+def finite_numbers(cells: Iterable[str]) -> list[float]:
+    """Return the numbers in cells; an empty list where any cell is not a finite number."""
+    try:
+        numbers = [parse_number(cell) for cell in cells]
+    except ValueError:
+        return []
+    return numbers if all(map(math.isfinite, numbers)) else []
+
+
 def read_rows(
     path: Path,
     limits: Sequence[float],
@@ -49,44 +59,34 @@ def read_rows(
     ----------
     path : Path
     limits : sequence of float
-        The largest size of each number.
+        The largest magnitude of each number, finite.
     comment : str
         What begins a comment.
     what, expected : str
         What a row is, and what it holds, for messages.
     separator : str, optional
-        What stands between the numbers, and may stand behind the last; spaces where left out.
+        What separates the numbers and may follow the last; white space by default.
 
     Raises
     ------
     RelmapError
-        Where it cannot be read, holds no row, or a line is none.
+        Where the file cannot be read, holds no row, or a line is not a row.
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):
         cells = line.partition(comment)[0].strip().rstrip(separator).split(separator)
-        try:
-            row = [parse_number(cell) for cell in cells]
-        except ValueError:
-            row = []
+        row = finite_numbers(cells)
         if len(row) == len(limits) and (np.abs(row) <= limits).all():
             rows.add(row, number)
         elif any(cells):
             raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}, expected {expected}")
-    if not len(rows):
+    if not len(rows.lines):
         raise RelmapError(f"{shown(path)}: holds no {what}, expected {expected}")
     return rows
 
 
 class NumberRows:
-    """Rows of as many numbers each, gathered one by one at 8 bytes a number.
-
-    Parameters
-    ----------
-    path : Path
-        Where they come from, for messages.
-    width : int
-    """
+    """Rows of `width` numbers each and their lines; RelmapError where there are too many."""
 
     def __init__(self, path: Path, width: int) -> None:
         self._path = path
@@ -94,18 +94,8 @@ class NumberRows:
         self._values = array("d")
         self._lines = array("q")
 
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self._lines)
-
     def add(self, row: Sequence[float], line: int) -> None:
-        """Add a row that stands in a line, counted from 1.
-
-        Raises
-        ------
-        RelmapError
-            Where there are too many.
-        """
+        """Add a row that stands in a line, counted from 1."""
         self._values.extend(row)
         self._lines.append(line)
         if len(self._values) > MAX_LISTED:

@@ -48,12 +48,6 @@ class PointClouds:
         """Read the log; a cloud is read when its scan is asked for.
 
         Points whose coordinates are NaN are no returns and left out.
-
-        Raises
-        ------
-        RelmapError
-            Where there is no cloud, or the poses beside are damaged. `ScanLog.scans` raises it
-            where a cloud is damaged or empty.
         """
         require_path(path)
         files = _files(path) if os.path.isdir(path) else [path]

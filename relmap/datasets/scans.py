@@ -37,7 +37,7 @@ class PointScan:
     stamp_s : float
         Time, seconds; the iteration where the log has no clock.
     T_reference_robot : (4, 4) float64 or None
-        The pose that the log gives for comparison; None where it gives none.
+        The pose that the log gives for comparison, if any.
     """
 
     iteration: int
@@ -138,17 +138,9 @@ def stored_scans(
     poses: NDArray[np.float64] | None = None,
     sensor: SensorView | None = None,
 ) -> ScanLog:
-    """Make a log of points that are all in memory.
+    """Make a log of points (n, 2) or (n, 3) that are all in memory.
 
-    Parameters
-    ----------
-    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-    offsets : (k + 1,) int64
-        Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
-    stamps_s : (k,) float64
-    poses : (k, 4, 4) float64, optional
-        T_reference_robot.
-    sensor : SensorView, optional
+    Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``; see `ScanLog` for the rest.
     """
     return ScanLog(
         points_robot.shape[1],
@@ -180,7 +172,7 @@ def laser_scans(
     Parameters
     ----------
     path : Path
-        The log, for messages.
+        The log, for warnings.
     ranges_m, bearings_rad : list of k (b,) float64
         Beams in order, right to left; a range of 0 or less, as some lasers write errors, or of
         `limit_m` or more is no return.
@@ -247,14 +239,8 @@ def in_time_order(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the order of scans in time, and their stamps (seconds) in this order.
 
-    Where the clock is too coarse to tell them apart, the scans are counted instead.
-
-    Parameters
-    ----------
-    path : Path
-        The log, for messages.
-    stamps_s : (k,) float64, finite, seconds
-        In the order of the log.
+    The stamps (k,) are finite and in the order of the log, which is named in warnings. Where the
+    clock is too coarse to tell scans apart, they are counted instead.
     """
     late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
     if late:

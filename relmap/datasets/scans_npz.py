@@ -54,31 +54,21 @@ class ScansNpz:
         return foreign_at(file) == ZIP and not _without_arrays(file)
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log.
-
-        Raises
-        ------
-        RelmapError
-            Where an array is missing, damaged or holds what no scan can: file, array, row.
-        """
+        """Read the log."""
         file = _file_of(path)
         require_path(file)
         arrays = _read_arrays(file)
-        points, iteration, stamps_s = (arrays[name] for name in _KINDS)
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
-        _check_shapes(file, points, iteration, stamps_s)
-        _check_values(file, points, iteration, stamps_s)
+        _check_shapes(file, arrays)
+        _check_values(file, arrays)
+        points, iteration, stamps_s = (arrays[name] for name in _KINDS)
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
         offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
         points_robot = points[order].astype(np.float64, copy=False)
-        return stored_scans(
-            points_robot,
-            offsets.astype(np.int64),
-            stamps_s,
-            sensor=SensorView(**limits),
-        )
+        sensor = SensorView(**limits)
+        return stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
 
 
 def write_scans_npz(
@@ -173,43 +163,35 @@ def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
     raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")
 
 
-def _check_shapes(
-    file: Path,
-    points: NDArray[Any],
-    iteration: NDArray[Any],
-    stamps_s: NDArray[Any],
-) -> None:
-    arrays = {"points": points, "iteration": iteration, "stamps_s": stamps_s}
-    n, k = len(np.atleast_1d(points)), stamps_s.size
+def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    points, iteration, stamps_s = (arrays[name] for name in _KINDS)
     fits = {
-        "points": points.ndim == 2 and points.shape[1] in (2, 3) and n > 0,
-        "iteration": iteration.shape == (n,),
-        "stamps_s": stamps_s.shape == (k,) and k > 0,
+        "points": points.ndim == 2 and points.shape[1] in (2, 3) and len(points) > 0,
+        "iteration": iteration.shape == (len(np.atleast_1d(points)),),
+        "stamps_s": stamps_s.ndim == 1 and len(stamps_s) > 0,
     }
-    for name, array in arrays.items():
-        if not fits[name] or array.dtype.kind not in _KINDS[name]:
+    for name, kinds in _KINDS.items():
+        if not fits[name] or arrays[name].dtype.kind not in kinds:
             raise RelmapError(
-                f"{shown(file)}: array {name}: {array.dtype} {array.shape}, "
+                f"{shown(file)}: array {name}: {arrays[name].dtype} {arrays[name].shape}, "
                 f"expected {ScansNpz.description}, with at least one point"
             )
 
 
-def _check_values(
-    file: Path,
-    points: NDArray[Any],
-    iteration: NDArray[Any],
-    stamps_s: NDArray[Any],
-) -> None:
-    good = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
-    _require(file, "points", good, "is not finite or out of range, expected metres")
-    inside = (iteration >= 0) & (iteration < len(stamps_s))
-    _require(file, "iteration", inside, f"is no scan, expected 0 to {len(stamps_s) - 1}")
-    told_apart = np.isfinite(stamps_s)
+def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    points, iteration, stamps_s = (arrays[name] for name in _KINDS)
+    later = np.isfinite(stamps_s)
     order = np.argsort(stamps_s, kind="stable")
-    told_apart[order[1:]] &= np.diff(stamps_s[order]) > 0
-    _require(file, "stamps_s", told_apart, "is no later time, expected seconds, each scan its own")
-
-
-def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:
-    if not good.all():
-        raise RelmapError(f"{shown(file)}: array {array}, row {np.argmin(good)}: {problem}")
+    later[order[1:]] &= np.diff(stamps_s[order]) > 0
+    last = len(stamps_s) - 1
+    for name, good, problem in (
+        (
+            "points",
+            (np.abs(points) <= MAX_COORDINATE_M).all(axis=1),
+            "is not finite or out of range, expected metres",
+        ),
+        ("iteration", (iteration >= 0) & (iteration <= last), f"is no scan, expected 0 to {last}"),
+        ("stamps_s", later, "is no later time, expected seconds, each scan its own"),
+    ):
+        if not good.all():
+            raise RelmapError(f"{shown(file)}: array {name}, row {np.argmin(good)}: {problem}")

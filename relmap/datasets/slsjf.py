@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column
+from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.matfile import is_matlab, read_matrix
 from relmap.datasets.scans import planar_poses
@@ -31,13 +31,13 @@ BEACONS_FILE = "store_beaconsTrue.mat"
 ROBOT_FILE = "store_robotTrue.mat"
 
 _MAX_ANGLE_RAD = 1e6
-_X, _Y = (Column(axis, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres") for axis in "xy")
+_X, _Y = metres_column("x"), metres_column("y")
 _OBSERVATION = (
     Column("step", 1, MAX_ITERATION, integer=True),
-    id_column("id", required=True),
-    Column("range_m", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
+    id_column("id"),
+    metres_column("range_m"),
     Column("bearing_rad", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"),
-    *(Column(f"unused_{k}", -MAX_COORDINATE_M, MAX_COORDINATE_M) for k in (5, 6, 7)),
+    *(metres_column(f"unused_{k}") for k in (5, 6, 7)),
 )
 _BEACON = (Column("id", 0, MAX_EXACT_INTEGER, integer=True), _X, _Y)
 _POSE = (_X, _Y, Column("phi", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"))
@@ -61,11 +61,6 @@ class SlsjfSimulation:
         Some bearings are beyond a full turn, which sine and cosine do not mind.  A few ranges are
         negative, which the simulated noise made of short ones and no sensor would give: those
         observations are left out.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, row, field.
         """
         file = _log_file(path)
         table = _table(file, read_matrix(file, "sensor_data"), _OBSERVATION, "row")

@@ -24,9 +24,10 @@ from scipy.spatial import cKDTree
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.headers import columns_of, only_one, tables_with
 from relmap.datasets.matfile import read_matrix
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
+from relmap.datasets.textfile import shown
 
 CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
 """Holds the time of every scan, those without a tree too."""
@@ -42,7 +43,6 @@ _COLUMNS = (
     Column("diameter_m", 0.0, 1000.0, "metres"),
 )
 _HALLMARK = frozenset({"scan", "range_m", "bearing_rad"})
-_KIND = "Victoria Park log"
 
 _SAME_SCAN_S = 5e-4
 _SAME_TREE_M = 0.05
@@ -70,13 +70,8 @@ class VictoriaPark:
         Trees have ids where the association file stands beside, -1 for a tree it does not have.
         Without the clock file the log ends with the last scan that has a tree, and the time of a
         scan without one is interpolated.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
         """
-        file = only_table(path, _HALLMARK, _KIND)
+        file = only_one(path, tables_with(path, _HALLMARK), "Victoria Park log (*.csv or *.csv.gz)")
         table = read_table(file, _COLUMNS)
         points_robot = _points(table.columns["range_m"], table.columns["bearing_rad"])
         log = assemble_log(table, "scan", points_robot, None)

@@ -1,0 +1,80 @@
+"""The header of a table, and the one file in a folder that holds a log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.textfile import open_text, require_utf8, shown, unreadable
+
+
+def only_one(path: Path, found: Sequence[Path], what: str) -> Path:
+    """Return the path itself if it is no folder, else the only file of a kind found in it.
+
+    RelmapError where there is none, or there are several.
+    """
+    if not os.path.isdir(path):
+        return path
+    if not found:
+        raise RelmapError(f"{shown(path)}: holds no {what}, expected one")
+    if len(found) > 1:
+        names = ", ".join(shown(file.name) for file in found)
+        raise RelmapError(f"{shown(path)}: expected one {what}, found {names}")
+    return found[0]
+
+
+def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
+    """Return the members of a folder whose names end so, in order."""
+    try:
+        return [member for member in sorted(folder.iterdir()) if member.name.endswith(endings)]
+    except OSError as error:
+        raise unreadable(folder, error) from error
+
+
+class Head(NamedTuple):
+    """What stands above the rows of a table: comments without ``#``, and the header's cells."""
+
+    comments: tuple[str, ...]
+    columns: tuple[str, ...]
+    line: int
+
+
+def read_head(path: Path, stream: TextIO) -> Head:
+    """Read comments and header from a stream of `open_text`, up to the first row.
+
+    RelmapError where the file is empty, holds no header or is not text.
+    """
+    comments = []
+    number = 0
+    for number, line in enumerate(stream, 1):
+        require_utf8(path, number, line)
+        text = line.strip()
+        if text.startswith("#"):
+            comments.append(text.lstrip("#").strip())
+        elif text:
+            return Head(tuple(comments), tuple(cell.strip() for cell in text.split(",")), number)
+    problem = "holds no header" if number else "is empty"
+    raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
+
+
+def columns_of(path: Path) -> frozenset[str]:
+    """Return the header's cells of a table; none where the file cannot be read as one."""
+    try:
+        with open_text(path) as stream:
+            return frozenset(read_head(path, stream).columns)
+    except RelmapError:
+        return frozenset()
+
+
+def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
+    """Return the files whose header has all the columns: the path itself, or those in the folder.
+
+    In a folder only names that end in ``.csv`` or ``.csv.gz`` are looked into.
+    """
+    if not os.path.isdir(path):
+        return [path] if columns <= columns_of(path) else []
+    members = members_of(path, (".csv", ".csv.gz"))
+    return [member for member in members if columns <= columns_of(member)]
