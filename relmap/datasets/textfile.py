@@ -159,23 +159,31 @@ def require_utf8(path: Path, number: int, line: str) -> None:
         ) from error
 
 
+def why_not_written(error: Exception) -> str:
+    """Return why the operating system refuses to write a path."""
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return "a file stands where a folder must be"
+    return shown(getattr(error, "strerror", None) or error)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file beside the path, and put it in the path's place once it is whole.
+    """Open a file beside the path that takes its place once it is whole and on disk.
 
     Raises
     ------
     RelmapError
-        Where it cannot be written.
+        Where it cannot be written; no part of it is left behind.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
             yield file
+            file.flush()
+            os.fsync(file.fileno())  # some file systems tell only here that the disk is full
         part.replace(path)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
+        raise RelmapError(f"cannot write {shown(path)}: {why_not_written(error)}") from error
     finally:
         with suppress(OSError, ValueError):
             part.unlink(missing_ok=True)

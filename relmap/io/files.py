@@ -16,7 +16,15 @@ from scipy.spatial.transform import Rotation
 from relmap.core.errors import RelmapError
 from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import poses_of
-from relmap.datasets.textfile import numbered_lines, open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import (
+    numbered_lines,
+    open_text,
+    quoted,
+    replacing,
+    require_utf8,
+    shown,
+    why_not_written,
+)
 from relmap.io.tables import MAX_RESULT_M
 
 MAX_TEXT = 1 << 26
@@ -24,7 +32,7 @@ MAX_TEXT = 1 << 26
 
 
 def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
-    """Write a whole file or nothing: an earlier file of that name stays until the new one stands.
+    """Write a whole file or nothing: an earlier file of that name stays until then.
 
     Parameters
     ----------
@@ -38,24 +46,8 @@ def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     RelmapError
         Where the file cannot be written; no part of it is left behind.
     """
-    data = content.encode() if isinstance(content, str) else content
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        try:
-            with partial.open("xb") as stream:
-                stream.write(data)
-                _flush_to_disk(stream.fileno())
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise RelmapError(f"cannot write {shown(path)}: {_reason(error)}") from error
-
-
-def _reason(error: OSError) -> str:
-    if isinstance(error, FileExistsError | NotADirectoryError):
-        return "a file stands where a folder must be"
-    return shown(error.strerror or error)
+    with replacing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
 
 
 @contextmanager
@@ -95,7 +87,7 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         for name in set(stale) - written:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
-        raise RelmapError(f"cannot write into {shown(folder)}: {_reason(error)}") from error
+        raise RelmapError(f"cannot write into {shown(folder)}: {why_not_written(error)}") from error
     except RelmapError as error:
         raise RelmapError(str(error).replace(str(staging), str(folder))) from error
     finally:
@@ -115,14 +107,9 @@ def _move_files(staging: Path, folder: Path) -> None:
                 f"cannot write {shown(folder / name)}: a folder of that name is there"
             )
         with (staging / name).open("rb") as stream:
-            _flush_to_disk(stream.fileno())
+            os.fsync(stream.fileno())
     for name in names:
         (staging / name).replace(folder / name)
-
-
-def _flush_to_disk(descriptor: int) -> None:
-    # Some file systems tell only here that the disk is full.
-    os.fsync(descriptor)
 
 
 def read_text(path: Path) -> str:
