@@ -14,6 +14,7 @@ from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
 from relmap.segmentation.upright import require_upright
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, WALL, corners
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
@@ -181,8 +182,6 @@ class PlaneSegmenter:
         self, xyz: NDArray[np.float64], sharp: Sharpened, labels: NDArray[np.int64]
     ) -> tuple[NDArray[np.int64], Planes]:
         """Return labels without gaps in their numbers, and the planes."""
-        from relmap.segmentation.ends.pairs import corners
-
         ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
         count = np.bincount(labels[labels >= 0], minlength=len(ends))
         long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
@@ -206,7 +205,6 @@ def walls_of_labels(
 ) -> WallMixture:
     """Return walls through labelled points (n, 2), with the ends of blurred boxes."""
     from relmap.segmentation.em.moves import wall_through
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, EXACT_M, SHARE, WALL
     from relmap.segmentation.ends.box_kernels import box_extent
 
     walls = np.zeros((int(labels.max(initial=-1)) + 1, WALL))
@@ -223,7 +221,6 @@ def walls_of_labels(
 
 
 def _no_walls(xy: NDArray[np.float64], noise: float | None) -> WallMixture:
-    from relmap.segmentation.em.wall_kernels import WALL
 
     return WallMixture(np.zeros((0, WALL)), noise or 0.0, 1.0, 1.0)
 

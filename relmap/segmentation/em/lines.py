@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.segmentation.noise import neighbour_distance, points_per_beam
+from relmap.segmentation.wall import SHARE, WALL
 
 TRIES = 100
 BEAMS = 0.5
@@ -38,11 +39,10 @@ def find_lines(
     Returns
     -------
     walls : (k, WALL) float64
-        See `relmap.segmentation.em.wall_kernels`; best first.
+        See `relmap.segmentation.wall`; best first.
     labels : (n,) int64
         Row of `walls`, -1 for none.
     """
-    from relmap.segmentation.em.wall_kernels import SHARE, WALL
     from relmap.segmentation.em.window_kernels import grow_lines
 
     labels, found = np.full(len(xy), -1), [np.zeros((0, WALL))]

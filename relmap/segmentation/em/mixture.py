@@ -31,7 +31,7 @@ class WallMixture:
     Attributes
     ----------
     walls : (k, WALL) float64
-        See `relmap.segmentation.em.wall_kernels`.
+        See `relmap.segmentation.wall`.
     sigma : float
         Noise, metres.
     stray : float

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wall_cost
 from relmap.segmentation.ends.pairs import (
-    corners,
     flush,
     one_hides_other,
     side_by_side,
     within_reach,
 )
 from relmap.segmentation.ends.shadows import parted
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, corners
 
 BENT = 10.0
 """Loss of log likelihood above which two walls do not lie on one line."""
@@ -47,8 +47,6 @@ ROUGH = 0.05
 
 def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixture:
     """Take away walls that the rest explains about as well, weakest first."""
-    from relmap.segmentation.em.wall_kernels import SHARE
-
     penalty = wall_cost(len(xy))
     while len(mixture.walls):
         density, total = mixture.density(xy)
@@ -88,7 +86,7 @@ def _join(
     mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64], i: int, j: int
 ) -> NDArray[np.float64] | None:
     """Return two walls as one, given the wall of each point; None where they are two."""
-    from relmap.segmentation.em.wall_kernels import SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     w, v = mixture.walls[i], mixture.walls[j]
     if not within_reach(w, v, mixture.sigma):
@@ -148,7 +146,7 @@ def _bent(
     mixture: WallMixture, xy: NDArray[np.float64], own: NDArray[np.float64], k: int
 ) -> NDArray[np.float64] | None:
     """Return the two walls that a wall's points are better explained by, if they are."""
-    from relmap.segmentation.em.wall_kernels import SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     one, near = mixture.around([k], xy)
     wall, trials = one.walls[0], []
@@ -185,7 +183,7 @@ def wall_through(
 ) -> NDArray[np.float64]:
     """Return the wall through points (m, 2), which goes the way of another."""
     from relmap.segmentation.em.step_kernels import fit_line
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, EXACT_M, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     wall = like.copy()
     fit_line(own, wall, beam)
@@ -201,7 +199,7 @@ def _hangs_together(
 
     Of columns of beams those that are missing count, not points: a wall farther off has fewer.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, beam_spacing, local_density
+    from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
 
     if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
         w, v = v, w
@@ -220,7 +218,7 @@ def _hangs_together(
 
 def split(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     """Split walls at doors: stretches too empty to belong to an evenly filled wall."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     labels, walls = mixture.labels(xy), []
     for k, wall in enumerate(mixture.walls):

@@ -12,6 +12,7 @@ from relmap.segmentation.em.mixture import STRAY_AT_FIRST, WallMixture, maximise
 from relmap.segmentation.em.moves import ROUGH, bend, merge, prune, split
 from relmap.segmentation.ends.shadows import part_at_shadows
 from relmap.segmentation.noise import FLOOR_M, beam_angle, points_per_beam, window_noise
+from relmap.segmentation.wall import BEGIN, END, SHARE, WALL
 
 FEW = 1000
 MOST = 3000
@@ -61,8 +62,6 @@ def loosened(mixture: WallMixture, n: int) -> WallMixture:
 
     With no noise at all nothing beyond an end would ever be counted in.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE
-
     walls = mixture.walls.copy()
     spacing = (walls[:, END] - walls[:, BEGIN]) / np.maximum(walls[:, SHARE] * n, 1.0)
     more = np.where(spacing > mixture.sigma, LOOSER * spacing, 0.0)
@@ -85,8 +84,6 @@ def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
 
 def long_enough(mixture: WallMixture) -> NDArray[np.bool_]:
     """Tell which walls (k,) are longer than thick."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
     return np.asarray(length > SHORTEST * mixture.sigma)
 
@@ -111,8 +108,6 @@ def search_walls(
     xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
 ) -> WallMixture:
     """Return the walls of points (n, 2): of several starts what has the best evidence."""
-    from relmap.segmentation.em.wall_kernels import WALL
-
     sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
     nothing = WallMixture(
         np.zeros((0, WALL)),
@@ -171,8 +166,6 @@ def _with_strays(
     mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator
 ) -> WallMixture:
     """Add lines among points that belong to no wall yet."""
-    from relmap.segmentation.em.wall_kernels import SHARE
-
     _, total = mixture.density(xy)
     loose = mixture.stray / mixture.area > 0.5 * total
     strays = np.ascontiguousarray(xy[loose])

@@ -9,15 +9,7 @@ from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.em.wall_kernels import (
-    BEGIN,
-    END,
-    EXACT_M,
     PEAK,
-    PX,
-    PY,
-    SHARE,
-    UX,
-    UY,
     bell,
     end_blur,
     expect,
@@ -28,6 +20,7 @@ from relmap.segmentation.em.wall_kernels import (
     sighted,
     weighted_line,
 )
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, PX, PY, SHARE, UX, UY
 
 NEWTON = 3
 """Steps to the likeliest line."""

@@ -1,7 +1,6 @@
 """The hot loops of segmentation, compiled.
 
-A wall is a row of `WALL` numbers: a point on it and its direction (metres, robot frame), where it
-begins and ends along that direction, and its share of the scan's points.
+Walls are rows of numbers, see `relmap.segmentation.wall`.
 
 Points lie evenly on the walls, each with noise in all directions; or on beams, evenly spaced and
 `beam` radians apart, each with noise along its beam: its bearing is exact, and tells where on the
@@ -19,13 +18,10 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from relmap.core.linalg.compiling import compiled
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
-PX, PY, UX, UY, BEGIN, END, SHARE = range(7)
-WALL = 7
 REACH = 6.0
 """Beyond this many standard deviations a Gaussian is taken for nothing."""
-EXACT_M = 1e-7
-"""Below this noise the ends are the outermost points: the blur is lost in rounding."""
 PEAK = 1.0 / math.sqrt(2.0 * math.pi)
 GRAZING = 1.56
 """Of beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
@@ -197,10 +193,10 @@ def expect(
 @compiled
 def weighted_line(
     xy: NDArray[np.float64], weight: NDArray[np.float64], wall: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Fit a wall's point and direction to weighted points; return their weight and scatter across.
+) -> None:
+    """Fit a wall's point and direction to weighted points by total least squares.
 
-    Total least squares; the direction keeps its sense, the ends are moved along.
+    The direction keeps its sense, and the ends are moved along.
     """
     total, x, y = 0.0, 0.0, 0.0
     for i in range(len(xy)):
@@ -208,7 +204,7 @@ def weighted_line(
         x += weight[i] * (xy[i, 0] - wall[PX])
         y += weight[i] * (xy[i, 1] - wall[PY])
     if total <= 0:
-        return 0.0, 0.0
+        return
     px, py = wall[PX] + x / total, wall[PY] + y / total
     xx, xy_, yy = 0.0, 0.0, 0.0
     for i in range(len(xy)):
@@ -225,9 +221,3 @@ def weighted_line(
     wall[PX], wall[PY], wall[UX], wall[UY] = px, py, ux, uy
     wall[BEGIN] -= shift
     wall[END] -= shift
-    across = 0.0
-    for i in range(len(xy)):
-        if weight[i] > 0:
-            d = (xy[i, 1] - py) * ux - (xy[i, 0] - px) * uy
-            across += weight[i] * d * d
-    return total, across

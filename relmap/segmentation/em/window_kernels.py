@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
-from relmap.segmentation.em.wall_kernels import BEGIN, END, PX, PY, UX, UY, WALL, weighted_line
+from relmap.segmentation.em.wall_kernels import weighted_line
+from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY, WALL
 
 ROUNDS = 2
 """So often a line is grown along its band and fitted to what it met."""

@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.em.wall_kernels import (
-    BEGIN,
-    END,
-    EXACT_M,
     PEAK,
     REACH,
     foot_and_height,
@@ -27,6 +24,7 @@ from relmap.segmentation.em.wall_kernels import (
     place,
     sightings,
 )
+from relmap.segmentation.wall import BEGIN, END, EXACT_M
 
 INWARD = 5.0
 """An end is looked for no more than so many standard deviations inwards of where it was."""
@@ -99,16 +97,6 @@ def _bracket(
 
 
 @compiled
-def _outermost(t: NDArray[np.float64], weight: NDArray[np.float64], otherwise: float) -> float:
-    """Return the lowest position that belongs to the wall at all."""
-    lowest = np.inf
-    for i in range(len(t)):
-        if weight[i] > 0.01 and t[i] < lowest:
-            lowest = t[i]
-    return lowest if lowest < np.inf else otherwise
-
-
-@compiled
 def lower_end(
     begin: float,
     end: float,
@@ -124,7 +112,8 @@ def lower_end(
     the blur is their spacing.
     """
     if blur < EXACT_M:
-        return _outermost(t, weight, begin)
+        own = t[weight > 0.01]
+        return own.min() if len(own) > 0 else begin
     near = t < begin + (INWARD + REACH) * blur
     t, weight = t[near], weight[near]
     low, high = _bracket(begin, end, t, weight, blur, density, beams)

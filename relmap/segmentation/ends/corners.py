@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.segmentation.em.mixture import WallMixture, maximise
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 GATE = 3.0
 """An end lies in a corner if it is within so many standard deviations of it."""
@@ -59,7 +60,7 @@ def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
 
 def solve_ends(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     """Return the mixture with the ends of its walls where they are most likely."""
-    from relmap.segmentation.em.wall_kernels import SHARE, span
+    from relmap.segmentation.em.wall_kernels import span
     from relmap.segmentation.ends.box_kernels import fit_ends
 
     density, total = mixture.density(xy)
@@ -78,8 +79,6 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     An end belongs to a corner if the wall it meets reaches there too, both within what their
     accuracy allows. The crossing of two lines is better known than either end.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE
-
     walls, blur = mixture.walls, end_spread(mixture, n)
     amount = np.maximum(walls[:, SHARE] * n, 3.0)[:, None]
     length = np.maximum(walls[:, END] - walls[:, BEGIN], 1e-9)[:, None]
@@ -113,7 +112,7 @@ def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
 
     By the noise, and by how far apart points are; and between two beams an end lies anywhere.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, beam_spacing, local_density
+    from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
 
     spread = np.zeros((len(mixture.walls), 2))
     for k, wall in enumerate(mixture.walls):
@@ -128,8 +127,6 @@ def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
 
 def crossings(walls: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return how far along each line (k, 1) it crosses each other (1, k), and the sine there."""
-    from relmap.segmentation.em.wall_kernels import PX, PY, UX, UY
-
     ux, uy = walls[:, UX], walls[:, UY]
     cross = ux[:, None] * uy - uy[:, None] * ux
     dx, dy = walls[:, PX] - walls[:, PX, None], walls[:, PY] - walls[:, PY, None]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.segmentation.wall import BEGIN, END, corners
+
 HIDDEN = 0.7
 """Share of a wall's view before which there cannot be another wall."""
 FLUSH = 4.0
@@ -50,8 +52,6 @@ def one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float
 
 def within_reach(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
     """Tell whether two walls come so close that they may be one."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
     for one, other in ((w, v), (v, w)):
         offset = corners(other) - one[:2]
@@ -60,8 +60,3 @@ def within_reach(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -
         if (np.hypot(beyond, d) < reach).any():
             return True
     return False
-
-
-def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the two ends (2, 2) of a wall."""
-    return wall[:2] + wall[4:6, None] * wall[2:4]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.segmentation.em.mixture import WallMixture
+from relmap.segmentation.wall import BEGIN, END, PX, SHARE, UX
 
 BEFORE = 2.0
 """Standard deviations by which the middle of a wall is nearer than what it hides."""
@@ -26,8 +27,6 @@ LEAKED = 0.8
 
 def shadows(walls: NDArray[np.float64], k: int, sigma: float, n: int) -> NDArray[np.float64]:
     """Return the stretches (s, 2) along wall k, among n points, that nearer walls hide."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, PX, SHARE, UX
-
     wall = walls[k]
     others = np.delete(walls, k, axis=0)
     others = others[others[:, SHARE] * n >= LEAST]
@@ -46,7 +45,7 @@ def shadows(walls: NDArray[np.float64], k: int, sigma: float, n: int) -> NDArray
 
 def part_at_shadows(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     """Split walls where nearer ones hide them, if no more points lie there than noise explains."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.along
     for k, wall in enumerate(mixture.walls):
@@ -82,8 +81,6 @@ def _empty(
 
 def parted(walls: NDArray[np.float64], i: int, j: int, sigma: float, n: int) -> bool:
     """Tell whether a shadow parts two walls, among n points, that else might be one."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     if walls[i, END] - walls[i, BEGIN] < walls[j, END] - walls[j, BEGIN]:
         i, j = j, i
     w, v = walls[i], walls[j]

@@ -8,17 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
-from relmap.segmentation.em.wall_kernels import (
-    BEGIN,
-    END,
-    PX,
-    PY,
-    SHARE,
-    UX,
-    UY,
-    WALL,
-    weighted_line,
-)
+from relmap.segmentation.em.wall_kernels import weighted_line
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, WALL
 
 STEEP = math.radians(4.0)
 """A wall that a beam meets at a smaller angle is not followed from beam to beam."""

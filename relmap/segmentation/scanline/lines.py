@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
+from relmap.segmentation.wall import BEGIN, END
 
 CHANCE = 1e-3
 """Points that form a line by chance with a greater probability are no wall."""
@@ -57,7 +58,6 @@ def scan_walls(
     noise : float or None
         Metres; estimated where None.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
     from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
 
     sigma = beam_noise(xy) if noise is None else max(noise, FLOOR_M)
@@ -84,8 +84,6 @@ def extend_to_beams(
 
     An end lies anywhere between its last beam and the next one, which meets something else.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     if len(mixture.walls) == 0:
         return mixture
     bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
