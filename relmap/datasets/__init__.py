@@ -144,7 +144,7 @@ def _found_instead(path: Path, what: str) -> str:
     if path.is_dir():
         return f"the folder holds no {what}" + (f" but {foreign}" if foreign else "")
     if foreign:
-        return f"is {foreign} and no {what}"
+        return f"is {foreign}, not a {what}"
     with open_text(path) as stream:
         head = read_head(path, stream)
-    return f"line {head.line}: {quoted(','.join(head.columns))} begins no {what}"
+    return f"line {head.line}: {quoted(','.join(head.columns))} does not begin a {what}"

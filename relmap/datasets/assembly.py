@@ -12,7 +12,7 @@ MAX_COORDINATE_M = 1e9
 """No sensor sees a landmark further away than this."""
 
 MAX_EMPTY_ITERATIONS = 1_000_000
-"""More iterations than this without a row: the numbers are no count of scans."""
+"""More iterations than this without a row: the numbers do not count scans."""
 
 
 def iteration_column(name: str) -> Column:
@@ -40,7 +40,7 @@ def assemble_log(
     """Sort the rows of a table by iteration, keeping their order within one.
 
     Points (n, 2) or (n, 3), robot frame, metres, and ids (n,) are those of the rows. RelmapError
-    where the iteration numbers leave out too many, or an id stands twice in one iteration.
+    where the iteration numbers leave out too many, or an id occurs twice in one iteration.
     """
     iteration = table.integers(iteration_name)
     order = np.argsort(iteration, kind="stable").astype(np.int64)
@@ -74,7 +74,7 @@ def _check_span(
 
 
 def _check_unique(table: Table, iteration: NDArray[np.int64], ids: NDArray[np.int64]) -> None:
-    """Check that no landmark stands twice in one iteration."""
+    """Check that no landmark occurs twice in one iteration."""
     known = np.flatnonzero(ids >= 0)
     order = known[np.lexsort((ids[known], iteration[known]))]
     same = (np.diff(ids[order]) == 0) & (np.diff(iteration[order]) == 0)
@@ -85,6 +85,6 @@ def _check_unique(table: Table, iteration: NDArray[np.int64], ids: NDArray[np.in
         table.fail(
             row,
             "id",
-            f"{ids[row]} stands twice in iteration {iteration[row]} (before in "
+            f"{ids[row]} occurs twice in iteration {iteration[row]} (before in "
             f"{table.place} {table.lines[before]}), expected each landmark once",
         )

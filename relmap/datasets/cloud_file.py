@@ -93,7 +93,7 @@ def read_cloud(file: Path) -> NDArray[np.float64]:
     end = _header_end(data)
     if end is None:
         found = foreign_format(data[:HEAD_BYTES])
-        what = f"is {found} and no cloud" if found else "no header of a cloud"
+        what = f"is {found}, not a point cloud" if found else "no header of a cloud"
         raise RelmapError(f"{shown(file)}: {what}, expected a PCD or PLY file")
     try:
         header = [line.split() for line in data[:end].decode("ascii").splitlines()]

@@ -150,8 +150,8 @@ def read_ground_truth(
     if wrong.any():
         row = int(np.argmax(wrong))
         raise RelmapError(
-            f"{shown(file)}: line {rows.lines[row]}, field id: {ids[row]:.10g} is no integer or "
-            "stands twice, expected each landmark's own number"
+            f"{shown(file)}: line {rows.lines[row]}, field id: {ids[row]:.10g} is not an "
+            "integer or occurs twice, expected each landmark's own number"
         )
     path_6d = _rows(Path(f"{base}{_PATH}"), "x y z yaw pitch roll").values
     poses = poses_of(Rotation.from_euler("ZYX", path_6d[:, 3:]), path_6d[:, :3])

@@ -29,7 +29,7 @@ def parse_number(cell: str) -> float:
     Raises
     ------
     ValueError
-        Where it is none.
+        Where the cell does not hold a number.
     """
     if "_" in cell or not cell.isascii():
         raise ValueError(cell)

@@ -39,7 +39,7 @@ class PointClouds:
     description = "a folder of .pcd or .ply files, which may be packed as .xz"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is such a file, or a folder with one that is no result of relmap's."""
+        """Tell whether it is such a file, or a folder of them that is not a result of relmap."""
         if not os.path.isdir(path):
             return is_cloud(path)
         return bool(_files(path)) and not (path / _RESULT).exists()
@@ -47,7 +47,7 @@ class PointClouds:
     def load(self, path: Path) -> ScanLog:
         """Read the log; a cloud is read when its scan is asked for.
 
-        Points whose coordinates are NaN are no returns and left out.
+        Points whose coordinates are NaN are beams without a return and left out.
         """
         require_path(path)
         files = _files(path) if os.path.isdir(path) else [path]

@@ -175,7 +175,7 @@ def laser_scans(
         The log, for warnings.
     ranges_m, bearings_rad : list of k (b,) float64
         Beams in order, right to left; a range of 0 or less, as some lasers write errors, or of
-        `limit_m` or more is no return.
+        `limit_m` or more is not a return.
     limit_m : float
     T_robot_laser : (k, 3) float64
         x, y (metres) and yaw (radians) of the laser on the robot.

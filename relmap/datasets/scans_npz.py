@@ -190,8 +190,16 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
             (np.abs(points) <= MAX_COORDINATE_M).all(axis=1),
             "is not finite or out of range, expected metres",
         ),
-        ("iteration", (iteration >= 0) & (iteration <= last), f"is no scan, expected 0 to {last}"),
-        ("stamps_s", later, "is no later time, expected seconds, each scan its own"),
+        (
+            "iteration",
+            (iteration >= 0) & (iteration <= last),
+            f"is not a scan, expected 0 to {last}",
+        ),
+        (
+            "stamps_s",
+            later,
+            "is not a later time, expected seconds, a different time for each scan",
+        ),
     ):
         if not good.all():
             raise RelmapError(f"{shown(file)}: array {name}, row {np.argmin(good)}: {problem}")

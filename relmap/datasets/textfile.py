@@ -25,7 +25,7 @@ MAX_LINES = 10_000_000
 """It has no more lines, whatever they hold: each takes memory many times its own bytes."""
 
 MAX_LINE_BYTES = 1 << 16
-"""A longer line is no row of a table."""
+"""A longer line is not a row of a table."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _SHOWN_CHARACTERS = 60

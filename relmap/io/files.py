@@ -200,7 +200,7 @@ def _tum_row(where: str, line: str) -> list[float]:
         except ValueError:
             raise RelmapError(f"{where}: {quoted(cell)} is not a number") from None
     if not (np.isfinite(row).all() and max(map(abs, row[1:4])) <= MAX_RESULT_M):
-        raise RelmapError(f"{where}: {quoted(line)} holds a number that no pose can have")
+        raise RelmapError(f"{where}: {quoted(line)} holds a number that is out of range for a pose")
     if not 0.1 < max(map(abs, row[4:])) < 10:
         raise RelmapError(f"{where}: the quaternion qx qy qz qw is not of unit length")
     return row

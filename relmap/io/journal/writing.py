@@ -141,7 +141,7 @@ class Journal:
             raise self._error(self._failure) from self._failure
 
     def close(self) -> None:
-        """Flush, and let the file go.
+        """Flush, and close the file.
 
         Raises
         ------

@@ -15,7 +15,7 @@ from relmap.segmentation.wall import SHARE, WALL
 
 TRIES = 100
 BEAMS = 0.5
-"""What is seen under a smaller angle, in beams, is no wall but the noise of one column."""
+"""What is seen under a smaller angle, in beams, is the noise of one column, not a wall."""
 UNCLAIMED = 0.6
 """A line keeps its claim where this share of its points is still free; else it is grown anew."""
 

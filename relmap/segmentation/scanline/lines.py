@@ -17,11 +17,11 @@ from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END
 
 CHANCE = 1e-3
-"""Points that form a line by chance with a greater probability are no wall."""
+"""Points that form a line by chance with a greater probability are not a wall."""
 MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
 INLIER = 5 / MEDIAN
-"""Five standard deviations, in such medians: what lies farther off is no noise."""
+"""Five standard deviations, in such medians: what lies farther off is not noise."""
 ROUNDS = 10
 NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
