@@ -80,6 +80,10 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
     format : str or None
         One of `FORMATS`; None: recognised by the content.
 
+    Returns
+    -------
+    ObservationLog
+
     Raises
     ------
     RelmapError
@@ -97,6 +101,11 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
         A file, or a folder that holds a log.
     format : str or None
         One of `SCAN_FORMATS`; None: recognised by the content.
+
+    Returns
+    -------
+    ScanLog
+        The points of a scan may be read only when they are asked for.
 
     Raises
     ------

@@ -96,6 +96,11 @@ class ObservationLog:
     def between(self, begin: int, end: int) -> ObservationLog:
         """Return the part of the log in iterations ``range(begin, end)``.
 
+        Parameters
+        ----------
+        begin, end : int
+            In the log's own numbers; the log may end before.
+
         Raises
         ------
         RelmapError

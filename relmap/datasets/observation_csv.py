@@ -73,8 +73,14 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
     """Write a log so that reading it gives the same numbers, bit by bit.
 
     Rows are written in the log's order; iterations without a row leave no trace in the file, so
-    empty ones at either end are lost. The file appears whole or not at all. A name that ends in
-    ``.gz`` is gzipped, and the same log gives the same bytes.
+    empty ones at either end are lost. The same log gives the same bytes.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file, gzipped if its name ends in ``.gz``; it appears whole or not at all.
+    log : ObservationLog
+        Coordinates in metres, robot frame.
 
     Raises
     ------

@@ -41,6 +41,14 @@ class Relations:
 def read_relations(path: Path) -> Relations:
     """Read a ``.relations`` file.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Relations
+
     Raises
     ------
     RelmapError

@@ -113,6 +113,11 @@ class ScanLog:
     def between(self, begin: int, end: int) -> ScanLog:
         """Return the part of the log in iterations ``range(begin, end)``.
 
+        Parameters
+        ----------
+        begin, end : int
+            In the log's own numbers; the log may end before.
+
         Raises
         ------
         RelmapError

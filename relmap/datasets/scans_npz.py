@@ -184,22 +184,14 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     order = np.argsort(stamps_s, kind="stable")
     later[order[1:]] &= np.diff(stamps_s[order]) > 0
     last = len(stamps_s) - 1
-    for name, good, problem in (
-        (
-            "points",
-            (np.abs(points) <= MAX_COORDINATE_M).all(axis=1),
-            "is not finite or out of range, expected metres",
-        ),
-        (
-            "iteration",
-            (iteration >= 0) & (iteration <= last),
-            f"is not a scan, expected 0 to {last}",
-        ),
-        (
-            "stamps_s",
-            later,
-            "is not a later time, expected seconds, a different time for each scan",
-        ),
-    ):
-        if not good.all():
-            raise RelmapError(f"{shown(file)}: array {name}, row {np.argmin(good)}: {problem}")
+    near = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
+    there = (iteration >= 0) & (iteration <= last)
+    each_its_own = "expected seconds, a different time for each scan"
+    _require(file, "points", near, "is not finite or out of range, expected metres")
+    _require(file, "iteration", there, f"is not a scan, expected 0 to {last}")
+    _require(file, "stamps_s", later, f"is not a later time, {each_its_own}")
+
+
+def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:
+    if not good.all():
+        raise RelmapError(f"{shown(file)}: array {array}, row {np.argmin(good)}: {problem}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,10 +115,9 @@ def checked_table(
     """
     by_name = {column.name: values[:, k].copy() for k, column in enumerate(columns)}
     table = Table(path, (), by_name, lines, place)
-    for row, k in _first_outside(values, columns):
-        value = float(values[row, k])
-        problem = _problem(columns[k], value)
-        table.fail(row, columns[k].name, f"{value:.10g} {problem}, expected {columns[k].expected}")
+    for row, k, problem in _first_outside(values, columns):
+        column = columns[k]
+        table.fail(row, column.name, f"{values[row, k]:.10g} {problem}, expected {column.expected}")
     return table
 
 
@@ -167,11 +165,9 @@ def _parsed(
         batch, lines = [batch[k] for k in filled], lines[filled]
         rows = [_exact(path, text, int(n), columns) for text, n in zip(batch, lines, strict=True)]
         values = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
-    for row, k in _first_outside(values, columns):
+    for row, k, problem in _first_outside(values, columns):
         cell = batch[row].split(",")[k]
-        raise _wrong_cell(
-            path, int(lines[row]), columns[k], cell, _problem(columns[k], float(values[row, k]))
-        )
+        raise _wrong_cell(path, int(lines[row]), columns[k], cell, problem)
     return values, lines
 
 
@@ -186,10 +182,11 @@ def _exact(path: Path, text: str, line: int, columns: Sequence[Column]) -> list[
         )
     row = []
     for column, cell in zip(columns, map(str.strip, cells), strict=True):
+        if not cell and column.empty is not None:
+            row.append(column.empty)
+            continue
         try:
-            row.append(
-                column.empty if not cell and column.empty is not None else parse_number(cell)
-            )
+            row.append(parse_number(cell))
         except ValueError:
             problem = "is not a number" if cell else "is empty"
             raise _wrong_cell(path, line, column, cell, problem) from None
@@ -201,8 +198,10 @@ def _wrong_cell(path: Path, line: int, column: Column, cell: str, problem: str) 
     return RelmapError(f"{where}: {quoted(cell)} {problem}, expected {column.expected}")
 
 
-def _first_outside(values: NDArray[np.float64], columns: Sequence[Column]) -> list[tuple[int, int]]:
-    """Return row and column of the first cell that its column does not allow, if any."""
+def _first_outside(
+    values: NDArray[np.float64], columns: Sequence[Column]
+) -> list[tuple[int, int, str]]:
+    """Return row and column of the first cell that its column does not allow, if any, and why."""
     found = []
     for k, column in enumerate(columns):
         cells = values[:, k]
@@ -210,17 +209,14 @@ def _first_outside(values: NDArray[np.float64], columns: Sequence[Column]) -> li
         if column.integer:
             good &= cells == np.rint(cells)
         if not good.all():
-            found.append((int(np.argmin(good)), k))
+            row = int(np.argmin(good))
+            problem = "is out of range"
+            if not np.isfinite(cells[row]):
+                problem = "is not finite"
+            elif column.integer and cells[row] != np.rint(cells[row]):
+                problem = "is not an integer"
+            found.append((row, k, problem))
     return sorted(found)[:1]
-
-
-def _problem(column: Column, value: float) -> str:
-    """Say why a column does not allow a value."""
-    if not math.isfinite(value):
-        return "is not finite"
-    if column.integer and value != round(value):
-        return "is not an integer"
-    return "is out of range"
 
 
 def parse_fast(batch: list[str], width: int) -> NDArray[np.float64] | None:

@@ -162,6 +162,15 @@ def json_text(content: dict[str, Any]) -> str:
 def read_result(folder: Path) -> Result:
     """Read a result folder.
 
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Result
+        Without its submaps.
+
     Raises
     ------
     RelmapError
