@@ -19,7 +19,6 @@ from relmap.segmentation.ends.pairs import (
     side_by_side,
     within_reach,
 )
-from relmap.segmentation.ends.shadows import parted
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, corners
 
 BENT = 10.0
@@ -92,7 +91,7 @@ def _join(
     if not within_reach(w, v, mixture.sigma):
         return None
     own = xy[(labels == i) | (labels == j)]
-    if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
+    if len(own) < 3:
         return None
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]
