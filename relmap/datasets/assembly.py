@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
 
@@ -32,10 +32,7 @@ def id_column(name: str, required: bool = True) -> Column:
 
 
 def assemble_log(
-    table: Table,
-    iteration_name: str,
-    points_robot: NDArray[np.float64],
-    ids: NDArray[np.int64] | None,
+    table: Table, iteration_name: str, points_robot: Floats, ids: Ints | None
 ) -> ObservationLog:
     """Sort the rows of a table by iteration, keeping their order within one.
 
@@ -58,9 +55,7 @@ def assemble_log(
     )
 
 
-def _check_span(
-    table: Table, name: str, ascending: NDArray[np.int64], order: NDArray[np.int64]
-) -> None:
+def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:
     steps = np.diff(ascending)
     empty = int(np.maximum(steps - 1, 0).sum())
     if empty > MAX_EMPTY_ITERATIONS:
@@ -73,7 +68,7 @@ def _check_span(
         )
 
 
-def _check_unique(table: Table, iteration: NDArray[np.int64], ids: NDArray[np.int64]) -> None:
+def _check_unique(table: Table, iteration: Ints, ids: Ints) -> None:
     """Check that no landmark occurs twice in one iteration."""
     known = np.flatnonzero(ids >= 0)
     order = known[np.lexsort((ids[known], iteration[known]))]

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 
 Log = TypeVar("Log", covariant=True)
@@ -47,9 +47,9 @@ class Scan:
     """
 
     iteration: int
-    points_robot: NDArray[np.float64]
-    ids: NDArray[np.int64] | None
-    rows: NDArray[np.int64]
+    points_robot: Floats
+    ids: Ints | None
+    rows: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +72,13 @@ class ObservationLog:
         Time of each iteration, seconds; None where the log has no clock.
     """
 
-    points_robot: NDArray[np.float64]
-    iteration: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    points_robot: Floats
+    iteration: Ints
+    rows: Ints
     first_iteration: int
     end_iteration: int
-    ids: NDArray[np.int64] | None = None
-    stamps_s: NDArray[np.float64] | None = None
+    ids: Ints | None = None
+    stamps_s: Floats | None = None
 
     def __len__(self) -> int:
         """Return the number of iterations, empty ones included."""

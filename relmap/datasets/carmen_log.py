@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.number_rows import NumberRows, finite_numbers
@@ -55,8 +55,8 @@ _FORMS = {
 class _Scan:
     """What one line holds; `limit_m` is what it says of the sensor's maximum."""
 
-    ranges_m: NDArray[np.float64]
-    bearings_rad: NDArray[np.float64]
+    ranges_m: Floats
+    bearings_rad: Floats
     pose: list[float]
     T_robot_laser: list[float]
     stamp_s: float
@@ -100,7 +100,7 @@ class CarmenLog:
         return _log(path, scans, vertices.values)
 
 
-def _log(path: Path, scans: list[_Scan], vertices: NDArray[np.float64]) -> ScanLog:
+def _log(path: Path, scans: list[_Scan], vertices: Floats) -> ScanLog:
     given = len(vertices) == len(scans)
     x, y, yaw = (vertices if given else np.array([scan.pose for scan in scans])).T
     order, stamps_s = in_time_order(path, np.array([scan.stamp_s for scan in scans]))
@@ -192,7 +192,7 @@ class _Line(NamedTuple):
             raise self.wrong(culprits[:1] if of_right_length and culprits else self.cells)
         return values
 
-    def ranges(self, values: list[float]) -> NDArray[np.float64]:
+    def ranges(self, values: list[float]) -> Floats:
         """Return the ranges of a scan, metres."""
         ranges = np.array(values)
         wrong = ranges > MAX_COORDINATE_M

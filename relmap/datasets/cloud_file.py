@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import HEAD_BYTES, foreign_format
@@ -76,7 +76,7 @@ def is_cloud(file: Path) -> bool:
         return False
 
 
-def read_cloud(file: Path) -> NDArray[np.float64]:
+def read_cloud(file: Path) -> Floats:
     """Read the points of a PCD or PLY file, plain or packed by xz.
 
     Returns
@@ -180,7 +180,7 @@ def _ply(header: list[list[str]]) -> _Layout:
     return _Layout(int(lines[1][2]), names, types, not order)
 
 
-def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
+def _points(layout: _Layout, data: bytes, begin: int) -> Floats:
     """Return x, y and z of all points (n, 3); ValueError where some are missing."""
     axes = [layout.names.index(axis) for axis in "xyz"]
     if layout.count <= 0:
@@ -205,7 +205,7 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
     return np.column_stack([points[f"f{k}"] for k in axes]).astype(np.float64)
 
 
-def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> NDArray[np.float64]:
+def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> Floats:
     """Return some numbers (n, len(axes)) of all points; ValueError where data do not fit."""
     from relmap.datasets.lzf_kernels import unpacked_lzf
 

@@ -18,8 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, id_column, iteration_column, metres_column
 from relmap.datasets.base import ObservationLog
@@ -60,7 +60,7 @@ class DlrCircles:
         return replace(log, first_iteration=0, end_iteration=steps)
 
 
-def read_ids(path: Path) -> NDArray[np.int64]:
+def read_ids(path: Path) -> Ints:
     """Return the ids of all circles that were identified, ascending; fails as `DlrCircles.load`."""
     table, _ = _read(_only_file(path))
     ids = np.unique(table.integers("id"))

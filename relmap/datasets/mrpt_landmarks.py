@@ -18,9 +18,9 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column, iteration_column
 from relmap.datasets.base import ObservationLog
@@ -75,16 +75,16 @@ class MrptLandmarks:
         return assemble_log(table, "step", points_robot, table.integers("id"))
 
 
-def _points_sensor(table: Table) -> NDArray[np.float64]:
+def _points_sensor(table: Table) -> Floats:
     """Return the points, (n, 3), sensor frame, metres."""
     yaw, pitch = table.columns["yaw_rad"], table.columns["pitch_rad"]
     ahead, left = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
     directions = np.column_stack([ahead, left, -np.sin(pitch)])
-    points: NDArray[np.float64] = table.columns["range_m"][:, None] * directions
+    points: Floats = table.columns["range_m"][:, None] * directions
     return points
 
 
-def _sensor_pose(table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
     """Return rotation (3, 3) and translation (3,) of the sensor on the robot, metres."""
     for comment in table.comments:
         if match := _SENSOR.search(comment):
@@ -118,9 +118,7 @@ def is_ground_truth(path: Path) -> bool:
     return path.name.endswith((_LANDMARKS, _PATH))
 
 
-def read_ground_truth(
-    path: Path | str,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """Read the exact truth of a log.
 
     Parameters

@@ -14,8 +14,8 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.headers import columns_of, only_one, tables_with
@@ -76,7 +76,7 @@ def _columns(beams: int) -> list[Column]:
     ]
 
 
-def _sensor(table: Table) -> tuple[NDArray[np.float64], float]:
+def _sensor(table: Table) -> tuple[Floats, float]:
     """Return the pose x, y, yaw of the sensor on the robot, and its maximum range, metres."""
     text = "\n".join(table.comments)
     pose, maximum = _SENSOR.search(text), _MAXIMUM.search(text)

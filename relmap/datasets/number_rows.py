@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
@@ -102,11 +102,11 @@ class NumberRows:
             raise too_many(self._path, line, MAX_LISTED)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """The numbers, (n, width)."""
         return np.array(self._values, dtype=np.float64).reshape(-1, self._width)
 
     @property
-    def lines(self) -> NDArray[np.int64]:
+    def lines(self) -> Ints:
         """The line of each row, (n,)."""
         return np.array(self._lines, dtype=np.int64)

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.number_rows import read_rows
@@ -75,7 +75,7 @@ def _order(path: Path) -> tuple[list[int], str]:
     return [int(digits) for digits in re.findall(r"\d+", _NAME.sub("", path.name))], path.name
 
 
-def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:
     """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
     rows = read_rows(file, [sys.float_info.max] * 4, "#", "row", _ROW, ",").values
     numbers = [_order(cloud)[0] for cloud in clouds]

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
 from relmap.datasets.textfile import shown
@@ -41,9 +41,9 @@ class PointScan:
     """
 
     iteration: int
-    points_robot: NDArray[np.float64]
+    points_robot: Floats
     stamp_s: float
-    T_reference_robot: NDArray[np.float64] | None
+    T_reference_robot: Floats | None
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ class ScanLog:
     """
 
     dimension: int
-    stamps_s: NDArray[np.float64]
-    points_of: Callable[[int], NDArray[np.float64]]
-    poses: NDArray[np.float64] | None = None
+    stamps_s: Floats
+    points_of: Callable[[int], Floats]
+    poses: Floats | None = None
     first_iteration: int = 0
     sensor: SensorView = SensorView()
 
@@ -137,10 +137,10 @@ class ScanLog:
 
 
 def stored_scans(
-    points_robot: NDArray[np.float64],
-    offsets: NDArray[np.int64],
-    stamps_s: NDArray[np.float64],
-    poses: NDArray[np.float64] | None = None,
+    points_robot: Floats,
+    offsets: Ints,
+    stamps_s: Floats,
+    poses: Floats | None = None,
     sensor: SensorView | None = None,
 ) -> ScanLog:
     """Make a log of points (n, 2) or (n, 3) that are all in memory.
@@ -165,12 +165,12 @@ def require_memory(where: str, scans: int, beams: int) -> None:
 
 def laser_scans(
     path: Path,
-    ranges_m: list[NDArray[np.float64]],
-    bearings_rad: list[NDArray[np.float64]],
+    ranges_m: list[Floats],
+    bearings_rad: list[Floats],
     limit_m: float,
-    T_robot_laser: NDArray[np.float64],
-    stamps_s: NDArray[np.float64],
-    poses: NDArray[np.float64],
+    T_robot_laser: Floats,
+    stamps_s: Floats,
+    poses: Floats,
 ) -> ScanLog:
     """Make a log of 2-D laser scans, without the beams that did not return.
 
@@ -203,9 +203,7 @@ def laser_scans(
     return stored_scans(points, offsets, stamps_s, poses, sensor)
 
 
-def _laser_view(
-    bearings_rad: list[NDArray[np.float64]], limit_m: float, T_robot_laser: NDArray[np.float64]
-) -> SensorView:
+def _laser_view(bearings_rad: list[Floats], limit_m: float, T_robot_laser: Floats) -> SensorView:
     """Return what all scans have in common; nothing where the laser is not fixed on the robot."""
     if np.ptp(T_robot_laser, axis=0).max() > FIXED:
         return SensorView()
@@ -220,16 +218,14 @@ def _laser_view(
     )
 
 
-def poses_of(rotation: Rotation, t: NDArray[np.float64]) -> NDArray[np.float64]:
+def poses_of(rotation: Rotation, t: Floats) -> Floats:
     """Return poses (k, 4, 4) of k rotations and translations (k, 3)."""
     poses = np.tile(np.eye(4), (len(t), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotation.as_matrix(), t
     return poses
 
 
-def planar_poses(
-    x: NDArray[np.float64], y: NDArray[np.float64], yaw: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:
     """Return poses (k, 4, 4) in the plane z = 0."""
     poses = np.tile(np.eye(4), (len(yaw), 1, 1))
     poses[:, 0, 0] = poses[:, 1, 1] = np.cos(yaw)
@@ -239,9 +235,7 @@ def planar_poses(
     return poses
 
 
-def in_time_order(
-    path: Path, stamps_s: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     """Return the order of scans in time, and their stamps (seconds) in this order.
 
     The stamps (k,) are finite and in the order of the log, which is named in warnings. Where the

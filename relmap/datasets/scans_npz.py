@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
@@ -72,10 +73,7 @@ class ScansNpz:
 
 
 def write_scans_npz(
-    path: Path,
-    scans: list[NDArray[np.float64]],
-    stamps_s: NDArray[np.float64],
-    sensor: SensorView | None = None,
+    path: Path, scans: list[Floats], stamps_s: Floats, sensor: SensorView | None = None
 ) -> None:
     """Write scans so that reading them gives the same numbers; the same scans give the same bytes.
 
@@ -192,6 +190,6 @@ def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
     _require(file, "stamps_s", later, f"is not a later time, {each_its_own}")
 
 
-def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:
+def _require(file: Path, array: str, good: Bools, problem: str) -> None:
     if not good.all():
         raise RelmapError(f"{shown(file)}: array {array}, row {np.argmin(good)}: {problem}")

@@ -16,8 +16,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
@@ -76,9 +76,7 @@ def _log_file(path: Path) -> Path:
     return path / LOG_FILE if os.path.isdir(path) else path
 
 
-def _table(
-    file: Path, matrix: NDArray[np.float64], columns: tuple[Column, ...], place: str
-) -> Table:
+def _table(file: Path, matrix: Floats, columns: tuple[Column, ...], place: str) -> Table:
     """Check a matrix with a row for each observation, beacon or pose."""
     if matrix.shape[1] != len(columns):
         raise RelmapError(
@@ -102,9 +100,7 @@ def is_ground_truth(path: Path) -> bool:
     return path.name in (BEACONS_FILE, ROBOT_FILE) or os.path.isfile(path / BEACONS_FILE)
 
 
-def read_ground_truth(
-    path: Path | str,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """Read the exact truth of the simulation.
 
     Parameters

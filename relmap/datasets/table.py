@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.headers import Head, read_head
 from relmap.datasets.number_rows import parse_number, too_many
@@ -59,11 +59,11 @@ class Table:
 
     path: Path
     comments: tuple[str, ...]
-    columns: dict[str, NDArray[np.float64]]
-    lines: NDArray[np.int64]
+    columns: dict[str, Floats]
+    lines: Ints
     place: str = "line"
 
-    def integers(self, name: str) -> NDArray[np.int64]:
+    def integers(self, name: str) -> Ints:
         """Return a column of whole numbers."""
         return self.columns[name].astype(np.int64)
 
@@ -103,11 +103,7 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
 
 
 def checked_table(
-    path: Path,
-    columns: Sequence[Column],
-    values: NDArray[np.float64],
-    lines: NDArray[np.int64],
-    place: str = "line",
+    path: Path, columns: Sequence[Column], values: Floats, lines: Ints, place: str = "line"
 ) -> Table:
     """Make a table of numbers (n, columns) from another file than CSV, where each is as it must be.
 
@@ -156,7 +152,7 @@ def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[
 
 def _parsed(
     path: Path, batch: list[str], first_line: int, columns: Sequence[Column]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[Floats, Ints]:
     """Return the numbers (n, columns) in lines of a file, and the line of each row."""
     values = parse_fast(batch, len(columns))
     lines = np.arange(first_line, first_line + len(batch))
@@ -198,9 +194,7 @@ def _wrong_cell(path: Path, line: int, column: Column, cell: str, problem: str) 
     return RelmapError(f"{where}: {quoted(cell)} {problem}, expected {column.expected}")
 
 
-def _first_outside(
-    values: NDArray[np.float64], columns: Sequence[Column]
-) -> list[tuple[int, int, str]]:
+def _first_outside(values: Floats, columns: Sequence[Column]) -> list[tuple[int, int, str]]:
     """Return row and column of the first cell that its column does not allow, if any, and why."""
     found = []
     for k, column in enumerate(columns):
@@ -219,7 +213,7 @@ def _first_outside(
     return sorted(found)[:1]
 
 
-def parse_fast(batch: list[str], width: int) -> NDArray[np.float64] | None:
+def parse_fast(batch: list[str], width: int) -> Floats | None:
     """Return the numbers of plain lines, (n, width); None where a line is anything else."""
     if not batch[0].strip():
         return None

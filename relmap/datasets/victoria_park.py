@@ -18,9 +18,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
@@ -87,7 +87,7 @@ def is_reference(path: Path) -> bool:
     return path.name == ASSOCIATION_FILE or os.path.isfile(path / ASSOCIATION_FILE)
 
 
-def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
     """Read the trees' places from the association file: an EKF's, not a surveyed truth.
 
     The file holds the filter's estimate at every observation, which moves by 0.45 m (median) and
@@ -120,10 +120,10 @@ def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.
     return ids.astype(np.int64), positions
 
 
-def _points(range_m: NDArray[np.float64], bearing_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _points(range_m: Floats, bearing_rad: Floats) -> Floats:
     """Return the points, (n, 2), laser frame, metres."""
     ahead, left = np.sin(bearing_rad), -np.cos(bearing_rad)
-    points: NDArray[np.float64] = range_m[:, None] * np.column_stack([ahead, left])
+    points: Floats = range_m[:, None] * np.column_stack([ahead, left])
     return points
 
 
@@ -154,7 +154,7 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
     return replace(log, stamps_s=stamps_s, first_iteration=0, end_iteration=len(stamps_s))
 
 
-def _match_ids(log: ObservationLog, file: Path) -> NDArray[np.int64]:
+def _match_ids(log: ObservationLog, file: Path) -> Ints:
     """Return each observation's tree number, -1 where the association file has none.
 
     Both files hold detections of the same scans: equal time stamp, and the nearest point.
@@ -180,13 +180,13 @@ def _match_ids(log: ObservationLog, file: Path) -> NDArray[np.int64]:
     return ids
 
 
-def _nearest(ascending: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:
+def _nearest(ascending: Floats, values: Floats) -> Ints:
     """Return the index of the element nearest to each value."""
     middles = (ascending[1:] + ascending[:-1]) / 2
     return np.asarray(np.searchsorted(middles, values), dtype=np.int64)
 
 
-def _read_association(file: Path) -> NDArray[np.float64]:
+def _read_association(file: Path) -> Floats:
     """Return t ms, range m, bearing rad, x m, y m, id, as (n, 6)."""
     rows = read_matrix(file, file.stem)
     good = rows.shape[1] == 6 and bool(np.isfinite(rows).all())

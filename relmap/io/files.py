@@ -10,9 +10,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import poses_of
@@ -130,7 +130,7 @@ def read_text(path: Path) -> str:
     return text
 
 
-def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
+def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
     """Write a trajectory as a TUM file: ``t x y z qx qy qz qw``, in full precision.
 
     Parameters
@@ -160,7 +160,7 @@ def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float
     atomic_write(path, "\n".join(lines) + "\n")
 
 
-def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def read_tum(path: Path) -> tuple[Floats, Floats]:
     """Read a TUM file.
 
     Parameters

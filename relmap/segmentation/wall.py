@@ -6,8 +6,7 @@ direction, and its share of the scan's points.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from relmap.core.arrays import Floats
 
 PX, PY, UX, UY, BEGIN, END, SHARE = range(7)
 WALL = 7
@@ -15,6 +14,6 @@ EXACT_M = 1e-7
 """Below this noise the ends are the outermost points: the blur is lost in rounding."""
 
 
-def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
+def corners(wall: Floats) -> Floats:
     """Return the two ends (2, 2) of a wall."""
     return wall[:2] + wall[BEGIN : END + 1, None] * wall[UX : UY + 1]

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.layout import APPLICATION, LAYOUTS, META, SCHEMA, Layout, checksum
 
@@ -33,9 +33,9 @@ class RecordedScan:
         What the mapper called the landmarks.
     """
 
-    values: NDArray[np.float64]
-    ids: NDArray[np.int64] | None
-    labels: NDArray[np.int64]
+    values: Floats
+    ids: Ints | None
+    labels: Ints
 
 
 class JournalReader:

@@ -11,9 +11,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.layout import APPLICATION, SCHEMA, Layout, checksum
 
@@ -85,12 +83,7 @@ class Journal:
         if self._failure is not None:
             self.flush()
 
-    def append(
-        self,
-        values: NDArray[np.float64],
-        ids: NDArray[np.int64] | None,
-        labels: NDArray[np.int64],
-    ) -> None:
+    def append(self, values: Floats, ids: Ints | None, labels: Ints) -> None:
         """Take in one scan; where it cannot be written, the next `ready` or `flush` says so.
 
         Parameters

@@ -8,8 +8,8 @@ its own band as long as points follow one another; the best lines claim their po
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.noise import neighbour_distance, points_per_beam
 from relmap.segmentation.wall import SHARE, WALL
 
@@ -21,8 +21,8 @@ UNCLAIMED = 0.6
 
 
 def find_lines(
-    xy: NDArray[np.float64], sigma: float, least: int, rng: np.random.Generator, beam: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    xy: Floats, sigma: float, least: int, rng: np.random.Generator, beam: float
+) -> tuple[Floats, Ints]:
     """Return lines and the line of each point.
 
     Parameters
@@ -64,14 +64,12 @@ def find_lines(
     return np.concatenate(found), labels
 
 
-def _best_first(
-    members: NDArray[np.bool_], scores: NDArray[np.float64], least: int
-) -> tuple[list[int], list[NDArray[np.bool_]]]:
+def _best_first(members: Bools, scores: Floats, least: int) -> tuple[list[int], list[Bools]]:
     """Return which lines claim points, best first, and which points (n,) each claims."""
     size = members.sum(axis=1)
     quality = scores / np.maximum(size, 1)
     chosen: list[int] = []
-    claims: list[NDArray[np.bool_]] = []
+    claims: list[Bools] = []
     left = size
     while True:
         score = np.where(left >= UNCLAIMED * size, left * quality, 0)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.lines import find_lines
 from relmap.segmentation.em.mixture import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import ROUGH, bend, merge, prune, split
@@ -35,9 +35,7 @@ FIRST, BETWEEN, LAST = 20, 10, 40
 """Steps of EM."""
 
 
-def fit_walls(
-    xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
-) -> WallMixture:
+def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
     """Return the walls of points (n, 2), robot frame, metres, however many they are.
 
     Several starts on a few points; the best of them is improved on more and more.
@@ -69,7 +67,7 @@ def loosened(mixture: WallMixture, n: int) -> WallMixture:
     return mixture.with_walls(walls)
 
 
-def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+def plausible(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Return the mixture, without walls if the points have none.
 
     A scan without walls is one that points spread evenly over its area explain as well, or whose
@@ -81,15 +79,13 @@ def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     return mixture if mixture.evidence(xy) > spread else mixture.only([])
 
 
-def long_enough(mixture: WallMixture) -> NDArray[np.bool_]:
+def long_enough(mixture: WallMixture) -> Bools:
     """Tell which walls (k,) are longer than thick."""
     length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
     return np.asarray(length > SHORTEST * mixture.sigma)
 
 
-def seen_broad(
-    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
     """Tell which walls (k,) have points (n, 2) on more than one beam: one tells no direction.
 
     Some of them may be a neighbour's.
@@ -103,9 +99,7 @@ def seen_broad(
     return broad
 
 
-def search_walls(
-    xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
-) -> WallMixture:
+def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
     """Return the walls of points (n, 2): of several starts what has the best evidence."""
     sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
     nothing = WallMixture(
@@ -121,13 +115,13 @@ def search_walls(
     return max(found, key=lambda one: one.evidence(xy))
 
 
-def part(xy: NDArray[np.float64], most: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def part(xy: Floats, most: int, rng: np.random.Generator) -> Floats:
     """Return points (n, 2), or so many of them if there are more."""
     return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
 
 
 def search_from(
-    nothing: WallMixture, xy: NDArray[np.float64], sigma: float, rng: np.random.Generator
+    nothing: WallMixture, xy: Floats, sigma: float, rng: np.random.Generator
 ) -> WallMixture:
     """Return the walls found from lines of some noise by EM and moves between numbers of walls."""
     walls, _ = find_lines(xy, sigma, LEAST, rng, nothing.beam)
@@ -138,7 +132,7 @@ def search_from(
 
 
 def improve(
-    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator, thorough: bool = False
+    mixture: WallMixture, xy: Floats, rng: np.random.Generator, thorough: bool = False
 ) -> WallMixture:
     """Return the mixture after moves between numbers of walls, until none is worth it."""
     for _ in range(ROUNDS):
@@ -159,9 +153,7 @@ def improve(
     return merge(prune(mixture, xy, LEAST), xy)
 
 
-def _with_strays(
-    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator
-) -> WallMixture:
+def _with_strays(mixture: WallMixture, xy: Floats, rng: np.random.Generator) -> WallMixture:
     """Add lines among points that belong to no wall yet."""
     _, total = mixture.density(xy)
     loose = mixture.stray / mixture.area > 0.5 * total

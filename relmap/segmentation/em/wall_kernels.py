@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
@@ -61,7 +61,7 @@ def bell(x: float) -> float:
 
 
 @compiled
-def foot_and_height(wall: NDArray[np.float64]) -> tuple[float, float]:
+def foot_and_height(wall: Floats) -> tuple[float, float]:
     """Return where along a wall the sensor stands, and how far off its line."""
     foot = -(wall[PX] * wall[UX] + wall[PY] * wall[UY])
     height = abs(wall[PX] * wall[UY] - wall[PY] * wall[UX])
@@ -81,7 +81,7 @@ def place(u: float, foot: float, height: float, beam: float) -> float:
 
 
 @compiled
-def span(wall: NDArray[np.float64], beam: float) -> float:
+def span(wall: Floats, beam: float) -> float:
     """Return how much of its `measure` a wall takes."""
     foot, height = foot_and_height(wall)
     begin, end = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
@@ -89,14 +89,14 @@ def span(wall: NDArray[np.float64], beam: float) -> float:
 
 
 @compiled
-def beam_spacing(wall: NDArray[np.float64], at: float, beam: float) -> float:
+def beam_spacing(wall: Floats, at: float, beam: float) -> float:
     """Return how far apart beams meet a wall about a place along it, metres."""
     foot, height = foot_and_height(wall)
     return beam * (height * height + (at - foot) * (at - foot)) / height
 
 
 @compiled
-def local_density(wall: NDArray[np.float64], at: float, beam: float) -> float:
+def local_density(wall: Floats, at: float, beam: float) -> float:
     """Return the share of a wall's points that lie about a place on it, per metre."""
     spread = beam_spacing(wall, at, beam) / beam if beam > 0 else 1.0
     return 1.0 / max(span(wall, beam) * spread, 1e-12)
@@ -114,7 +114,7 @@ def end_blur(sigma: float, beam: float) -> float:
 
 @compiled
 def sighted(
-    x: float, y: float, wall: NDArray[np.float64], foot: float, height: float, beam: float
+    x: float, y: float, wall: Floats, foot: float, height: float, beam: float
 ) -> tuple[float, float, float, float]:
     """Return what a point says of a wall.
 
@@ -136,9 +136,7 @@ def sighted(
 
 
 @compiled
-def sightings(
-    xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def sightings(xy: Floats, wall: Floats, beam: float) -> tuple[Floats, Floats, Floats]:
     """Return of points (n, 2) the places along a wall, as `measure` and in metres, and how far off.
 
     See `sighted`; how far off is in the direction of the noise.
@@ -154,12 +152,8 @@ def sightings(
 
 @compiled
 def expect(
-    xy: NDArray[np.float64],
-    walls: NDArray[np.float64],
-    sigma: float,
-    rest: NDArray[np.float64],
-    beam: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    xy: Floats, walls: Floats, sigma: float, rest: Floats, beam: float
+) -> tuple[Floats, Floats]:
     """Return the density (k, n) of each point under each wall, and of all together (n,).
 
     Gaussian in the direction of the noise, along the wall even between two unsharp ends: the
@@ -191,9 +185,7 @@ def expect(
 
 
 @compiled
-def weighted_line(
-    xy: NDArray[np.float64], weight: NDArray[np.float64], wall: NDArray[np.float64]
-) -> None:
+def weighted_line(xy: Floats, weight: Floats, wall: Floats) -> None:
     """Fit a wall's point and direction to weighted points by total least squares.
 
     The direction keeps its sense, and the ends are moved along.

@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.em.wall_kernels import (
     PEAK,
@@ -43,13 +43,7 @@ def exact_step(x: float) -> float:
 
 @compiled
 def _end_slope(
-    at: float,
-    other: float,
-    t: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    blur: float,
-    density: float,
-    beams: bool,
+    at: float, other: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> float:
     """Return how fast the log likelihood falls when the lower end of a box moves up."""
     slope = 0.0
@@ -70,13 +64,7 @@ def _end_slope(
 
 @compiled
 def _bracket(
-    begin: float,
-    end: float,
-    t: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    blur: float,
-    density: float,
-    beams: bool,
+    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> tuple[float, float]:
     """Return places about the lower end between which the likelihood is greatest."""
     top = min(end - 0.5 * blur, begin + INWARD * blur)
@@ -98,13 +86,7 @@ def _bracket(
 
 @compiled
 def lower_end(
-    begin: float,
-    end: float,
-    t: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    blur: float,
-    density: float,
-    beams: bool,
+    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> float:
     """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
 
@@ -129,9 +111,7 @@ def lower_end(
 
 
 @compiled
-def _density_at(
-    begin: float, end: float, t: NDArray[np.float64], weight: NDArray[np.float64], beam: float
-) -> float:
+def _density_at(begin: float, end: float, t: Floats, weight: Floats, beam: float) -> float:
     """Return how many points lie on a measure about the lower end: of the first few beams.
 
     Fewer of a column of beams meet a wall that is farther off: half as many make a whole column.
@@ -142,12 +122,7 @@ def _density_at(
 
 @compiled
 def fit_ends(
-    xy: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    wall: NDArray[np.float64],
-    sigma: float,
-    density: float,
-    beam: float,
+    xy: Floats, weight: Floats, wall: Floats, sigma: float, density: float, beam: float
 ) -> None:
     """Move both ends of a wall to where its weighted points make them most likely.
 
@@ -170,7 +145,7 @@ def fit_ends(
 
 
 @compiled
-def box_extent(t: NDArray[np.float64], sigma: float) -> tuple[float, float]:
+def box_extent(t: Floats, sigma: float) -> tuple[float, float]:
     """Return the ends of an evenly filled, blurred box from positions (n,); of many, a part."""
     t = t[:: len(t) // 2000 + 1]
     low, high, weight = t.min(), t.max(), np.ones(len(t))

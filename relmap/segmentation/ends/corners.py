@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.segmentation.em.mixture import WallMixture, maximise
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
@@ -45,12 +45,12 @@ class Sharpened:
     """
 
     mixture: WallMixture
-    spread: NDArray[np.float64]
-    joined: NDArray[np.bool_]
-    hidden: NDArray[np.bool_] | None = None
+    spread: Floats
+    joined: Bools
+    hidden: Bools | None = None
 
 
-def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
+def sharpen(mixture: WallMixture, xy: Floats) -> Sharpened:
     """Return the mixture with its ends at full accuracy, and in the corners where walls meet."""
     for _ in range(ROUNDS):
         joined = meet(solve_ends(mixture, xy), len(xy)).mixture
@@ -58,7 +58,7 @@ def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
     return meet(solve_ends(mixture, xy), len(xy))
 
 
-def solve_ends(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+def solve_ends(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Return the mixture with the ends of its walls where they are most likely."""
     from relmap.segmentation.em.wall_kernels import span
     from relmap.segmentation.ends.box_kernels import fit_ends
@@ -107,7 +107,7 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     return Sharpened(mixture.with_walls(moved), accuracy, joined & kept[:, None])
 
 
-def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
+def end_spread(mixture: WallMixture, n: int) -> Floats:
     """Return how accurate the ends (k, 2) of walls are, among n points, from those points alone.
 
     By the noise, and by how far apart points are; and between two beams an end lies anywhere.
@@ -125,7 +125,7 @@ def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
     return spread
 
 
-def crossings(walls: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def crossings(walls: Floats) -> tuple[Floats, Floats]:
     """Return how far along each line (k, 1) it crosses each other (1, k), and the sine there."""
     ux, uy = walls[:, UX], walls[:, UY]
     cross = ux[:, None] * uy - uy[:, None] * ux

@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END
@@ -27,7 +27,7 @@ NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
 
 
-def beam_noise(xy: NDArray[np.float64]) -> float:
+def beam_noise(xy: Floats) -> float:
     """Return the noise (metres) from how far each point lies off the chord of its neighbours.
 
     Corners and ends of walls are left out; the fewer the beams, the more of them there are.
@@ -46,9 +46,7 @@ def beam_noise(xy: NDArray[np.float64]) -> float:
     return max(float(middle) / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
-def scan_walls(
-    xy: NDArray[np.float64], noise: float | None
-) -> tuple[WallMixture, NDArray[np.int64]]:
+def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
     """Return the walls of points (n, 2) in the order of their beams, and the wall of each.
 
     Parameters
@@ -72,14 +70,12 @@ def scan_walls(
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma), beam=beam), labels
 
 
-def _beam_step(bearing: NDArray[np.float64]) -> float:
+def _beam_step(bearing: Floats) -> float:
     """Return the angle (radians) from one beam to the next, positive to the left."""
     return float(np.median(np.diff(bearing))) if len(bearing) > 1 else 0.0
 
 
-def extend_to_beams(
-    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64]
-) -> WallMixture:
+def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixture:
     """Return walls with their ends half a beam farther out, but for the scan's own ends.
 
     An end lies anywhere between its last beam and the next one, which meets something else.
@@ -97,7 +93,7 @@ def extend_to_beams(
     return mixture.with_walls(walls)
 
 
-def hidden_ends(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+def hidden_ends(xy: Floats, labels: Ints) -> Bools:
     """Tell which ends (k, 2) of the walls of a scan have something nearer just beside them.
 
     However few beams meet it: a wall seen too steeply to be found hides others all the same.
@@ -115,7 +111,7 @@ def hidden_ends(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[n
     return hidden
 
 
-def _where_met(wall: NDArray[np.float64], bearing: float, otherwise: float) -> float:
+def _where_met(wall: Floats, bearing: float, otherwise: float) -> float:
     """Return how far along a wall a beam meets it, where that is near its end."""
     ray = np.array([np.cos(bearing), np.sin(bearing)])
     across = wall[2] * ray[1] - wall[3] * ray[0]
