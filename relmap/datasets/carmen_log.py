@@ -184,7 +184,7 @@ class _Line(NamedTuple):
         return count
 
     def numbers(self, cells: list[str], count: int, words: int) -> list[float]:
-        """Return so many finite numbers in cells of a line of so many words."""
+        """Return `count` finite numbers in cells of a line that has this many words."""
         values = finite_numbers(cells)
         if len(values) != count or len(self.cells) != words:
             of_right_length = len(self.cells) == words

@@ -197,6 +197,6 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 
 def shifted(table: T, iterations: int) -> T:
-    """Return a table of landmarks or walls with its iteration numbers raised by so many."""
+    """Return a table of landmarks or walls with `iterations` added to its iteration numbers."""
     numbers = ("first_iteration", "last_iteration")
     return replace(table, **{name: getattr(table, name) + iterations for name in numbers})

@@ -11,9 +11,9 @@ from relmap.core.errors import RelmapError
 TILTED = np.sin(np.deg2rad(15.0))
 """The normal of an upright surface points up or down by no more than this."""
 MOST_SHARE = 0.15
-"""Of the points, at most so many may lie on surfaces that are not upright."""
+"""At most this share of the points may lie on surfaces that are not upright."""
 POINTS, PATCHES = 10000, 100
-"""So many points are looked at, in so many patches: random ones, since beams repeat."""
+"""Points and patches that are looked at: random ones, since beams repeat."""
 LEAST = 10
 """Points of a patch, at least."""
 RADIUS = 0.15

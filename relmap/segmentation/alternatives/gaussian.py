@@ -35,5 +35,5 @@ def gaussian_labels(xy: Floats, labels: Ints, seed: int) -> Ints:
         random_state=seed,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # fifty steps are what it gets
+        warnings.simplefilter("ignore", ConvergenceWarning)  # it gets fifty steps
         return np.asarray(model.fit_predict(xy), dtype=np.int64)

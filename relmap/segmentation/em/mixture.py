@@ -21,7 +21,7 @@ STRAY_AT_FIRST = 0.05
 STRAY_LEAST = 1e-4
 TOLERANCE = 1e-4
 CONCERNED = 0.01
-"""A point concerns a wall if so much of its density is that wall's."""
+"""A point concerns a wall if at least this share of its density is that wall's."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ GLANCE = 4
 """Steps of EM to see which of several moves are worth more of them."""
 FINALISTS = 2
 FAR_M = 1e3
-"""Points from beams that do not meet a wall are so far off it."""
+"""Points from beams that do not meet a wall count as this far off it."""
 LEG = 3.0
 """Standard deviations from a wall's end within which another may begin unseen."""
 ROUGH = 0.05

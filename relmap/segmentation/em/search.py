@@ -16,18 +16,18 @@ from relmap.segmentation.wall import BEGIN, END, SHARE, WALL
 FEW = 1000
 MOST = 3000
 MORE = 6000
-"""More points than these tell no more of how many walls there are; a random part is searched."""
+"""More points than these say no more about the number of walls; a random sample is searched."""
 POLISHED = 20000
-"""With so many, of all points, the lines and ends are made accurate."""
+"""Lines and ends are made accurate on at most this many points."""
 LEAST = 8
 """Points of a wall, at least."""
 SHORTEST = 1.5
-"""Of a scan at least one wall is longer than so many times the noise."""
+"""At least one wall of a scan is longer than this many times the noise."""
 STRAYS = 0.1
 """Share of a wall's points that may be a neighbour's."""
 STARTS = (0.5, 0.8)
-"""Lines are first looked for as if the noise were so many times what windows say: pieces of walls
-join more easily than walls taken for one part."""
+"""Lines are first looked for as if the noise were this many times what windows say: joining
+pieces of a wall is easier than parting walls taken for one."""
 ROUNDS = 4
 LOOSER = 12.0
 """Spacings of points by which an end may have been missed."""
@@ -116,7 +116,7 @@ def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> W
 
 
 def part(xy: Floats, most: int, rng: np.random.Generator) -> Floats:
-    """Return points (n, 2), or so many of them if there are more."""
+    """Return the points (n, 2), or a random part of them where there are more than `most`."""
     return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
 
 

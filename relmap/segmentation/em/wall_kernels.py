@@ -24,11 +24,11 @@ REACH = 6.0
 """Beyond this many standard deviations a Gaussian is taken for nothing."""
 PEAK = 1.0 / math.sqrt(2.0 * math.pi)
 GRAZING = 1.56
-"""Of beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
+"""With beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
 BLUR = 0.5
-"""Of beams, how unsharp an end is while it is looked for, in their spacing."""
+"""With beams, how unsharp an end is while it is looked for, in their spacing."""
 NEXT = 1.0 / BLUR
-"""So far an end reaches to the next beam, and not to those beyond."""
+"""An end reaches this far: to the next beam, and not to those beyond."""
 
 
 _CELLS = 512

@@ -12,14 +12,14 @@ from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY, WALL
 
 ROUNDS = 2
-"""So often a line is grown along its band and fitted to what it met."""
+"""How often a line is grown along its band and fitted to what it met."""
 BAND = 2.5
 """Half width, in standard deviations, of the band of a line's own points."""
 LEAST = 30
 """Points from which on the spread of a window says how thick it is."""
 IN_A_ROW = 3
 ELONGATED = 9.0
-"""A window shows a wall where its variance along is so many times that across."""
+"""A window shows a wall where its variance along is this many times that across."""
 
 
 @compiled

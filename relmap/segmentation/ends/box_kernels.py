@@ -4,8 +4,8 @@ Along a wall points lie evenly between two ends; noise carries some of them beyo
 points would put the ends too far out, by more the more points there are; the maximum of the
 likelihood is unbiased, and without noise it is the outermost points.
 
-Of beams each stands for all bearings that are nearer to it than to its neighbours; the most likely
-end is then half way between the last beam that meets the wall and the next one.
+A beam stands for all bearings that are nearer to it than to its neighbours; the most likely end is
+then half way between the last beam that meets the wall and the next one.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from relmap.segmentation.em.wall_kernels import (
 from relmap.segmentation.wall import BEGIN, END, EXACT_M
 
 INWARD = 5.0
-"""An end is looked for no more than so many standard deviations inwards of where it was."""
+"""An end is sought at most this many standard deviations inwards of where it was."""
 FEW = 4
-"""Of beams, so many at an end tell how many points lie there."""
+"""With beams, this many at an end tell the density of points there."""
 LEAST = 0.05
-"""Of beams, a point that is less a wall's does not draw its end."""
+"""With beams, points with a smaller share in a wall do not draw its end."""
 _ROOT = math.sqrt(2.0)
 
 
@@ -90,7 +90,7 @@ def lower_end(
 ) -> float:
     """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
 
-    Places and blur are in the `measure` of the wall, the density in points per measure. Of beams
+    Places and blur are in the `measure` of the wall, the density in points per measure. With beams
     the blur is their spacing.
     """
     if blur < EXACT_M:
@@ -146,7 +146,7 @@ def fit_ends(
 
 @compiled
 def box_extent(t: Floats, sigma: float) -> tuple[float, float]:
-    """Return the ends of an evenly filled, blurred box from positions (n,); of many, a part."""
+    """Return the ends of an evenly filled, blurred box from positions (n,), of many from a part."""
     t = t[:: len(t) // 2000 + 1]
     low, high, weight = t.min(), t.max(), np.ones(len(t))
     if high - low <= 4 * sigma or len(t) < 8:

@@ -11,7 +11,7 @@ from relmap.segmentation.em.mixture import WallMixture, maximise
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 GATE = 3.0
-"""An end lies in a corner if it is within so many standard deviations of it."""
+"""An end lies in a corner if it is within this many standard deviations of it."""
 LEAST_SINE = 0.25
 """Walls that meet at a smaller angle fix no corner."""
 INFORMATION = 0.9032
@@ -20,10 +20,10 @@ CONTESTED = 0.5
 """Where two walls meet they dispute the points between them: their own ends err by this much more,
 in units of the noise."""
 WORTH = 2.0
-"""A crossing so many times less accurate than the end tells nothing of it."""
+"""A crossing this many times less accurate than the end says nothing about it."""
 WANDER = 4.0
-"""No end moves farther than half its wall or so many standard deviations: with few points, what its
-accuracy allows grows with every move."""
+"""No end moves farther than half its wall or this many standard deviations: with few points, what
+its accuracy allows grows with every move."""
 ROUNDS = 2
 HELD = 4
 """Steps of EM with the ends held in their corners."""

@@ -11,7 +11,7 @@ from relmap.core.arrays import Bools, Floats
 from relmap.segmentation.planes import END_TYPES
 
 SURE = 2.5
-"""What lies within so many standard deviations of a limit is taken to be cut by it."""
+"""What lies within this many standard deviations of a limit is taken to be cut by it."""
 SLACK_RAD = 0.003
 SLACK_M = 0.01
 ALL_ROUND_RAD = np.deg2rad(170.0)

@@ -16,15 +16,15 @@ STEEP = math.radians(4.0)
 SKIPPED = 2.5
 """Beams without a return, in a row, that break a wall."""
 STRAYS = 3
-"""So many beams of something else, in a row, do not part the pieces of a wall."""
+"""This many beams of something else in a row do not part the pieces of a wall."""
 DOOR_M = 0.5
 """Gaps as wide as this, through which beams go, part the pieces of a wall."""
 OPEN = 0.9
 """Beams that go through."""
 OFF = 5.0
-"""A line does not fit where a point lies so many standard deviations off it."""
+"""A line does not fit where a point lies this many standard deviations off it."""
 LIMIT = 4.0
-"""Nor where the mean square of two neighbours, in common, exceeds the noise's so many times."""
+"""Nor where the mean square of two neighbours, in common, exceeds the noise's this many times."""
 
 
 @compiled
