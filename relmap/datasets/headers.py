@@ -26,6 +26,17 @@ def only_one(path: Path, found: Sequence[Path], what: str) -> Path:
     return found[0]
 
 
+def file_in(path: Path, name: str) -> Path:
+    """Return the path itself if it is no folder, else the file of a name in it."""
+    return path / name if os.path.isdir(path) else path
+
+
+def file_beside(path: Path | str, name: str) -> Path:
+    """Return the file of a name in a folder, or beside a file."""
+    path = Path(path)
+    return (path if os.path.isdir(path) else path.parent) / name
+
+
 def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
     """Return the members of a folder whose names end so, in order."""
     try:

@@ -107,7 +107,8 @@ def _pitch_sigma(table: Table) -> float:
     """Return the pitch noise that the comments tell, radians; NaN where they do not."""
     for comment in table.comments:
         if match := _PITCH_SIGMA.search(comment):
-            return next(iter(finite_numbers([match[1]])), math.nan)
+            sigma = finite_numbers([match[1]])
+            return sigma[0] if sigma else math.nan
     return math.nan
 
 

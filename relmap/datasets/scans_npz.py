@@ -21,6 +21,7 @@ from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
+from relmap.datasets.headers import file_in
 from relmap.datasets.npz import DAMAGE, read_array
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import quoted, replacing, require_path, shown, unreadable
@@ -51,12 +52,12 @@ class ScansNpz:
 
         A saved map is a zip file with arrays as well, and none.
         """
-        file = _file_of(path)
+        file = file_in(path, FILE_NAME)
         return foreign_at(file) == ZIP and not _without_arrays(file)
 
     def load(self, path: Path) -> ScanLog:
         """Read the log."""
-        file = _file_of(path)
+        file = file_in(path, FILE_NAME)
         require_path(file)
         arrays = _read_arrays(file)
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
@@ -98,10 +99,6 @@ def write_scans_npz(
     arrays = {"points": np.concatenate(scans), "iteration": iteration, "stamps_s": stamps_s}
     with replacing(path) as file:
         np.savez(file, allow_pickle=False, **arrays, **limits)
-
-
-def _file_of(path: Path) -> Path:
-    return path / FILE_NAME if os.path.isdir(path) else path
 
 
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:

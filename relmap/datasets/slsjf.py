@@ -21,6 +21,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
+from relmap.datasets.headers import file_beside, file_in
 from relmap.datasets.matfile import is_matlab, read_matrix
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
@@ -53,16 +54,15 @@ class SlsjfSimulation:
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a MATLAB file, or a folder with one named ``sensor_data.mat``."""
-        return is_matlab(_log_file(path))
+        return is_matlab(file_in(path, LOG_FILE))
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar; step 1 is iteration 0.
 
-        Some bearings are beyond a full turn, which sine and cosine do not mind.  A few ranges are
-        negative, which the simulated noise made of short ones and no sensor would give: those
-        observations are left out.
+        Bearings may exceed a full turn. Observations whose range is negative, which the simulated
+        noise made of a few short ones, are left out.
         """
-        file = _log_file(path)
+        file = file_in(path, LOG_FILE)
         table = _table(file, read_matrix(file, "sensor_data"), _OBSERVATION, "row")
         table = _with_positive_ranges(table)
         table.columns["step"] -= 1
@@ -70,10 +70,6 @@ class SlsjfSimulation:
         points = range_m[:, None] * np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
         log = assemble_log(table, "step", points, table.integers("id"))
         return replace(log, rows=table.lines[log.rows] - 1)
-
-
-def _log_file(path: Path) -> Path:
-    return path / LOG_FILE if os.path.isdir(path) else path
 
 
 def _table(file: Path, matrix: Floats, columns: tuple[Column, ...], place: str) -> Table:
@@ -122,11 +118,9 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     RelmapError
         Where a file is missing, or holds what the format does not allow.
     """
-    path = Path(path)
-    folder = path if os.path.isdir(path) else path.parent
-    file = folder / BEACONS_FILE
+    file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns
-    file = folder / ROBOT_FILE
+    file = file_beside(path, ROBOT_FILE)
     robot = _table(file, read_matrix(file, file.stem).T, _POSE, "column").columns
     positions = np.column_stack([beacons["x"], beacons["y"], np.zeros(len(beacons["x"]))])
     return (

@@ -24,7 +24,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.headers import columns_of, only_one, tables_with
+from relmap.datasets.headers import columns_of, file_beside, only_one, tables_with
 from relmap.datasets.matfile import read_matrix
 from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import shown
@@ -109,9 +109,7 @@ def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
     RelmapError
         Where the association file is missing or damaged.
     """
-    path = Path(path)
-    folder = path if os.path.isdir(path) else path.parent
-    rows = _read_association(folder / ASSOCIATION_FILE)
+    rows = _read_association(file_beside(path, ASSOCIATION_FILE))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     rows = rows[rows[:, 5] >= 0]
     ids, last_from_end = np.unique(rows[::-1, 5], return_index=True)
