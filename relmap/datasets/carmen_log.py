@@ -20,7 +20,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -168,7 +167,8 @@ def _in_frame(laser: list[float], robot: list[float]) -> list[float]:
     return [c * dx + s * dy, c * dy - s * dx, laser[2] - robot[2]]
 
 
-class _Line(NamedTuple):
+@dataclass(frozen=True)
+class _Line:
     """The words of one line; its methods raise RelmapError with the place of what is wrong."""
 
     path: Path
