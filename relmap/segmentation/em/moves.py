@@ -19,6 +19,7 @@ from relmap.segmentation.ends.pairs import (
     side_by_side,
     within_reach,
 )
+from relmap.segmentation.ends.shadows import parted
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, corners
 
 BENT = 10.0
@@ -89,7 +90,7 @@ def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Flo
     if not within_reach(w, v, mixture.sigma):
         return None
     own = xy[(labels == i) | (labels == j)]
-    if len(own) < 3:
+    if len(own) < 3 or parted(mixture.walls, i, j, mixture.sigma, len(xy)):
         return None
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]

@@ -1,0 +1,96 @@
+"""Walls are opaque: what stands before a wall parts what is seen of it.
+
+Where noise fills a narrow shadow, points alone do not show it; the wall that throws it does. The
+share of walls found in single scans hardly changes, but without this the corners beside a shadow
+are missing in maps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.segmentation.em.mixture import WallMixture
+from relmap.segmentation.wall import BEGIN, END, PX, SHARE, UX
+
+BEFORE = 2.0
+"""Standard deviations by which the middle of a wall is nearer than what it hides."""
+NARROWEST = 0.5
+"""Shadows narrower than this many standard deviations are left alone."""
+BESIDE = 0.8
+"""A wall goes on beyond a shadow if this many standard deviations of it are seen there."""
+LEAST = 16
+"""Points of a wall that throws a shadow, at least."""
+PLAIN = 2.0
+"""A shadow wider than this many standard deviations must show in the points, too."""
+LEAKED = 0.8
+"""Points that noise carries into a shadow, in standard deviations of wall."""
+
+
+def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
+    """Return the stretches (s, 2) along wall k, among n points, that nearer walls hide."""
+    wall = walls[k]
+    others = np.delete(walls, k, axis=0)
+    others = others[others[:, SHARE] * n >= LEAST]
+    middle = 0.5 * (others[:, BEGIN] + others[:, END])
+    t = np.column_stack([others[:, BEGIN], middle, others[:, END]])
+    rays = others[:, None, PX : PX + 2] + t[:, :, None] * others[:, None, UX : UX + 2]
+    across = rays[..., 0] * wall[3] - rays[..., 1] * wall[2]
+    height = wall[0] * wall[3] - wall[1] * wall[2]
+    met = height / np.where(np.abs(across) < 1e-9, 1e-9, across)  # in lengths of the ray
+    nearer = (met[:, 1] - 1) * np.linalg.norm(rays[:, 1], axis=1) > BEFORE * sigma
+    ahead = (met > 0).all(axis=1)
+    place = ((met[..., None] * rays - wall[:2]) @ wall[2:4])[:, [0, 2]]
+    place = np.sort(place[nearer & ahead], axis=1)
+    return np.asarray(place[place[:, 1] - place[:, 0] > NARROWEST * sigma])
+
+
+def part_at_shadows(mixture: WallMixture, xy: Floats) -> WallMixture:
+    """Split walls where nearer ones hide them, if no more points lie there than noise explains."""
+    from relmap.segmentation.em.wall_kernels import sightings
+
+    labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.along
+    for k, wall in enumerate(mixture.walls):
+        pieces = [wall]
+        t = np.sort(sightings(xy[labels == k], wall, mixture.beam)[1])
+        for low, high in shadows(mixture.walls, k, mixture.sigma, len(xy)):
+            last = pieces[-1]
+            inside = (low > last[BEGIN] + room) and (high < last[END] - room)
+            if not inside or not _empty(t, low, high, wall, mixture.along):
+                continue
+            share = float(np.mean(t < 0.5 * (low + high)))
+            left, right = last.copy(), last.copy()
+            left[END], right[BEGIN] = low, high
+            left[SHARE], right[SHARE] = last[SHARE] * share, last[SHARE] * (1 - share)
+            pieces[-1:] = [left, right]
+        walls += pieces
+    return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
+
+
+def _empty(t: Floats, low: float, high: float, wall: Floats, sigma: float) -> bool:
+    """Tell whether a stretch among sorted positions (m,) on a wall may hold nothing but noise."""
+    if len(t) < LEAST:
+        return False
+    if high - low < PLAIN * sigma:
+        return True
+    count = np.diff(np.searchsorted(t, [low, high]))[0]
+    seen = max(wall[5] - wall[4] - (high - low), sigma)
+    leaked = (len(t) - count) / seen * min(LEAKED * sigma, high - low)
+    return bool(count < leaked + 3 * np.sqrt(leaked) + 1)
+
+
+def parted(walls: Floats, i: int, j: int, sigma: float, n: int) -> bool:
+    """Tell whether a shadow parts two walls, among n points, that else might be one."""
+    if walls[i, END] - walls[i, BEGIN] < walls[j, END] - walls[j, BEGIN]:
+        i, j = j, i
+    w, v = walls[i], walls[j]
+    ends = v[:2] + v[4:6, None] * v[2:4]
+    low, high = np.sort((ends - w[:2]) @ w[2:4])
+    if min(w[END], high) - max(w[BEGIN], low) > PLAIN * sigma:
+        return False
+    gap = (w[END], low) if low + high > w[BEGIN] + w[END] else (high, w[BEGIN])
+    others = np.delete(walls, j, axis=0)
+    dark = shadows(others, i - (j < i), sigma, n)
+    near = (dark[:, 0] < max(gap) + sigma) & (dark[:, 1] > min(gap) - sigma)
+    outer = (dark[:, 0] > min(w[BEGIN], low)) & (dark[:, 1] < max(w[END], high))
+    return bool((near & outer).any())
