@@ -43,7 +43,7 @@ class Scan:
     ids : (n,) int64 or None
         Known association; negative where a landmark was not identified.
     rows : (n,) int64
-        0-based rows of the log that the points stand in.
+        0-based rows of the log that hold the points.
     """
 
     iteration: int
@@ -62,7 +62,7 @@ class ObservationLog:
         Two columns: a planar, 3-DoF world.
     iteration : (n,) int64, ascending
     rows : (n,) int64
-        0-based rows of the source that the observations stand in.
+        0-based rows of the source that hold the observations.
     first_iteration, end_iteration : int
         The log covers ``range(first_iteration, end_iteration)``; iterations without a row saw
         nothing.

@@ -55,10 +55,10 @@ _PLY_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the points stand in a file.
+    """How the points are stored in a file.
 
     Each number of a point has a name and a numpy type. Where the points are packed by LZF, they
-    stand field by field, and `fields` tells how many numbers each field has; else it is empty.
+    are stored field by field, and `fields` tells how many numbers each field has; else it is empty.
     """
 
     count: int
@@ -82,7 +82,7 @@ def read_cloud(file: Path) -> Floats:
     Returns
     -------
     (n, 3) float64, metres
-        Without those that are NaN, which stand for beams that did not return.
+        Without those that are NaN: beams that did not return.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
 
 
 class Head(NamedTuple):
-    """What stands above the rows of a table: comments without ``#``, and the header's cells."""
+    """What precedes the rows of a table: comments without ``#``, and the header's cells."""
 
     comments: tuple[str, ...]
     columns: tuple[str, ...]

@@ -6,7 +6,7 @@ DOWN. Comments above the header give the sensor's pose on the robot, and the noi
     # sensor on robot: t = 0.5 0.2 0.1 ; R (row major) = 1 0 0 0 1 0 0 0 1
     # sigma: range 0.01 m, yaw 0.001745 rad, pitch 0.001745 rad; ...
 
-The simulator's exact truth stands beside a log ``X.observations.csv.gz`` in
+The simulator's exact truth lies beside a log ``X.observations.csv.gz`` in
 ``X_ground_truth.txt`` (landmarks) and ``X_ground_truth_robot_path.txt``.
 """
 
@@ -63,7 +63,7 @@ class MrptLandmarks:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: points in the robot's frame, two columns where the world is planar.
 
-        It is where the pitch is free of noise and always 0, and the sensor stands upright.
+        The world is planar if the pitch is free of noise and always 0, and the sensor is upright.
         """
         file = only_one(path, tables_with(path, _HALLMARK), "MRPT landmark log (*.csv or *.csv.gz)")
         table = read_table(file, _COLUMNS)
@@ -104,7 +104,7 @@ def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
 
 
 def _pitch_sigma(table: Table) -> float:
-    """Return the pitch noise that the comments tell, radians; NaN where they do not."""
+    """Return the pitch noise given in the comments, radians; NaN where there is none."""
     for comment in table.comments:
         if match := _PITCH_SIGMA.search(comment):
             sigma = finite_numbers([match[1]])

@@ -1,7 +1,7 @@
 """2-D laser scans of MRPT's simulator with the exact path, as ``*.scans.csv.gz``.
 
 Header ``t_s,gt_x,gt_y,gt_theta,odo_dx,odo_dy,odo_dtheta,r0,r1,...``: one row per scan, beams from
--90 degrees (right) to +90 degrees (left). A comment above tells of the sensor::
+-90 degrees (right) to +90 degrees (left). A comment above describes the sensor::
 
     # ... ; sensor on robot x=0.2 y=0 z=0.1 yaw=0 ; ..., max range 80 m
 """

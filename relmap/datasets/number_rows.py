@@ -95,7 +95,7 @@ class NumberRows:
         self._lines = array("q")
 
     def add(self, row: Sequence[float], line: int) -> None:
-        """Add a row that stands in a line, counted from 1."""
+        """Add a row and the number of its line, counted from 1."""
         self._values.extend(row)
         self._lines.append(line)
         if len(self._values) > MAX_LISTED:

@@ -3,7 +3,7 @@
 ``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
 each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
 time of every scan, seconds, which is their order; a scan without a point is an empty one.
-``view_rad`` and ``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
+``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _DIRECTORY = struct.Struct("<4s8sLL2s")
 _DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 _LIMITS = ("view_rad", "range_m")
-"""What a log may tell of its sensor."""
+"""What a log may state about its sensor."""
 
 
 class ScansNpz:
@@ -152,7 +152,7 @@ def _check_directory(file: Path) -> None:
 
 
 def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
-    """Return a limit of the sensor that a log tells."""
+    """Return a limit of the sensor that a log states."""
     if array.shape == () and array.dtype.kind in "fiu" and 0 < float(array) < np.inf:
         return float(array)
     raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")

@@ -2,7 +2,7 @@
 
 A planar robot sees range and bearing of point beacons. ``sensor_data.mat`` holds a row for each
 observation: step (from 1), beacon id, range in metres, bearing in radians (0 ahead, positive to
-the left), and three zeros. The exact truth stands beside it:
+the left), and three zeros. The exact truth lies in the same folder:
 
 * ``store_beaconsTrue.mat``: rows of id, x, y (metres).
 * ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.

@@ -16,7 +16,7 @@ from relmap.datasets.number_rows import parse_number, too_many
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
-"""Beyond this a float64 no longer tells neighbouring integers apart."""
+"""Beyond this float64 cannot represent every integer."""
 
 MAX_NUMBERS = 1 << 25
 """Numbers in a table at most: some seven million observations."""
@@ -53,8 +53,8 @@ class Column:
 class Table:
     """A table as read: every column that the file has, checked.
 
-    Of each row `lines` tells the 1-based line of the file that it stands in; messages call it
-    `place`: a line, or a row where the file has no lines.
+    `lines` holds the 1-based line of the file for each row; messages call it `place`: a line, or
+    a row where the file has no lines.
     """
 
     path: Path

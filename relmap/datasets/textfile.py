@@ -32,7 +32,7 @@ _SHOWN_CHARACTERS = 60
 
 
 def shown(value: object) -> str:
-    """Return a text or path for a one-line message: as it stands if printable, else quoted."""
+    """Return a text or path for a one-line message: unchanged if printable, else quoted."""
     text = str(value)
     return text if text.isprintable() else repr(text)
 
@@ -168,7 +168,7 @@ def why_not_written(error: Exception) -> str:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file beside the path that takes its place once it is whole and on disk.
+    """Open a temporary file that replaces the path once it is complete and on disk.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with part.open("wb") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())  # some file systems tell only here that the disk is full
+            os.fsync(file.fileno())  # some file systems report only here that the disk is full
         part.replace(path)
     except (OSError, ValueError) as error:
         raise RelmapError(f"cannot write {shown(path)}: {why_not_written(error)}") from error

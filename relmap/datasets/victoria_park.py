@@ -2,7 +2,7 @@
 
 ``trees_per_scan.csv.gz``: header ``scan,t_ms,range_m,bearing_rad,diameter_m``; bearing 0 at the
 laser's right, pi/2 straight ahead. The robot frame is the LASER's (x ahead, y left), 3.78 m ahead
-of the rear axle's centre and 0.50 m to its left. Two files beside it are read where they stand:
+of the rear axle's centre and 0.50 m to its left. Two files beside it are read if they exist:
 
 * ``VictoriaParkSinSincronizar.mat``: ``TLsr`` (1, scans), the time of every scan, seconds.
 * ``data_sensor_clean_clean.mat``: t ms, range, bearing, x_est, y_est, tree id, associated by
@@ -67,7 +67,7 @@ class VictoriaPark:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, laser frame, one iteration per scan.
 
-        Trees have ids where the association file stands beside, -1 for a tree it does not have.
+        Trees have ids if the association file lies in the same folder, -1 for a tree it lacks.
         Without the clock file the log ends with the last scan that has a tree, and the time of a
         scan without one is interpolated.
         """

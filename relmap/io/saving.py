@@ -36,7 +36,7 @@ def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
     parts : list
         See `relmap.core.state.saved`.
     about : dict
-        What else the file should tell, fit for JSON.
+        What else the file should hold, fit for JSON.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
     ----------
     path : Path
     begin : callable
-        Makes the parts, new ones, for what the file tells beside the state.
+        Makes new parts from what the file holds besides the state.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """What a journal holds: its tables and their meaning, for points and for planes.
 
-``PRAGMA application_id`` tells a journal from other SQLite files, ``PRAGMA user_version`` is the
+``PRAGMA application_id`` marks a journal among SQLite files, ``PRAGMA user_version`` is the
 version of what follows.
 
 ``meta``

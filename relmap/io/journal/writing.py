@@ -1,4 +1,4 @@
-"""Writing a journal while a run goes on."""
+"""Writing a journal during a run."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Journal:
         self._connection: sqlite3.Connection | None = None
         try:
             self._connection = connected(path)
-            # What was asked after the last scan is asked again by whoever goes on.
+            # Calls after the last scan are repeated by the program that resumes.
             self._connection.execute("DELETE FROM calls WHERE iteration >= ?", (n_scans,))
         except sqlite3.Error as error:
             raise self._error(error) from error

@@ -41,7 +41,7 @@ class WallMixture:
     beam : float
         Angle (radians) between the beams that points lie on; 0 where they lie evenly on the walls.
     repeat : float
-        Points at one bearing, which tell of the extent of a wall only once.
+        Points at one bearing, which count once for the extent of a wall.
     fixed_noise : bool
         Whether the noise was given.
     rest : (n,) float64 or None

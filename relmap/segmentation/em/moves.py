@@ -27,7 +27,7 @@ BENT = 10.0
 EMPTY = 6.0
 """Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
 MISSED = 0.6
-"""Columns of beams missing in a gap: one tells of it, for no noise moves a point off its beam."""
+"""Columns of beams missing in a gap: one is enough, since noise moves no point off its beam."""
 CURVED = 3.0
 """Standard deviations of curvature from which on a wall is tried as two."""
 SETTLE = 6
@@ -94,7 +94,7 @@ def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Flo
         return None
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]
-    if _hangs_together(mixture, w, v, len(own) / whole[SHARE]):
+    if _connected(mixture, w, v, len(own) / whole[SHARE]):
         across = sightings(own, whole, mixture.beam)[2]
         density, total = mixture.only([i, j]).density(own)
         apart = 0.0
@@ -184,7 +184,7 @@ def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
     return wall
 
 
-def _hangs_together(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
+def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
     """Tell whether no gap shows between two walls along the longer one, among n points in all.
 
     Of columns of beams those that are missing count, not points: a wall farther off has fewer.

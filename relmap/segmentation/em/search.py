@@ -87,7 +87,7 @@ def long_enough(mixture: WallMixture) -> Bools:
 
 
 def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
-    """Tell which walls (k,) have points (n, 2) on more than one beam: one tells no direction.
+    """Tell which walls (k,) have points (n, 2) on more than one beam: one gives no direction.
 
     Some of them may be a neighbour's.
     """

@@ -76,7 +76,7 @@ def _filled_run(filled: Bools, cell: int) -> tuple[int, int]:
 
 @compiled
 def _run_about(xy: Floats, wall: Floats, seed: int, band: float, gap: float, member: Bools) -> int:
-    """Mark the points of a line's band that hang together with the seed's; return their number.
+    """Mark the points of a line's band that are connected to the seed; return their number.
 
     Sets the ends of the line too.
     """

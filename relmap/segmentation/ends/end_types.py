@@ -67,7 +67,7 @@ def type_ends(
         Whether the end lies in a corner with another wall, so that nothing hides it.
     limits : Limits
     hidden : (m, 2) bool, optional
-        Whether something nearer was seen beside the end, as beams in order tell.
+        Whether something nearer was seen beside the end, from beams in order.
     """
     if len(ends) == 0:
         return np.empty((0, 2), dtype="<U8")

@@ -1,4 +1,4 @@
-"""Walls are opaque: what stands before a wall parts what is seen of it.
+"""Walls are opaque: a nearer wall parts what is seen of the one behind it.
 
 Where noise fills a narrow shadow, points alone do not show it; the wall that throws it does. The
 share of walls found in single scans hardly changes, but without this the corners beside a shadow
