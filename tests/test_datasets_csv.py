@@ -76,7 +76,7 @@ def test_folder(tmp_path: Path, name: str) -> None:
 def test_folder_with_both_files_is_ambiguous(tmp_path: Path) -> None:
     put(tmp_path, PLAIN)
     put(tmp_path, PLAIN, "observations.csv.gz")
-    assert "found observations.csv, observations.csv.gz" in failure(tmp_path)
+    assert "expected one of observations.csv, observations.csv.gz" in failure(tmp_path)
 
 
 @pytest.mark.parametrize("seed", range(5))

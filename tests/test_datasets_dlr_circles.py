@@ -50,9 +50,11 @@ def test_folder(tmp_path: Path) -> None:
     assert read_ids(tmp_path).tolist() == read_ids(path).tolist() == [6]
     put(tmp_path, CIRCLES, "again.circles")
     message = failure(tmp_path, "dlr-circles")
-    assert "expected one *.circles, found again.circles, map.c" in message
+    assert "holds 2 circle logs, expected one of again.circles, map.c" in message
     (tmp_path / "empty").mkdir()
-    assert "holds no *.circles, expected one" in failure(tmp_path / "empty", "dlr-circles")
+    assert "holds no circle log, expected one *.circles" in failure(
+        tmp_path / "empty", "dlr-circles"
+    )
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_folder_without_a_log_and_folder_with_two(tmp_path: Path) -> None:
     for dataset in DATASETS:
         assert dataset.name in message
         assert dataset.description in message
-    assert "holds no observations.csv or observations.csv.gz" in failure(
+    assert "expected one observations.csv or observations.csv.gz" in failure(
         tmp_path, "observation-csv"
     )
     assert "holds no MRPT landmark log" in failure(tmp_path, "mrpt-landmarks")

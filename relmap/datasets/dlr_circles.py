@@ -73,7 +73,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _only_file(path: Path) -> Path:
-    return only_one(path, _files_in(path) if os.path.isdir(path) else (), "*.circles")
+    return only_one(path, _files_in(path) if os.path.isdir(path) else (), "circle log", "*.circles")
 
 
 def _read(path: Path) -> tuple[Table, int]:

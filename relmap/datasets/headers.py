@@ -11,18 +11,19 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import open_text, require_utf8, shown, unreadable
 
 
-def only_one(path: Path, found: Sequence[Path], what: str) -> Path:
+def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
     """Return the path itself if it is no folder, else the only file of a kind found in it.
 
-    RelmapError where there is none, or there are several.
+    `names` says for messages how such files are named. RelmapError where there is none, or there
+    are several.
     """
     if not os.path.isdir(path):
         return path
     if not found:
-        raise RelmapError(f"{shown(path)}: holds no {what}, expected one")
+        raise RelmapError(f"{shown(path)}: holds no {what}, expected one {names}")
     if len(found) > 1:
-        names = ", ".join(shown(file.name) for file in found)
-        raise RelmapError(f"{shown(path)}: expected one {what}, found {names}")
+        several = ", ".join(shown(file.name) for file in found)
+        raise RelmapError(f"{shown(path)}: holds {len(found)} {what}s, expected one of {several}")
     return found[0]
 
 
@@ -78,6 +79,10 @@ def columns_of(path: Path) -> frozenset[str]:
             return frozenset(read_head(path, stream).columns)
     except RelmapError:
         return frozenset()
+
+
+TABLES = "*.csv or *.csv.gz"
+"""The names of tables."""
 
 
 def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:

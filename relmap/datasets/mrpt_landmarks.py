@@ -24,7 +24,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column, iteration_column
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.headers import columns_of, only_one, tables_with
+from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import NumberRows, finite_numbers, read_rows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.table import Column, Table, header_text, read_table
@@ -65,7 +65,7 @@ class MrptLandmarks:
 
         The world is planar if the pitch is free of noise and always 0, and the sensor is upright.
         """
-        file = only_one(path, tables_with(path, _HALLMARK), "MRPT landmark log (*.csv or *.csv.gz)")
+        file = only_one(path, tables_with(path, _HALLMARK), "MRPT landmark log", TABLES)
         table = read_table(file, _COLUMNS)
         R_robot_sensor, t_robot_sensor = _sensor_pose(table)
         points_robot = _points_sensor(table) @ R_robot_sensor.T + t_robot_sensor
@@ -170,7 +170,7 @@ def _landmark_files(folder: Path) -> list[Path]:
 def _truth_base(path: Path) -> str:
     """Return what the names of both truth files begin with, folder included."""
     if os.path.isdir(path):
-        path = only_one(path, _landmark_files(path), f"*{_LANDMARKS}")
+        path = only_one(path, _landmark_files(path), "landmark truth", f"*{_LANDMARKS}")
     name = str(path)
     for ending in (_LANDMARKS, _PATH):
         if name.endswith(ending):

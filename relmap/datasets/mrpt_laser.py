@@ -18,7 +18,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.headers import columns_of, only_one, tables_with
+from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.scans import (
     ScanLog,
@@ -50,7 +50,7 @@ class MrptLaser:
 
     def load(self, path: Path) -> ScanLog:
         """Read the log: planar scans in the robot's frame; the reference poses are exact."""
-        file = only_one(path, tables_with(path, _HALLMARK), "MRPT laser log (*.csv or *.csv.gz)")
+        file = only_one(path, tables_with(path, _HALLMARK), "MRPT laser log", TABLES)
         beams = sum(bool(_BEAM.match(name)) for name in columns_of(file))
         table = read_table(file, _columns(beams))
         require_memory(shown(file), len(table.lines), len(table.lines) * beams)

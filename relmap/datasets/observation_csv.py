@@ -63,7 +63,8 @@ class ObservationCsv:
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
-        table = read_table(only_one(path, _members(path), " or ".join(FILE_NAMES)), _COLUMNS)
+        file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
+        table = read_table(file, _COLUMNS)
         axes = [table.columns[axis] for axis in "xyz" if axis in table.columns]
         ids = table.integers("id") if "id" in table.columns else None
         return assemble_log(table, "iteration", np.column_stack(axes), ids)

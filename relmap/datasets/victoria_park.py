@@ -24,7 +24,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.headers import columns_of, file_beside, only_one, tables_with
+from relmap.datasets.headers import TABLES, columns_of, file_beside, only_one, tables_with
 from relmap.datasets.matfile import read_matrix
 from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import shown
@@ -71,7 +71,7 @@ class VictoriaPark:
         Without the clock file the log ends with the last scan that has a tree, and the time of a
         scan without one is interpolated.
         """
-        file = only_one(path, tables_with(path, _HALLMARK), "Victoria Park log (*.csv or *.csv.gz)")
+        file = only_one(path, tables_with(path, _HALLMARK), "Victoria Park log", TABLES)
         table = read_table(file, _COLUMNS)
         points_robot = _points(table.columns["range_m"], table.columns["bearing_rad"])
         log = assemble_log(table, "scan", points_robot, None)
