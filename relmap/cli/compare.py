@@ -16,7 +16,7 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.comparison.compare import Compared
-    from relmap.evaluation.run import Log
+    from relmap.evaluation.feeding import Log
     from relmap.evaluation.sources import Data, Source
 
 World = Literal["figure-eight", "building"]

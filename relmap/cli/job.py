@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from relmap.core.config import MapperConfig
-    from relmap.evaluation.run import AnyMapper, Log
+    from relmap.evaluation.feeding import AnyMapper, Log
 
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]

@@ -16,7 +16,8 @@ from relmap.core.errors import RelmapError
 from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
 
 if TYPE_CHECKING:
-    from relmap.evaluation.run import AnyMapper, Log, Run
+    from relmap.evaluation.feeding import AnyMapper, Log
+    from relmap.evaluation.run import Run
     from relmap.evaluation.truth import Truth
     from relmap.plots.bench_recorder import BenchRecorder
 
@@ -76,7 +77,6 @@ def map_log(job: Job) -> tuple[Run, int]:
             shown,
             job.refine,
             seen,
-            mapper.n_iterations - len(seen),
             bench.segmenter if bench else None,
         )
         _write(staging, run)
@@ -148,7 +148,7 @@ def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder 
 
     if not (isinstance(log, ScanLog) and isinstance(mapper, PlaneMapper)):
         return None
-    from relmap.evaluation.run import segmenter_for
+    from relmap.evaluation.feeding import segmenter_for
     from relmap.plots.bench_recorder import BenchRecorder, frame_step
 
     every = frame_step(len(log)) if job.animate else 0

@@ -13,14 +13,14 @@ from multiprocessing.connection import Connection
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import Method, MethodInfo
+from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import check_method, find_method, fitting_methods
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, run_method
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
+from relmap.evaluation.feeding import Association, Log, Method
 from relmap.evaluation.landmarks import Overlay, overlay
-from relmap.evaluation.run import Association, Log
 from relmap.evaluation.sources import Data, Source
 from relmap.evaluation.truth import Truth
 

@@ -17,7 +17,7 @@ from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import ACCURACY, COST, run_method
 from relmap.comparison.sweep_spec import KEYS, Cell
 from relmap.core.errors import RelmapError
-from relmap.evaluation.run import Association
+from relmap.evaluation.feeding import Association
 from relmap.io.files import atomic_write
 from relmap.io.tables import csv_text
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import tomllib
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from relmap.comparison.methods.registry import check_method, find_method
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, known_name
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
 from relmap.io.files import read_text
 
@@ -104,10 +103,7 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
         Where a key or a value cannot be used, or a method cannot be given such a world.
     """
     for key in spec:
-        if key not in KEYS:
-            near = difflib.get_close_matches(key, KEYS, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(KEYS)}"
-            raise RelmapError(f"unknown key {key!r}; {hint}")
+        known_name(key, KEYS, "key")
     if "method" not in spec:
         raise RelmapError("no key method: which methods to run, as in method = ['relmap-points']")
     choices = [_choices(key, spec[key]) if key in spec else [_default(key)] for key in KEYS]

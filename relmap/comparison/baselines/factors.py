@@ -6,17 +6,20 @@ the range is exact it says what a Cartesian observation with equal noise on each
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from relmap.comparison.baselines.base import Pose
 
 PRIOR_SD = 1e-6
 """Of the first pose, which makes the frame, metres and radians."""
 
 
 class Factors:
-    """Makes keys, factors and values for worlds of two or three dimensions.
+    """A graph of scans and landmarks, in worlds of two or three dimensions.
 
     Parameters
     ----------
@@ -24,6 +27,13 @@ class Factors:
         2 or 3.
     sigma_m : float
         Standard deviation of each observed coordinate, metres.
+
+    Attributes
+    ----------
+    gtsam : module
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Where each variable of the graph begins.
 
     Raises
     ------
@@ -34,44 +44,66 @@ class Factors:
     def __init__(self, dimension: int, sigma_m: float) -> None:
         import gtsam
 
-        self._gtsam: Any = gtsam
+        self.gtsam: Any = gtsam
         self._d, self._sigma_m = dimension, sigma_m
+        self._is_first = True
+        self.clear()
 
-    def pose_key(self, k: int) -> int:
-        """Return the key of the pose of iteration `k`."""
-        return int(self._gtsam.symbol("x", k))
+    def clear(self) -> None:
+        """Begin an empty graph; a later pose is not the first any more."""
+        self.graph: Any = self.gtsam.NonlinearFactorGraph()
+        self.values: Any = self.gtsam.Values()
 
     def landmark_key(self, label: int) -> int:
         """Return the key of a landmark."""
-        return int(self._gtsam.symbol("l", label))
+        return int(self.gtsam.symbol("l", label))
 
-    def pose(self, R: NDArray[np.float64], t: NDArray[np.float64]) -> Any:
-        """Return gtsam's ``T_map_robot`` of R (d, d), t (d,)."""
+    def _pose_key(self, k: int) -> int:
+        return int(self.gtsam.symbol("x", k))
+
+    def add_landmark(self, label: int, place: NDArray[np.float64]) -> None:
+        """Add a landmark that begins at a place (d,), metres."""
+        self.values.insert(self.landmark_key(label), place)
+
+    def add_scan(
+        self, k: int, pose: Pose, points: NDArray[np.float64], labels: Sequence[int]
+    ) -> None:
+        """Add iteration `k` with its observations; the first one makes the frame.
+
+        Parameters
+        ----------
+        k : int
+        pose : Pose
+            Where it begins.
+        points : (n, d) float64, robot frame, metres
+        labels : sequence of int
+            Landmark of each point.
+        """
+        gtsam, key, (R, t) = self.gtsam, self._pose_key(k), pose
         if self._d == 2:
-            return self._gtsam.Pose2(t[0], t[1], np.arctan2(R[1, 0], R[0, 0]))
-        return self._gtsam.Pose3(self._gtsam.Rot3(R), t)
+            start = gtsam.Pose2(t[0], t[1], np.arctan2(R[1, 0], R[0, 0]))
+        else:
+            start = gtsam.Pose3(gtsam.Rot3(R), t)
+        self.values.insert(key, start)
+        if self._is_first:
+            prior = gtsam.PriorFactorPose2 if self._d == 2 else gtsam.PriorFactorPose3
+            noise = gtsam.noiseModel.Isotropic.Sigma(3 if self._d == 2 else 6, PRIOR_SD)
+            self.graph.add(prior(key, start, noise))
+            self._is_first = False
+        for point, label, r in zip(
+            points, labels, np.linalg.norm(points, axis=1).tolist(), strict=True
+        ):
+            self.graph.add(self._seen(key, label, point, r))
 
-    def prior(self, k: int, pose: Any) -> Any:
-        """Return the factor that holds the first pose, that of iteration `k`."""
-        q = 3 if self._d == 2 else 6
-        kind = self._gtsam.PriorFactorPose2 if self._d == 2 else self._gtsam.PriorFactorPose3
-        noise = self._gtsam.noiseModel.Isotropic.Sigma(q, PRIOR_SD)
-        return kind(self.pose_key(k), pose, noise)
-
-    def of_scan(self, k: int, points: NDArray[np.float64], labels: list[int]) -> list[Any]:
-        """Return one factor for each observation (n, d) of iteration `k`."""
-        gtsam, ranges = self._gtsam, np.linalg.norm(points, axis=1).tolist()
-        key, made = self.pose_key(k), []
-        for point, label, r in zip(points, labels, ranges, strict=True):
-            wide = self._sigma_m / r
-            if self._d == 2:
-                noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([wide, self._sigma_m]))
-                bearing, kind = gtsam.Rot2.atan2(point[1], point[0]), gtsam.BearingRangeFactor2D
-            else:
-                noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([wide, wide, self._sigma_m]))
-                bearing, kind = gtsam.Unit3(point), gtsam.BearingRangeFactor3D
-            made.append(kind(key, self.landmark_key(label), bearing, r, noise))
-        return made
+    def _seen(self, pose_key: int, label: int, point: NDArray[np.float64], r: float) -> Any:
+        """Return the factor of one observation, `r` metres away."""
+        gtsam, wide = self.gtsam, [self._sigma_m / r] * (self._d - 1)
+        noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([*wide, self._sigma_m]))
+        if self._d == 2:
+            bearing, kind = gtsam.Rot2.atan2(point[1], point[0]), gtsam.BearingRangeFactor2D
+        else:
+            bearing, kind = gtsam.Unit3(point), gtsam.BearingRangeFactor3D
+        return kind(pose_key, self.landmark_key(label), bearing, r, noise)
 
     def landmark(self, values: Any, label: int) -> NDArray[np.float64]:
         """Return the place (d,) of a landmark in gtsam's values."""
@@ -81,6 +113,6 @@ class Factors:
     def pose_matrix(self, values: Any, k: int) -> NDArray[np.float64]:
         """Return ``T_map_robot`` (4, 4) of iteration `k` in gtsam's values."""
         at = values.atPose2 if self._d == 2 else values.atPose3
-        T, d, matrix = np.eye(4), self._d, at(self.pose_key(k)).matrix()
+        T, d, matrix = np.eye(4), self._d, at(self._pose_key(k)).matrix()
         T[:d, :d], T[:d, 3] = matrix[:d, :d], matrix[:d, d]
         return T

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import Method, MethodInfo
+from relmap.comparison.baselines.base import Baseline
 from relmap.core.landmarks import in_space
 
 REACH = 1 / 32
@@ -24,7 +24,7 @@ ENOUGH = 200
 """Points of a scan from which on it is GICP: a covariance takes ten neighbours; else plain ICP."""
 
 
-class SmallGicp(Method):
+class SmallGicp(Baseline):
     """Chains registrations, each begun at the motion of the one before (constant velocity).
 
     Parameters
@@ -34,25 +34,24 @@ class SmallGicp(Method):
     """
 
     def __init__(self, range_m: float) -> None:
+        super().__init__()
         import small_gicp
 
         self._small_gicp: Any = small_gicp
         self._range_m = range_m
         self._last = np.empty((0, 3))
         self._motion, self._pose = np.eye(4), np.eye(4)
-        self._poses: list[NDArray[np.float64]] = []
 
     def update(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.int64]:
         """Register one scan; ids are not used."""
         points = in_space(points_robot)
         if min(len(points), len(self._last)) >= FEWEST:
             self._motion = self._registered(points).T_target_source
         self._pose = self._pose @ self._motion
-        self._poses.append(self._pose)
         self._last = points
-        return np.full(len(points_robot), -1, np.int64)
+        return self._keep(np.full(len(points), -1, np.int64), self._pose)
 
     def _registered(self, points: NDArray[np.float64]) -> Any:
         """Register points (n, 3) to those of the last scan."""
@@ -64,17 +63,3 @@ class SmallGicp(Method):
             return align(target, source, tree, self._motion, "ICP", reach)
         fine = FINE * self._range_m
         return align(self._last, points, self._motion, "GICP", 1.0, fine, reach)
-
-    @property
-    def trajectory(self) -> NDArray[np.float64]:
-        """The chained poses."""
-        return np.array(self._poses).reshape(-1, 4, 4)
-
-
-METHOD = MethodInfo(
-    "small-gicp",
-    "small_gicp from scan to scan: a path, no landmarks",
-    lambda setup: SmallGicp(setup.range_m),
-    logs=("landmarks", "scans"),
-    needs="small_gicp",
-)
