@@ -69,7 +69,7 @@ def run_mapper(
     association : "nearest" or "known"
         ``known`` hands the ids of the log to the mapper, ``nearest`` keeps them from it.
     about : dict, optional
-        What else the summary should tell: configuration, input, ...
+        What else the summary should tell, as of its input.
     progress : callable, optional
         Wraps the iterable of scans; where it ends before them, the run does.
     refine : bool
@@ -77,7 +77,7 @@ def run_mapper(
     seen : sequence of (n,) int64
         The labels of the scans of the log that the mapper has taken in.
     segmenter : PlaneSegmenter, optional
-        Finds walls; one that knows what the log tells of its sensor where left out.
+        Finds walls; one that knows what the log tells of its sensor if not given.
 
     Returns
     -------
@@ -96,6 +96,7 @@ def run_mapper(
     groups = tuple(group.landmarks for group in mapper.groups)
     summary = {
         **(about or {}),
+        "configuration": mapper.settings,
         **result.summary,
         **summary_of(mapper, result, log, offset, len(groups)),
         "interrupted": len(log) < n_input,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,8 @@ MANY = 100
 SHOWN = 5
 """Weakest segments and merges that are listed."""
 STATUS = ("static", "dynamic", "unmapped")
+SEGMENT = {name: name for name in ("first_iteration", "residual", "middle")}
+MERGE = {name: name for name in ("landmark", "apart_m", "residual")} | {"seen_again_as": "track"}
 
 
 def summary_of(
@@ -103,7 +106,7 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
 
 
 def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
-    """Return how many iterations were rejected, and which; of many the first and the last."""
+    """Return how many iterations were rejected, and the first and last of them."""
     numbers = rejected.tolist()
     if len(numbers) > MANY:
         numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
@@ -118,7 +121,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     Parameters
     ----------
     refined : sequence of Refined
-        Of the submaps, the largest is told of.
+        Of the submaps; only the largest is described.
     first_iteration : int
         The log's number of the mapper's first iteration.
 
@@ -131,6 +134,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
         return None
     submap = max(refined, key=lambda submap: len(submap.landmarks))
     segments, merges = submap.segments, submap.merges
+    segments = replace(segments, first_iteration=first_iteration + segments.first_iteration)
     return {
         "converged": all(each.converged for each in refined),
         "noise_m": submap.noise_m,
@@ -138,30 +142,18 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
         "anchor_iteration": first_iteration + submap.anchor_iteration,
         "segments": len(segments.residual),
         "segment_residual_median": float(np.median(segments.residual)),
-        "weakest_segments": [
-            {
-                "first_iteration": first_iteration + int(segments.first_iteration[row]),
-                "residual": float(segments.residual[row]),
-                "middle": segments.middle[row].tolist(),
-            }
-            for row in _largest(segments.residual)
-        ],
+        "weakest_segments": _weakest(segments, SEGMENT),
         "merges": len(merges.residual),
-        "weakest_merges": [
-            {
-                "landmark": int(merges.landmark[row]),
-                "seen_again_as": int(merges.track[row]),
-                "apart_m": float(merges.apart_m[row]),
-                "residual": float(merges.residual[row]),
-            }
-            for row in _largest(merges.residual)
-        ],
+        "weakest_merges": _weakest(merges, MERGE),
     }
 
 
-def _largest(values: NDArray[np.float64]) -> list[int]:
-    rows: list[int] = np.argsort(-values, kind="stable")[:SHOWN].tolist()
-    return rows
+def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
+    """Return the rows of the largest residuals: names in the summary, names in the table."""
+    rows = np.argsort(-table.residual, kind="stable")[:SHOWN]
+    return [
+        {told: getattr(table, name)[row].tolist() for told, name in columns.items()} for row in rows
+    ]
 
 
 def timing(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best_fit
 from relmap.comparison.baselines.frame_to_frame import FrameToFrame
 from relmap.comparison.baselines.frame_to_map import FrameToMap
-from relmap.comparison.baselines.gtsam_batch import GtsamBatch
-from relmap.comparison.baselines.isam2 import Isam2
-from relmap.comparison.baselines.kiss_icp import KissIcp
+from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
+from relmap.comparison.baselines.icp import KissIcp, SmallGicp
 from relmap.comparison.baselines.known import BatchLeastSquares
-from relmap.comparison.baselines.small_gicp import SmallGicp
 from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.paper import PAPER, PaperPlaneMapper, PaperPointMapper
 from relmap.core.errors import RelmapError, known_name
@@ -20,6 +20,7 @@ from relmap.points import PointMapper
 
 _SCANS: tuple[LogKind, ...] = ("scans",)
 _ALL: tuple[LogKind, ...] = ("landmarks", "scans")
+_GTSAM: dict[str, Any] = {"needs_ids": True, "needs": "gtsam"}
 
 METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("relmap-points", lambda _: PointMapper(), refine=True),
@@ -33,18 +34,8 @@ METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("ekf-mrpt", as_mrpt_ships_it, needs_ids=True),
     MethodInfo("ekf", linearised_at_best_fit, needs_ids=True),
     MethodInfo("batch", lambda told: BatchLeastSquares(told.dimension), needs_ids=True),
-    MethodInfo(
-        "isam2",
-        lambda told: Isam2(told.dimension, told.sigma_m),
-        needs_ids=True,
-        needs="gtsam",
-    ),
-    MethodInfo(
-        "gtsam-batch",
-        lambda told: GtsamBatch(told.dimension, told.sigma_m),
-        needs_ids=True,
-        needs="gtsam",
-    ),
+    MethodInfo("isam2", lambda told: Isam2(told.dimension, told.sigma_m), **_GTSAM),
+    MethodInfo("gtsam-batch", lambda told: GtsamBatch(told.dimension, told.sigma_m), **_GTSAM),
     MethodInfo("kiss-icp", lambda told: KissIcp(told.range_m), _ALL, needs="kiss_icp"),
     MethodInfo("small-gicp", lambda told: SmallGicp(told.range_m), _ALL, needs="small_gicp"),
 )

@@ -11,13 +11,15 @@ from threadpoolctl import threadpool_limits
 
 from relmap.comparison.memory import PeakMemory
 from relmap.comparison.methods.base import MethodInfo, Setup
+from relmap.comparison.methods.registry import find_method
+from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.feeding import Association, Fed, Log, feed
 from relmap.evaluation.landmarks import identify, match_landmarks
 from relmap.evaluation.run import result_of
-from relmap.evaluation.sources import Data
+from relmap.evaluation.sources import Data, Source
 from relmap.evaluation.summary import timing_of
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
@@ -83,7 +85,7 @@ def run_method(
     data : Data
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that methods are told, metres; estimated from the log where left out.
+        Noise that methods are told, metres; estimated from the log if not given.
 
     Returns
     -------
@@ -110,6 +112,33 @@ def run_method(
         return MethodRun(result, figures | _cost(fed) | {"memory_mb": memory_mb})
 
 
+def try_method(
+    name: str, source: Source, association: Association, sigma_m: float | None
+) -> tuple[MethodRun | None, str]:
+    """Run a method where it can run; see `run_method`.
+
+    Parameters
+    ----------
+    name : str
+    source : Source
+        Of the data.
+    association : "nearest" or "known"
+    sigma_m : float or None
+        Noise that methods are told, metres.
+
+    Returns
+    -------
+    run : MethodRun or None
+        None where it failed.
+    note : str
+        Why; empty where all went well.
+    """
+    try:
+        return run_method(find_method(name), source.load(), association, sigma_m), ""
+    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
+        return None, "failed: " + " ".join(str(error).split())[:200]
+
+
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
     """Return what methods are told beforehand of a log.
 
@@ -117,7 +146,7 @@ def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
     ----------
     data : Data
     sigma_m : float, optional
-        Standard deviation of an observed coordinate, metres; estimated where left out.
+        Standard deviation of an observed coordinate, metres; estimated from the log if not given.
     """
     log = data.log
     if isinstance(log, ScanLog):
