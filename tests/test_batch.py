@@ -251,3 +251,14 @@ def test_frame_to_map_leaves_out_what_it_cannot_place() -> None:
     np.testing.assert_allclose(
         baseline.map.positions, [[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 1.0, 0.0]], atol=1e-12
     )
+
+
+def test_frame_to_map_leaves_out_an_observation_that_cannot_be_right() -> None:
+    places = np.random.default_rng(0).uniform(-5.0, 5.0, (8, 2))
+    baseline = FrameToMap(2)
+    for k in range(10):
+        points = places - [0.1 * k, 0.0]
+        if k == 6:
+            points[3] += 2.0
+        baseline.update(points, np.arange(8))
+    np.testing.assert_allclose(baseline.map.positions[:, :2], places, atol=1e-9)
