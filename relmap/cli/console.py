@@ -30,10 +30,11 @@ def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
         done += 1
         if monotonic() - began > PATIENCE_S:
             break
-    yield from _with_bar(source, done, total, what)
+    yield from with_bar(source, total, what, done)
 
 
-def _with_bar(source: Iterator[T], done: int, total: int, what: str) -> Iterator[T]:
+def with_bar(items: Iterable[T], total: int, what: str, done: int = 0) -> Iterator[T]:
+    """Yield the items; show on stderr how far it is, where that is a terminal, from the start."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -43,7 +44,7 @@ def _with_bar(source: Iterator[T], done: int, total: int, what: str) -> Iterator
         console=console, transient=True, disable=not shown, speed_estimate_period=STEADY_S
     ) as progress:
         task = progress.add_task(what, total=total, completed=done)
-        for item in source:
+        for item in items:
             yield item
             progress.advance(task)
 

@@ -12,7 +12,7 @@ import typer
 
 from relmap.cli.arguments import Out, refuse
 from relmap.cli.compare import COLUMNS, OF_CORNERS
-from relmap.cli.console import figure, print_table, tracked
+from relmap.cli.console import figure, print_table, with_bar
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -97,9 +97,10 @@ def _sweep_into(
     left = [cell for cell in cells if cell not in found]
     if found:
         typer.echo(f"relmap: {len(found)} of {len(cells)} cells were finished before", err=True)
+    n = len(left)
     running = run_cells(left, workers, scheduler) if left else ()
     try:
-        for cell, finished in tracked(_reported(running, len(left)), len(left), "cells"):
+        for cell, finished in with_bar(_reported(running, n), n, f"{n} cells"):
             store.save(cell, finished)
             found[cell] = finished
     except KeyboardInterrupt:

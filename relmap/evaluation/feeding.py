@@ -43,35 +43,28 @@ class Method(Protocol):
         (n,) int64
             Label of the landmark of each observation; -1 where it has none.
         """
-        ...
 
     def finish(self) -> None:
         """Do what is left to the end of the log."""
-        ...
 
     def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now."""
-        ...
 
     @property
     def map(self) -> LandmarkMap:
         """The landmarks mapped so far; none where a method makes no map of landmarks."""
-        ...
 
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen, mapped or not."""
-        ...
 
     @property
     def submaps(self) -> Sequence[Submap]:
         """The submaps, the map itself first; none where a method knows no such thing."""
-        ...
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration so far, (k, 4, 4); NaN where there is none."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,12 +48,10 @@ class Source(Protocol):
 
     def load(self) -> Data[Log]:
         """Return the data."""
-        ...
 
     @property
     def about(self) -> str:
         """What it is, in a few words."""
-        ...
 
 
 @dataclass(frozen=True)
