@@ -116,10 +116,9 @@ def _about(job: Job) -> dict[str, Any]:
     """Return what the summary tells of the job."""
     from relmap.evaluation.sources import recognised_format
 
-    recognised = recognised_format(job.at(job.source), job.variant)
     about = {
         "input": str(job.source),
-        "format": job.log_format or recognised,
+        "format": job.log_format or recognised_format(job.at(job.source), job.variant),
         "variant": job.variant,
         "seed": 0 if job.variant == "planes" else None,
     }
