@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.run import Association, run_mapper
+from relmap.evaluation.feeding import Association
+from relmap.evaluation.run import run_mapper
 from relmap.figures.figure06 import longest
 from relmap.figures.surface_points import SurfacePoints, scan_surface_points
 from relmap.io.results import Result

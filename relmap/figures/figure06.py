@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation import metrics
-from relmap.evaluation.run import Progress, run_mapper
+from relmap.evaluation.feeding import Progress
+from relmap.evaluation.run import run_mapper
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
 from relmap.planes.table import PlaneTable

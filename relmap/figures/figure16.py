@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from relmap.comparison.baselines import ekf
 from relmap.comparison.compare import landmark_error_curve
-from relmap.comparison.methods import relmap
-from relmap.comparison.methods.base import Method, Setup
+from relmap.comparison.methods.base import Setup
+from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import setup_for
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
+from relmap.evaluation.feeding import Method
 from relmap.evaluation.sources import EightSource
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, unwatched
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish
@@ -87,29 +87,29 @@ class ErrorCurves:
         return float(np.median(np.divide(*ends)))
 
 
-class RefinedByShape(relmap.Relmap):
+class RefinedByShape(PointMapper):
     """relmap with every observation kept; its map is refined, on a copy, whenever it is asked for.
 
     Bounded noise is told from Gaussian noise by the residuals, so nothing is told of it.
     """
 
     def __init__(self) -> None:
-        super().__init__(PointMapper(MapperConfig(keep_observations=True)), refine=True)
+        super().__init__(MapperConfig(keep_observations=True))
 
     @property
     def map(self) -> LandmarkMap:
         """The map as it would be if the run ended here."""
-        ended = deepcopy(self._mapper)
+        ended = deepcopy(self)
         ended.finish()
         ended.refine()
-        return ended.map
+        return super(RefinedByShape, ended).map
 
 
 METHODS: dict[str, tuple[Callable[[Setup], Method], int]] = {
-    MRPT: (ekf.STANDING.make, EVERY),
-    FITTED: (ekf.FITTED.make, EVERY),
-    PAPER: (relmap.LITERAL.make, EVERY),
-    LIVE: (relmap.LIVE.make, EVERY),
+    MRPT: (find_method("ekf-mrpt").make, EVERY),
+    FITTED: (find_method("ekf").make, EVERY),
+    PAPER: (find_method("relmap-points-paper").make, EVERY),
+    LIVE: (find_method("relmap-points-live").make, EVERY),
     SHAPED: (lambda setup: RefinedByShape(), EVERY_REFINED),
 }
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation import metrics
-from relmap.evaluation.run import segment_scan
+from relmap.evaluation.feeding import segment_scan
 from relmap.evaluation.truth import Truth
 from relmap.planes import PlaneMapper
 from relmap.plots.path import fit_poses
