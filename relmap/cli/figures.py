@@ -12,7 +12,7 @@ from relmap.cli.console import Out
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.figures.base import Made
+    from relmap.figures.page import Made
 
 T = TypeVar("T")
 
@@ -72,8 +72,7 @@ def figures_into(
         were finished before.
     """
     from relmap.cli.console import busy
-    from relmap.figures.making import check_data, make_figure, write_page
-    from relmap.figures.registry import chosen_figures
+    from relmap.figures.making import check_data, chosen_figures, make_figure, write_page
     from relmap.io.files import staged_folder
 
     figures = chosen_figures(names)

@@ -5,22 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.errors import RelmapError
 from relmap.planes.history import PlaneHistory
 from relmap.planes.pairwise import midpoint_pairs
 
-SIDES = ("right", "left")
 SHORTEST = 12
-"""Iterations of a common interval that are worth a look."""
-STEADY_M = 0.01
-"""Deviations below this are as good as none."""
-SKEW = np.deg2rad(30.0)
-"""Walls that are nearer to parallel than this are not shown: one of their shifts says nothing."""
+"""Iterations of the shortest common interval that is tested."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,22 +25,19 @@ class CornerTest:
     planes : tuple of int
         Numbers of the two walls.
     iterations : (k,) int64
-    first, second : (k, 2, 2) float64, robot frame, metres
-        Right and left end of each as observed.
+    ends : (2, k, 2, 2) float64, robot frame, metres
+        Right and left end of each wall as observed.
     sizes : tuple of float
         The size of each wall, fixed over the interval: the largest seen in it.
     offsets : (k, 2, 2, 2) float64, metres
         See `relmap.planes.pairwise.midpoint_pairs`.
     static : tuple of int
-        The static end of each wall, as its type in each scan told: 0 right, 1 left.
+        The static end of each wall by its type in each scan: 0 right, 1 left.
     """
-
-    COLUMNS: ClassVar = ("iteration", "first_end", "second_end", "dx", "dy", "deviation", "chosen")
 
     planes: tuple[int, int]
     iterations: NDArray[np.int64]
-    first: NDArray[np.float64]
-    second: NDArray[np.float64]
+    ends: NDArray[np.float64]
     sizes: tuple[float, float]
     offsets: NDArray[np.float64]
     static: tuple[int, int]
@@ -66,68 +56,40 @@ class CornerTest:
     @property
     def skew(self) -> float:
         """How far from parallel the walls are, radians."""
-        along = [ends[:, 1] - ends[:, 0] for ends in (self.first, self.second)]
-        cross = along[0][:, 0] * along[1][:, 1] - along[0][:, 1] * along[1][:, 0]
-        sizes = np.linalg.norm(along[0], axis=1) * np.linalg.norm(along[1], axis=1)
-        return float(np.arcsin(np.clip(np.median(np.abs(cross) / sizes), 0, 1)))
-
-    def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield a line for each pair in each iteration, as `COLUMNS` name them; metres."""
-        for i, j in np.ndindex(2, 2):
-            told = float(self.deviation[i, j]), int((i, j) == self.chosen)
-            for k, (dx, dy) in zip(self.iterations, self.offsets[:, i, j], strict=True):
-                yield int(k), SIDES[i], SIDES[j], float(dx), float(dy), *told
+        (x, y), (u, v) = np.moveaxis(self.ends[:, :, 1] - self.ends[:, :, 0], -1, 1)
+        sines = np.abs(x * v - y * u) / (np.hypot(x, y) * np.hypot(u, v))
+        return float(np.arcsin(np.clip(np.median(sines), 0, 1)))
 
 
 def corner_tests(history: PlaneHistory) -> list[CornerTest]:
-    """Return all pairs of walls that are seen for long with one static and one cut end each."""
-    runs = list(_cut_runs(history))
+    """Return all pairs of walls that are seen for long with one static and one cut end each.
+
+    Parameters
+    ----------
+    history : PlaneHistory
+        All observations of a run.
+
+    Returns
+    -------
+    list of CornerTest
+    """
     tests = []
-    for (plane, side, rows), (other, other_side, other_rows) in combinations(runs, 2):
-        if plane == other:
-            continue
+    for (plane, side, rows), (other, other_side, other_rows) in combinations(_cut(history), 2):
         _, i, j = np.intersect1d(
             history.iteration[rows], history.iteration[other_rows], return_indices=True
         )
-        if len(i) < SHORTEST:
+        if plane == other or len(i) < SHORTEST:
             continue
-        first, second = history.ends[rows[i]], history.ends[other_rows[j]]
-        sizes = _largest(first), _largest(second)
-        offsets, _ = midpoint_pairs(first, second, sizes)
+        ends = np.stack([history.ends[rows[i]], history.ends[other_rows[j]]])
+        first, second = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1).tolist()
+        offsets, _ = midpoint_pairs(ends[0], ends[1], (first, second))
+        pair, static = (plane, other), (side, other_side)
         iterations = history.iteration[rows[i]]
-        pair = (plane, other), iterations, first, second, sizes, offsets, (side, other_side)
-        tests.append(CornerTest(*pair))
+        tests.append(CornerTest(pair, iterations, ends, (first, second), offsets, static))
     return tests
 
 
-def clearest(tests: list[CornerTest]) -> CornerTest:
-    """Return the pair of walls, not parallel, that shows best what the test goes by.
-
-    It is the one whose second lowest deviation is the largest multiple of the lowest.
-
-    Raises
-    ------
-    RelmapError
-        Where there is none.
-    """
-    possible = [test for test in tests if test.skew > SKEW]
-    if not possible:
-        raise RelmapError(
-            f"no two walls are seen with one cut end each for {SHORTEST} scans: map a longer run"
-        )
-    return max(possible, key=_clearness)
-
-
-def _clearness(test: CornerTest) -> float:
-    lowest, second = np.sort(test.deviation, axis=None)[:2]
-    return float(second / max(lowest, STEADY_M))
-
-
-def _largest(ends: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max())
-
-
-def _cut_runs(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+def _cut(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
     """Yield wall, static end and rows of each run of scans that see a wall with that end alone."""
     for plane in np.unique(history.plane).tolist():
         rows = np.flatnonzero(history.plane == plane)

@@ -2,15 +2,15 @@
 
 The points lie fixed on the walls of a building (`surface_points`).  The plane mapper segments each
 scan; the point mapper takes the points themselves for landmarks.  Both have default settings and no
-odometry.  Points whose ids are given show what is lost by not knowing which point is which.
+odometry.  Points with given ids show what is lost where the association has to be found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from itertools import product
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,70 +66,80 @@ class CrossingRow:
 
 @dataclass(frozen=True)
 class Crossing:
-    """All runs, in the order of `METHODS` within each cell."""
+    """All runs with points of one spacing, in the order of `METHODS` within each cell."""
 
-    COLUMNS: ClassVar = tuple(field.name for field in fields(CrossingRow))
-
+    spacing_m: float
     runs: tuple[CrossingRow, ...]
 
-    def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield a line per run, as `COLUMNS` name them."""
-        return (tuple("" if v is None else v for v in astuple(row)) for row in self.runs)
-
     @property
-    def spacings_m(self) -> list[float]:
-        """All spacings, ascending."""
-        return sorted({row.spacing_m for row in self.runs})
+    def noise(self) -> NDArray[np.float64]:
+        """All noises in units of the spacing, ascending; (n,)."""
+        return np.unique([row.noise for row in self.runs])
 
-    def noises(self, spacing_m: float) -> list[float]:
-        """All noises with this spacing, ascending, in units of it."""
-        return sorted({row.noise for row in self.runs if row.spacing_m == spacing_m})
+    def values(self, name: str, method: Method) -> NDArray[np.float64]:
+        """Return one attribute of all runs of a method.
 
-    def values(self, name: str, method: Method, spacing_m: float) -> NDArray[np.float64]:
-        """Return one figure of all runs, (noises, seeds); what could not be had is infinite."""
-        of = [row for row in self.runs if row.method == method and row.spacing_m == spacing_m]
+        Parameters
+        ----------
+        name : str
+            Of a `CrossingRow`.
+        method : str
+
+        Returns
+        -------
+        (noises, seeds) float64
+            Infinite where there is none.
+        """
         found = [
-            [getattr(row, name) for row in of if row.noise == noise]
-            for noise in self.noises(spacing_m)
+            [getattr(row, name) for row in self.runs if (row.method, row.noise) == (method, noise)]
+            for noise in self.noise
         ]
         return np.array([[np.inf if v is None else v for v in values] for values in found])
 
-    def median(self, name: str, method: Method, spacing_m: float) -> NDArray[np.float64]:
-        """Return the median over the seeds, (noises,)."""
-        return np.asarray(np.median(self.values(name, method, spacing_m), axis=1))
+    def median(self, name: str, method: Method) -> NDArray[np.float64]:
+        """Return the median over the seeds, (noises,), of what `values` returns."""
+        return np.asarray(np.median(self.values(name, method), axis=1))
 
-    def planes_ahead(self, method: Method, spacing_m: float) -> tuple[float, float] | None:
+    def failed(self, method: Method) -> NDArray[np.bool_]:
+        """Return at which noises the median run of a method maps too little, (noises,)."""
+        return self.median("coverage", method) < HALF
+
+    def planes_ahead(self, method: Method) -> tuple[float, float] | None:
         """Return the noises, over the spacing, between which planes have the better map.
 
         Of several such intervals it is the longest.  It begins where the medians of the map error
         cross, on straight lines between two noises, or at the first noise at which points fail; it
-        ends with the last noise at which planes are still ahead.  None where they never are.
+        ends with the last noise at which planes are still ahead.
+
+        Parameters
+        ----------
+        method : str
+            Of points.
+
+        Returns
+        -------
+        tuple of float, or None
+            None where planes never have the better map.
         """
-        noise = np.array(self.noises(spacing_m))
-        planes, points = self.error("planes", spacing_m), self.error(method, spacing_m)
+        planes, points = (
+            np.where(self.failed(which), np.inf, self.median("map_rmse_m", which))
+            for which in (METHODS[0], method)
+        )
         ahead = planes < points
         if not ahead.any():
             return None
-        k, end = longest(ahead)
-        last = float(noise[end - 1])
-        if k == 0:
-            return float(noise[0]), last
+        noise, (k, end) = self.noise, longest(ahead)
+        begin, last = float(noise[k]), float(noise[end - 1])
+        if k == 0 or not np.isfinite(points[k - 1] + planes[k - 1] + points[k] + planes[k]):
+            return begin, last
         before, after = points[k - 1] - planes[k - 1], points[k] - planes[k]
-        if not (np.isfinite(before) and np.isfinite(after)):
-            return float(noise[k]), last
         return float(noise[k - 1] + (noise[k] - noise[k - 1]) * before / (before - after)), last
 
-    def error(self, method: Method, spacing_m: float) -> NDArray[np.float64]:
-        """Return the median map error, (noises,) metres; infinite where the map has failed."""
-        failed = self.median("coverage", method, spacing_m) < HALF
-        return np.where(failed, np.inf, self.median("map_rmse_m", method, spacing_m))
-
-    def fails_at(self, method: Method, spacing_m: float) -> float | None:
-        """Return the noise, over the spacing, from which on the median run maps too little."""
-        works = np.flatnonzero(self.median("coverage", method, spacing_m) >= HALF)
-        first = int(works[-1]) + 1 if len(works) else 0
-        noises = self.noises(spacing_m)
-        return noises[first] if first < len(noises) else None
+    def fails_at(self, method: Method) -> float | None:
+        """Return the noise, over the spacing, from which on a method maps too little, if any."""
+        works = np.flatnonzero(~self.failed(method))
+        beyond = self.noise[works[-1] + 1 if len(works) else 0 :]
+        return float(beyond[0]) if len(beyond) else None
 
 
 def run_crossing(
@@ -137,8 +147,8 @@ def run_crossing(
     noises: Iterable[float],
     seeds: Iterable[int],
     iterations: int | None = None,
-    progress: Callable[[list[Cell]], Iterable[Cell]] | None = None,
-) -> Crossing:
+    progress: Callable[[list[Cell]], Iterable[Cell]] = iter,
+) -> list[Crossing]:
     """Map the same points as planes and as points, for all spacings, noises and seeds.
 
     Parameters
@@ -152,28 +162,44 @@ def run_crossing(
     iterations : int, optional
         Scans of a run; one loop where left out.
     progress : callable, optional
-        Wraps the list of cells, to show how far it is.
+        Wraps the list of cells, to show progress.
+
+    Returns
+    -------
+    list of Crossing
+        One for each spacing.
     """
-    cells = list(product(spacings_m, noises, seeds))
-    runs: list[CrossingRow] = []
-    for spacing_m, noise, seed in progress(cells) if progress else cells:
+    runs: dict[float, list[CrossingRow]] = {}
+    for spacing_m, noise, seed in progress(list(product(spacings_m, noises, seeds))):
         seen = wall_points(spacing_m, noise, seed, iterations)
-        runs.extend(map_of(method, seen, noise, seed)[1] for method in METHODS)
-    return Crossing(tuple(runs))
+        runs.setdefault(spacing_m, []).extend(map_of(method, seen)[1] for method in METHODS)
+    return [Crossing(spacing_m, tuple(each)) for spacing_m, each in runs.items()]
 
 
 def wall_points(
     spacing_m: float, noise: float, seed: int, iterations: int | None = None
 ) -> SurfacePoints:
-    """Return a drive through a building past fixed points, noise in units of their spacing."""
+    """Return a drive through a building past fixed points; see `run_crossing`."""
     building = simulate_building(points=1, sigma=0.0, seed=seed, iterations=iterations)
-    return scan_surface_points(building, spacing_m, noise * spacing_m, seed)
+    return scan_surface_points(building, spacing_m, noise, seed)
 
 
-def map_of(
-    method: Method, seen: SurfacePoints, noise: float, seed: int
-) -> tuple[Result, CrossingRow]:
-    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
+def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, CrossingRow]:
+    """Segment the scans and map the walls, or map the points themselves.
+
+    Parameters
+    ----------
+    method : str
+        One of `METHODS`.
+    seen : SurfacePoints
+
+    Returns
+    -------
+    Result
+        Of planes a `relmap.planes.files.PlaneResult`.
+    CrossingRow
+        How good it is.
+    """
     if method == "planes":
         run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
         found = evaluate(run.result, seen.walls_truth)
@@ -183,7 +209,7 @@ def map_of(
         run = run_mapper(PointMapper(), seen.points, association, refine=True)
         found = evaluate(run.result, seen.points_truth, seen.points)
         rmse_m = found.landmark_rmse_m
-    about = (method, seen.spacing_m, noise, seen.sigma, seed)
+    about = (method, seen.spacing_m, seen.noise, seen.sigma, seen.seed)
     matched = found.counts["matched_poses"] / len(seen.scans)
     row = CrossingRow(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
     return run.result, row

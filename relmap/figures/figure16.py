@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,13 +22,13 @@ from relmap.comparison.methods.running import setup_for
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.sources import EightSource
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, unwatched
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish
 from relmap.points.mapper import PointMapper
 
 SIGMA_M = 0.05
 SEEDS, QUICK_SEEDS = 10, 1
-QUICK_ITERATIONS = 300
+ITERATIONS, QUICK_ITERATIONS = 900, 300
 EVERY = 10
 EVERY_REFINED = 100
 """Iterations between two points of the curve of a method that refines for each."""
@@ -66,22 +66,19 @@ class Curve:
 class ErrorCurves:
     """Curves by noise and method, in the order in which they are drawn."""
 
-    COLUMNS: ClassVar = ("noise", "seed", "method", "iteration", "landmark_rmse_m")
-
     of: Mapping[str, Mapping[str, Curve]]
-
-    def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield a line for each point of each curve, as `COLUMNS` name them."""
-        for noise, methods in self.of.items():
-            for method, curve in methods.items():
-                for seed, k in np.ndindex(curve.rmse_m.shape):
-                    place = int(curve.iteration[k]), float(curve.rmse_m[seed, k])
-                    yield noise, seed, method.replace(",", ""), *place
 
     def ratio(self, noise: str, method: str, other: str) -> float:
         """Return the error of one method over that of another at the end of the run.
 
-        It is the median of the seeds' ratios: both methods saw the same worlds.
+        Parameters
+        ----------
+        noise, method, other : str
+
+        Returns
+        -------
+        float
+            The median of the seeds' ratios: both methods saw the same worlds.
         """
         ends = (self.of[noise][name].rmse_m[:, -1] for name in (method, other))
         return float(np.median(np.divide(*ends)))
@@ -90,7 +87,7 @@ class ErrorCurves:
 class RefinedByShape(relmap.Relmap):
     """relmap with every observation kept; its map is refined, on a copy, whenever it is asked for.
 
-    Bounded noise is told from Gaussian noise by the residuals, so nothing is told of it.
+    The residuals show whether the noise is bounded, so it is not given the kind of noise.
     """
 
     def __init__(self) -> None:
@@ -114,14 +111,27 @@ METHODS: dict[str, tuple[Callable[[Setup], Method], int]] = {
 }
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Run all methods over the same worlds."""
-    iterations = QUICK_ITERATIONS if quick else 900
-    return outcome(error_curves(QUICK_SEEDS if quick else SEEDS, iterations, watch))
+def _run(quick: bool, data: Path | None, watch: Watch) -> ErrorCurves:
+    iterations = QUICK_ITERATIONS if quick else ITERATIONS
+    return error_curves(QUICK_SEEDS if quick else SEEDS, iterations, watch)
 
 
-def error_curves(seeds: int, iterations: int, watch: Watch = unwatched) -> ErrorCurves:
-    """Run all methods on figure eights of both noises, seeds 0 and up."""
+def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurves:
+    """Run all methods on figure eights of both noises.
+
+    Parameters
+    ----------
+    seeds : int
+        Number of worlds of each noise, with seeds 0 and up.
+    iterations : int
+        Of each.
+    watch : callable, optional
+        Wraps the worlds, to show progress.
+
+    Returns
+    -------
+    ErrorCurves
+    """
     found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
     at: dict[str, NDArray[np.int64]] = {}
     cells = [(noise, seed) for noise in NOISES for seed in range(seeds)]
@@ -140,28 +150,33 @@ def error_curves(seeds: int, iterations: int, watch: Watch = unwatched) -> Error
     )
 
 
-def outcome(data: ErrorCurves) -> Outcome:
+def _judge(data: ErrorCurves) -> Outcome:
     """Judge by the errors at the end."""
+    rows = [
+        (noise, seed, method.replace(",", ""),
+         int(curve.iteration[k]), float(curve.rmse_m[seed, k]))
+        for noise, methods in data.of.items()
+        for method, curve in methods.items()
+        for seed, k in np.ndindex(curve.rmse_m.shape)
+    ]  # fmt: skip
     gaussian, flat = (data.ratio(noise, MRPT, PAPER) for noise in NOISES)
     live = [data.ratio(noise, MRPT, LIVE) for noise in NOISES]
     wide = flat >= WIDE
     return Outcome(
-        lambda: plot_errors(data),
-        Table(data.COLUMNS, list(data.rows())),
+        Table(("noise", "seed", "method", "iteration", "landmark_rmse_m"), rows),
         flat,
-        "error of the EKF over that of relmap with the paper's settings under flat noise",
         "Error of the EKF as MRPT ships it over relmap's: with the paper's settings "
         f"{gaussian:.2f} under Gaussian and {flat:.2f} under flat noise of the same variance, by "
         f"default {live[0]:.2f} and {live[1]:.2f}. The wide margin under flat noise is "
-        f"{'there' if wide else 'not there'}. relmap refined by the shape of the noise makes use "
-        f"of it: under flat noise it has {data.ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
+        f"{'there' if wide else 'not there'}. relmap refined by the shape of the noise uses "
+        f"it: under flat noise it has {data.ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
         f"that EKF and {data.ratio(FLAT, SHAPED, FITTED):.2f} times that of one linearised at the "
         "best fit.",
         judged(gaussian >= 1 / SIMILAR, wide),
     )
 
 
-def plot_errors(data: ErrorCurves) -> Figure:
+def _plot(data: ErrorCurves) -> Figure:
     """Draw a panel for each noise: medians of the seeds, and each seed thinly."""
     figure = blank(6.2 * len(data.of), 6.2)
     panels = figure.subplots(1, len(data.of), sharey=True, squeeze=False)[0]
@@ -202,5 +217,8 @@ FIGURE = PaperFigure(
         f"flat noise of the same variance the EKF's is at least {WIDE:g} times as large; partly "
         "where one of the two holds"
     ),
+    unit="error of the EKF over that of relmap with the paper's settings under flat noise",
     run=_run,
+    judge=_judge,
+    draw=_plot,
 )

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
-from relmap.evaluation import metrics
 from relmap.evaluation.run import segment_scan
 from relmap.evaluation.truth import Truth
 from relmap.planes import PlaneMapper
-from relmap.plots.path import fit_poses
+from relmap.plots.path import fit_to_truth
 from relmap.segmentation import PlaneSegmenter
 
 FRAMES = 80
@@ -170,12 +169,9 @@ class BenchRecorder:
     def _world(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the motion R (2, 2), t (2,) from the map into the frame of the world."""
         placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
-        if self._truth is not None and len(placed):
-            stamps_s = np.array(self._stamps_s)[placed]
-            mine, other = metrics.match_stamps(stamps_s, self._truth.stamps_s)
-            if len(mine):
-                return fit_poses(poses[placed[mine]], self._truth.poses[other])
-        return np.eye(2), np.zeros(2)
+        stamps_s = np.array(self._stamps_s)[placed]
+        found = self._truth and fit_to_truth(stamps_s, poses[placed], self._truth)
+        return found or (np.eye(2), np.zeros(2))
 
     def _links(self, walls: NDArray[np.int64], middles: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return lines (l, 2, 2) from the middle of each group to its walls' middles."""

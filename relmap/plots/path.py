@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.evaluation.metrics import match_stamps
+from relmap.evaluation.truth import Truth
+
 GAP = 3.0
 """Times between poses, in usual ones, after which the path is not drawn through."""
 JUMP = 5.0
@@ -50,3 +53,24 @@ def fit_poses(
     angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
     R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return R, (others[:, :2, 3] - poses[:, :2, 3] @ R.T).mean(axis=0)
+
+
+def fit_to_truth(
+    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], truth: Truth
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the planar motion that brings poses onto the true ones of the same times.
+
+    Parameters
+    ----------
+    stamps_s : (k,) float64, seconds
+    poses : (k, 4, 4) float64
+        ``T_map_robot``.
+    truth : Truth
+
+    Returns
+    -------
+    R, t : (2, 2), (2,) float64
+        As `fit_poses` returns them; None where no times are the same.
+    """
+    mine, other = match_stamps(stamps_s, truth.stamps_s)
+    return fit_poses(poses[mine], truth.poses[other]) if len(mine) else None
