@@ -15,7 +15,7 @@ from relmap.cli import main
 from relmap.core.errors import RelmapError
 from relmap.evaluation.sources import truth_of
 from relmap.figures import figure04, figure06
-from relmap.figures.corner_test import corner_tests
+from relmap.figures.figure04 import corner_tests
 from relmap.figures.figure06 import PartialWall, longest, run_partial_wall
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory

@@ -28,17 +28,7 @@ class Table:
     rows: Sequence[Sequence[object]]
 
     def write(self, path: Path) -> None:
-        """Write the table.
-
-        Parameters
-        ----------
-        path : Path
-
-        Raises
-        ------
-        RelmapError
-            Where the file cannot be written.
-        """
+        """Write the table; a `RelmapError` says where the file cannot be written."""
         atomic_write(path, csv_text(self.columns, self.rows))
 
 
@@ -114,46 +104,17 @@ class PaperFigure(Generic[D]):
 
 
 def judged(*held: bool) -> Verdict:
-    """Return the verdict on a claim.
-
-    Parameters
-    ----------
-    *held : bool
-        Whether each part of the claim holds.
-
-    Returns
-    -------
-    str
-    """
+    """Return the verdict on a claim of which each part held or did not."""
     if all(held):
         return "borne out"
     return "partly borne out" if any(held) else "not borne out"
 
 
 def sentence(text: str) -> str:
-    """Return a text, of one line or more, with a capital letter and a full stop.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-        One line.
-    """
+    """Return a text as one line with a capital letter and a full stop."""
     return f"{text[:1].upper()}{text[1:]}.".replace("\n", " ")
 
 
 def n_log_n(n: NDArray[Any]) -> NDArray[np.float64]:
-    """Return n log2 n, the bound of figures 12 and 15.
-
-    Parameters
-    ----------
-    n : (k,) number
-
-    Returns
-    -------
-    (k,) float64
-    """
+    """Return n log2 n, the bound of figures 12 and 15."""
     return np.asarray(n * np.log2(n), dtype=np.float64)

@@ -77,19 +77,7 @@ class Crossing:
         return np.unique([row.noise for row in self.runs])
 
     def values(self, name: str, method: Method) -> NDArray[np.float64]:
-        """Return one attribute of all runs of a method.
-
-        Parameters
-        ----------
-        name : str
-            Of a `CrossingRow`.
-        method : str
-
-        Returns
-        -------
-        (noises, seeds) float64
-            Infinite where there is none.
-        """
+        """Return an attribute of all runs of a method, (noises, seeds); infinite where None."""
         found = [
             [getattr(row, name) for row in self.runs if (row.method, row.noise) == (method, noise)]
             for noise in self.noise
@@ -109,17 +97,7 @@ class Crossing:
 
         Of several such intervals it is the longest.  It begins where the medians of the map error
         cross, on straight lines between two noises, or at the first noise at which points fail; it
-        ends with the last noise at which planes are still ahead.
-
-        Parameters
-        ----------
-        method : str
-            Of points.
-
-        Returns
-        -------
-        tuple of float, or None
-            None where planes never have the better map.
+        ends with the last noise at which planes are still ahead.  None where they never are.
         """
         planes, points = (
             np.where(self.failed(which), np.inf, self.median("map_rmse_m", which))
@@ -185,21 +163,7 @@ def wall_points(
 
 
 def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, CrossingRow]:
-    """Segment the scans and map the walls, or map the points themselves.
-
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    seen : SurfacePoints
-
-    Returns
-    -------
-    Result
-        Of planes a `relmap.planes.files.PlaneResult`.
-    CrossingRow
-        How good it is.
-    """
+    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
     if method == "planes":
         run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
         found = evaluate(run.result, seen.walls_truth)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +17,9 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
-from relmap.figures.corner_test import SHORTEST, CornerTest, corner_tests
 from relmap.planes import PlaneMapper
+from relmap.planes.history import PlaneHistory
+from relmap.planes.pairwise import midpoint_pairs
 from relmap.plots.sheet import (
     BLUE,
     GREY,
@@ -39,6 +43,8 @@ QUICK_ITERATIONS = 60
 OFTEN, MOSTLY = 0.95, 0.5
 """Shares of the pairs of walls for which the claim must hold, to be borne out, and partly so."""
 SIDES = ("right", "left")
+SHORTEST = 12
+"""Iterations of the shortest common interval that is tested."""
 STEADY_M = 0.01
 """Deviations below this are as good as none."""
 SKEW = np.deg2rad(30.0)
@@ -49,6 +55,81 @@ RING: dict[str, Any] = {"linestyle": "", "markersize": 8, "markerfacecolor": "no
 PAIRS = ("first_wall", "second_wall", "iterations", "chosen_first", "chosen_second",
          "static_first", "static_second", "right")  # fmt: skip
 SHIFTS = ("iteration", "first_end", "second_end", "dx", "dy", "deviation", "chosen")
+
+
+@dataclass(frozen=True, eq=False)
+class CornerTest:
+    """Two walls over an interval in which each is seen with one static end and one cut one.
+
+    Attributes
+    ----------
+    planes : tuple of int
+        Numbers of the two walls.
+    iterations : (k,) int64
+    ends : (2, k, 2, 2) float64, robot frame, metres
+        Right and left end of each wall as observed.
+    sizes : tuple of float
+        The size of each wall, fixed over the interval: the largest seen in it.
+    offsets : (k, 2, 2, 2) float64, metres
+        See `relmap.planes.pairwise.midpoint_pairs`.
+    static : tuple of int
+        The static end of each wall by its type in each scan: 0 right, 1 left.
+    """
+
+    planes: tuple[int, int]
+    iterations: NDArray[np.int64]
+    ends: NDArray[np.float64]
+    sizes: tuple[float, float]
+    offsets: NDArray[np.float64]
+    static: tuple[int, int]
+
+    @property
+    def deviation(self) -> NDArray[np.float64]:
+        """Standard deviation of each pair's offset over the interval, (2, 2), metres."""
+        return np.asarray(np.sqrt(self.offsets.var(axis=0).sum(axis=2)))
+
+    @property
+    def chosen(self) -> tuple[int, int]:
+        """The ends whose pair has the lowest deviation."""
+        i, j = np.unravel_index(np.argmin(self.deviation), (2, 2))
+        return int(i), int(j)
+
+    @property
+    def skew(self) -> float:
+        """How far from parallel the walls are, radians."""
+        (x, y), (u, v) = np.moveaxis(self.ends[:, :, 1] - self.ends[:, :, 0], -1, 1)
+        sines = np.abs(x * v - y * u) / (np.hypot(x, y) * np.hypot(u, v))
+        return float(np.arcsin(np.clip(np.median(sines), 0, 1)))
+
+
+def corner_tests(history: PlaneHistory) -> list[CornerTest]:
+    """Return all pairs of walls of a run that are seen for long with one cut end each."""
+    tests = []
+    for (plane, side, rows), (other, other_side, other_rows) in combinations(_cut(history), 2):
+        _, i, j = np.intersect1d(
+            history.iteration[rows], history.iteration[other_rows], return_indices=True
+        )
+        if plane == other or len(i) < SHORTEST:
+            continue
+        ends = np.stack([history.ends[rows[i]], history.ends[other_rows[j]]])
+        first, second = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1).tolist()
+        offsets, _ = midpoint_pairs(ends[0], ends[1], (first, second))
+        pair, static = (plane, other), (side, other_side)
+        iterations = history.iteration[rows[i]]
+        tests.append(CornerTest(pair, iterations, ends, (first, second), offsets, static))
+    return tests
+
+
+def _cut(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+    """Yield wall, static end and rows of each run of scans that see a wall with that end alone."""
+    for plane in np.unique(history.plane).tolist():
+        rows = np.flatnonzero(history.plane == plane)
+        static = history.corner[rows] >= 0
+        side = np.where(static.sum(axis=1) == 1, static.argmax(axis=1), -1)
+        breaks = (np.diff(side) != 0) | (np.diff(history.iteration[rows]) != 1)
+        for run in np.split(np.arange(len(rows)), np.flatnonzero(breaks) + 1):
+            if side[run[0]] >= 0 and len(run) >= SHORTEST:
+                yield plane, int(side[run[0]]), rows[run]
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> list[CornerTest]:
@@ -62,7 +143,7 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> list[CornerTest]:
 
 
 def _judge(tests: list[CornerTest]) -> Outcome:
-    shown = clearest(tests)
+    shown = _clearest(tests)
     shifts = [
         (int(k), SIDES[i], SIDES[j], float(dx), float(dy),
          float(shown.deviation[i, j]), int((i, j) == shown.chosen))
@@ -85,23 +166,8 @@ def _judge(tests: list[CornerTest]) -> Outcome:
     )
 
 
-def clearest(tests: list[CornerTest]) -> CornerTest:
-    """Return the pair of walls, not parallel, that shows best what the test goes by.
-
-    Parameters
-    ----------
-    tests : list of CornerTest
-
-    Returns
-    -------
-    CornerTest
-        That whose second lowest deviation is the largest multiple of the lowest.
-
-    Raises
-    ------
-    RelmapError
-        Where there is none.
-    """
+def _clearest(tests: list[CornerTest]) -> CornerTest:
+    """Return the pair of walls, not parallel, whose second lowest deviation stands out most."""
 
     def clearness(test: CornerTest) -> float:
         lowest, second = np.sort(test.deviation, axis=None)[:2]
@@ -121,7 +187,7 @@ def _plot(tests: list[CornerTest]) -> Figure:
     As in the paper: observed corner points in blue, estimated midpoints in red, the static pair in
     green.
     """
-    test = clearest(tests)
+    test = _clearest(tests)
     figure = blank(14.0, 4.8)
     seen, pairs, shifts = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.15])
     k = _shown(test)

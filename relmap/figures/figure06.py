@@ -145,15 +145,7 @@ def run_partial_wall(
 
 
 def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return where the longest run of true begins, and one after its end.
-
-    Parameters
-    ----------
-    held : (k,) bool
-
-    Returns
-    -------
-    tuple of int
+    """Return where the longest run of true (k,) begins, and one after its end.
 
     Raises
     ------

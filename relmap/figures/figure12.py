@@ -128,12 +128,6 @@ def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArr
 
     Dynamic ones that stand still all the time are left out: they cannot be recognised.
 
-    Parameters
-    ----------
-    seed : int
-    largest : int
-        Landmarks that are needed.
-
     Returns
     -------
     places : (n, i, 3) float64, robot frame, metres
@@ -157,23 +151,7 @@ def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArr
 def block_of(
     n: int, share: float, pool: NDArray[np.float64], static: NDArray[np.bool_], seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return some of the landmarks, a share of them dynamic, with noise.
-
-    Parameters
-    ----------
-    n : int
-        How many.
-    share : float
-        Of those that move, in [0, 1].
-    pool, static : (m, i, 3) float64, (m,) bool
-        As `observed_places` returns them.
-    seed : int
-
-    Returns
-    -------
-    places : (n, i, 3) float64, robot frame, metres
-    static : (n,) bool
-    """
+    """Return n of the landmarks, a share of them dynamic, with noise; and which are static."""
     rng = np.random.default_rng([seed, n, round(100 * share)])
     n_dynamic = round(share * n)
     chosen = [rng.permutation(np.flatnonzero(~static))[:n_dynamic]]

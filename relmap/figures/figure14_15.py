@@ -127,20 +127,7 @@ def _timed(log: ObservationLog) -> tuple[NDArray[np.float64], NDArray[np.int64]]
 
 
 def median_times(log: ObservationLog, repeats: int, watch: Watch = iter) -> NDArray[np.float64]:
-    """Return the processor time of each iteration of a log that is mapped without its ids.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    repeats : int
-        Runs, with one thread, of which the median is taken.
-    watch : callable, optional
-        Wraps the runs, to show progress.
-
-    Returns
-    -------
-    (i,) float64, ms
-    """
+    """Return the time of each iteration (i,), ms: the median of several runs without ids."""
     return np.asarray(np.median([_timed(log)[0] for _ in watch(range(repeats))], axis=0))
 
 
@@ -166,18 +153,7 @@ def _running(values: NDArray[np.float64], of: Any) -> NDArray[np.float64]:
 
 
 def seen_so_far(landmarks: NDArray[np.int64], log: ObservationLog) -> NDArray[np.int64]:
-    """Return how many different landmarks were seen up to each iteration of a log.
-
-    Parameters
-    ----------
-    landmarks : (n,) int64
-        Of each observation.
-    log : ObservationLog
-
-    Returns
-    -------
-    (i,) int64
-    """
+    """Return how many of the landmarks (n,) were seen up to each iteration of a log; (i,)."""
     _, first = np.unique(landmarks, return_index=True)
     return np.cumsum(np.bincount(log.iteration[first], minlength=len(log)))
 

@@ -71,14 +71,7 @@ class ErrorCurves:
     def ratio(self, noise: str, method: str, other: str) -> float:
         """Return the error of one method over that of another at the end of the run.
 
-        Parameters
-        ----------
-        noise, method, other : str
-
-        Returns
-        -------
-        float
-            The median of the seeds' ratios: both methods saw the same worlds.
+        It is the median of the seeds' ratios: both methods saw the same worlds.
         """
         ends = (self.of[noise][name].rmse_m[:, -1] for name in (method, other))
         return float(np.median(np.divide(*ends)))

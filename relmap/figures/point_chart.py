@@ -72,18 +72,7 @@ class ChartPicture:
 
 
 def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> ChartPicture:
-    """Chart some iterations around a seed, and grow its group as a map begins.
-
-    Parameters
-    ----------
-    store : ObservationStore
-    seed : int
-    begin, end : int
-        First iteration, and one after the last.
-
-    Returns
-    -------
-    ChartPicture
+    """Chart the iterations `begin` to `end` around a seed, and grow its group as a map begins.
 
     Raises
     ------
@@ -103,17 +92,7 @@ def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> C
 
 
 def paper_stops(area: NDArray[np.int64]) -> int:
-    """Return how many members the paper's rule takes: up to the first that adds no area.
-
-    Parameters
-    ----------
-    area : (n,) int64
-        Members x common interval of the first 1, 2, ... landmarks.
-
-    Returns
-    -------
-    int
-    """
+    """Return how many members the paper's rule takes: up to the first that adds no area (n,)."""
     falls = np.flatnonzero(np.diff(area[FEWEST_MEMBERS - 1 :]) <= 0)
     return int(falls[0]) + FEWEST_MEMBERS if len(falls) else len(area)
 
@@ -145,18 +124,9 @@ class ChartedRun:
         return [visit for visit in visits if visit[1] >= MARGIN and visit[2] <= latest]
 
     def truly_visible(self, chart: ChartPicture) -> NDArray[np.bool_]:
-        """Return which cells of a chart are truly visible.
+        """Return which cells (n, i) of a chart are truly visible.
 
         A row is of the true landmark to which most of its observations belong.
-
-        Parameters
-        ----------
-        chart : ChartPicture
-            Of this run.
-
-        Returns
-        -------
-        (n, i) bool
         """
         ids = self.log.ids
         assert ids is not None
@@ -173,17 +143,7 @@ class ChartedRun:
 
 @cache
 def charted_run(quick: bool) -> ChartedRun:
-    """Drive the figure eight and register every scan; kept for the next figure.
-
-    Parameters
-    ----------
-    quick : bool
-        Whether a short run is enough.
-
-    Returns
-    -------
-    ChartedRun
-    """
+    """Drive the figure eight, briefly or in full, and register every scan; cached."""
     iterations = QUICK_ITERATIONS if quick else ITERATIONS
     log = simulate_figure_eight(density=25, iterations=iterations).log
     store, registration = ObservationStore(), Constellation(MapperConfig().max_missed)
@@ -195,15 +155,6 @@ def charted_run(quick: bool) -> ChartedRun:
 @cache
 def shown_chart(quick: bool) -> ChartPicture:
     """Return the chart around the landmark whose visit is nearest to `VISIT` iterations.
-
-    Parameters
-    ----------
-    quick : bool
-        Whether a short run is enough.
-
-    Returns
-    -------
-    ChartPicture
 
     Raises
     ------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,14 @@ from relmap.plots.path import fit_to_truth
 from relmap.segmentation import PlaneSegmenter
 
 FRAMES = 80
-"""An animation has about so many, spread over the run."""
+"""Frames of an animation, about, spread over the run."""
 
 
 COLUMNS = ("what", "number", "x0", "y0", "x1", "y1")
 
 
 def rows_of(shapes: Mapping[str, NDArray[np.float64]]) -> Iterator[tuple[object, ...]]:
-    """Yield a line for each line (n, 2, 2) or known place (n, 2), as `COLUMNS` name them."""
+    """Yield a row for each line (n, 2, 2) and known place (n, 2), as `COLUMNS` name them."""
     for what, each in shapes.items():
         rest = () if each.ndim == 3 else ("", "")
         flat = each.reshape(-1, 4 - len(rest))
@@ -61,8 +60,6 @@ class BenchFrame:
         Empty where they are not known.
     """
 
-    COLUMNS: ClassVar = COLUMNS
-
     iteration: int
     points_robot: NDArray[np.float64]
     label: NDArray[np.int64]
@@ -94,7 +91,7 @@ class BenchRecorder:
         Those of the run.
     truth : Truth, optional
     every : int
-        A frame is kept after each so many scans; 0: none but the last, when asked for.
+        Scans from one frame to the next; 0: none is kept but the last, when asked for.
     view : SensorView, optional
         Where the sensor is on the robot; the segmenter sees from there.
     before_s : iterable of float
@@ -184,5 +181,5 @@ class BenchRecorder:
 
 
 def frame_step(n_scans: int, frames: int = FRAMES) -> int:
-    """Return after how many scans each a frame is kept, for about so many frames of a run."""
+    """Return the number of scans from one frame to the next, for about `frames` in all."""
     return max(1, math.ceil(n_scans / frames))

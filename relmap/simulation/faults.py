@@ -1,7 +1,9 @@
 """What goes wrong in the world and in a sensor: faults put into a log with ids, one function each.
 
 Each function takes a log and returns another; nothing is changed in place.  False observations lie
-where other observations of the log lie, so that their place alone does not give them away.
+where other observations of the log lie, so that their place alone does not give them away.  A share
+is one of all observations, in [0, 1]; a `RelmapError` says where it is not, or where ids that a
+fault needs are missing.
 """
 
 from __future__ import annotations
@@ -16,20 +18,7 @@ from relmap.datasets.base import ObservationLog
 
 
 def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Put a share of the observations where others were: right ids at wrong places.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    share : float
-        In [0, 1].
-    rng : numpy.random.Generator
-
-    Raises
-    ------
-    RelmapError
-        Where the share is out of its range.
-    """
+    """Put a share of the observations where others were: right ids at wrong places."""
     wrong = _drawn(log, share, rng)
     points = log.points_robot.copy()
     points[wrong] = log.points_robot[rng.integers(len(points), size=len(wrong))]
@@ -39,15 +28,12 @@ def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) 
 def missed_detections(
     log: ObservationLog, share: float, rng: np.random.Generator
 ) -> ObservationLog:
-    """Leave out a share of the observations; parameters and errors as of `gross_outliers`."""
+    """Leave out a share of the observations."""
     return _rows(log, np.delete(np.arange(len(log.iteration)), _drawn(log, share, rng)))
 
 
 def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Add observations of nothing, as many as a share of all, each under an id of its own.
-
-    Parameters and errors are those of `gross_outliers`.
-    """
+    """Add observations of nothing, as many as a share of all, each under an id of its own."""
     seen_with = _drawn(log, share, rng)
     n = len(seen_with)
     places = log.points_robot[rng.integers(len(log.points_robot), size=n)]
@@ -75,41 +61,19 @@ def duplicated_landmarks(
 
 
 def mirrored_scan(log: ObservationLog, iteration: int) -> ObservationLog:
-    """Swap left and right in one iteration.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    iteration : int
-    """
+    """Swap left and right in one iteration."""
     points = log.points_robot.copy()
     points[log.iteration == iteration, 1] *= -1
     return replace(log, points_robot=points)
 
 
 def lost_scans(log: ObservationLog, first: int, count: int) -> ObservationLog:
-    """Remove all observations of some iterations.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    first, count : int
-        First of the iterations, and their number.
-    """
+    """Remove all observations of `count` iterations."""
     return _rows(log, np.flatnonzero(~_within(log, first, count)))
 
 
 def few_landmarks(log: ObservationLog, first: int, count: int, few: int = 2) -> ObservationLog:
-    """Keep only the longest known landmarks of each of some iterations.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    first, count : int
-        First of the iterations, and their number.
-    few : int
-        Landmarks to keep in each.
-    """
+    """Keep only the `few` longest known landmarks in each of `count` iterations."""
     ids, begun = np.unique(_ids(log), return_index=True)
     age = begun[np.searchsorted(ids, _ids(log))]
     order = np.lexsort((age, log.iteration))
@@ -120,15 +84,7 @@ def few_landmarks(log: ObservationLog, first: int, count: int, few: int = 2) -> 
 
 
 def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
-    """Let the robot move several steps between two iterations.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    first : int
-        The iteration before the big step.
-    steps : int
-    """
+    """Let the robot move as far as in several steps after the iteration `first`."""
     skipped = (log.iteration > first) & (log.iteration < first + steps)
     kept = _rows(log, np.flatnonzero(~skipped))
     later = kept.iteration > first
@@ -137,14 +93,7 @@ def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
 
 
 def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLog:
-    """Hand out some iterations in reverse, as where a buffer is emptied from the wrong end.
-
-    Parameters
-    ----------
-    log : ObservationLog
-    first, count : int
-        First of the iterations, and their number.
-    """
+    """Reverse `count` iterations, as where a buffer is emptied from the wrong end."""
     within = _within(log, first, count)
     iteration = np.where(within, 2 * first + count - 1 - log.iteration, log.iteration)
     order = np.argsort(iteration, kind="stable")

@@ -74,17 +74,7 @@ class FloorPlan:
 
 
 def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
-    """Draw a world: a building, panels only, or a long wall among panels.
-
-    Parameters
-    ----------
-    world : "building", "panels" or "long-wall"
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    FloorPlan
-    """
+    """Draw a world: a building, panels only, or a long wall among panels."""
     draw = {"building": _building, "panels": _field, "long-wall": _long_wall}[world]
     flat, floors, loop, doors = draw(rng)
     height = np.tile([0.0, rng.uniform(*HEIGHT_M)], (len(flat), 1))
@@ -92,18 +82,7 @@ def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
 
 
 def wall_distances(points: Array, walls: Array) -> Array:
-    """Return the distances of points from walls in the ground plane.
-
-    Parameters
-    ----------
-    points : (n, 2) float64, metres
-    walls : (w, 4 or more) float64, metres
-        x0, y0, x1, y1, and whatever follows.
-
-    Returns
-    -------
-    (n, w) float64, metres
-    """
+    """Return the distances (n, w) of points (n, 2) from walls (w, 4 or more), metres."""
     first, along = walls[:, :2], walls[:, 2:4] - walls[:, :2]
     offset = points[:, None] - first
     t = np.clip((offset * along).sum(axis=2) / (along * along).sum(axis=1), 0.0, 1.0)

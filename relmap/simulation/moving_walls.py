@@ -46,18 +46,7 @@ class MovingWalls:
     phase: NDArray[np.float64]
 
     def at(self, walls: Array, iteration: int) -> Array:
-        """Return the walls as they are in one scan.
-
-        Parameters
-        ----------
-        walls : (w, 6) float64, metres
-            All walls of the plan.
-        iteration : int
-
-        Returns
-        -------
-        (w, 6) float64, metres
-        """
+        """Return all walls (w, 6) of the plan as they are in one scan."""
         if not len(self.row):
             return walls
         share = np.sin(2 * np.pi * iteration / self.period + self.phase)

@@ -17,20 +17,7 @@ Noise = Literal["gaussian", "uniform"]
 def draw_noise(
     noise: Noise, sigma: float, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Array:
-    """Draw independent errors with mean 0.
-
-    Parameters
-    ----------
-    noise : "gaussian" or "uniform"
-    sigma : float
-        Standard deviation.
-    shape : tuple of int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    float64 array of that shape
-    """
+    """Draw independent errors with mean 0 and standard deviation `sigma`."""
     if noise == "gaussian":
         return rng.normal(0.0, sigma, shape)
     half_width = np.sqrt(3) * sigma
