@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.figures import figure07, figure_crossing
-from relmap.figures.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
 from relmap.figures.figure07 import NoisyMaps, run_noisy_maps
+from relmap.figures.figure_crossing import (
+    METHODS,
+    Crossing,
+    CrossingRow,
+    Method,
+    run_crossing,
+)
 from relmap.figures.surface_points import scan_surface_points
 from relmap.simulation import simulate_building
 

@@ -234,7 +234,7 @@ def _midpoints(ends: NDArray[np.float64], size: float) -> NDArray[np.float64]:
 
 
 def _draw_walls(axes: Axes, test: CornerTest, walls: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Draw walls as observed, dashed as far as their sizes say that they go on; return whereto."""
+    """Draw walls as observed, dashed up to their sizes; return where the dashes end, (2, 2)."""
     reached = []
     for plane, fixed, size, ends in zip(test.planes, test.static, test.sizes, walls, strict=True):
         along = _along(ends)
@@ -273,8 +273,8 @@ def _draw_shifts(axes: Axes, test: CornerTest) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for (i, j), colour in _colours(test).items():
         chosen = (i, j) == test.chosen
-        told = test.deviation[i, j]
-        length = f"{told:.0e} m" if told < 1e-6 else f"{told:.3f} m"
+        metres = test.deviation[i, j]
+        length = f"{metres:.0e} m" if metres < 1e-6 else f"{metres:.3f} m"
         label = f"{_named((i, j))}: {length}" + (", static" if chosen else "")
         style: dict[str, Any] = {"color": colour, "linewidth": 2.5 if chosen else 1.2}
         axes.plot(test.iterations, off[:, i, j], ".-", label=label, **style)

@@ -153,7 +153,7 @@ def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
         Where nothing is true.
     """
     if not held.any():
-        raise RelmapError("no link is weak: no stretch hangs on a single partial wall")
+        raise RelmapError("no link is weak: no stretch depends on a single partial wall")
     edges = np.flatnonzero(np.diff(held.astype(np.int8), prepend=0, append=0))
     begin, end = edges[::2], edges[1::2]
     k = int(np.argmax(end - begin))

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from relmap.evaluation.truth import Truth
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
-from relmap.figures.crossing import HALF, CrossingRow, map_of, wall_points
+from relmap.figures.figure_crossing import HALF, CrossingRow, map_of
+from relmap.figures.surface_points import wall_points
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
 from relmap.plots.bench_recorder import COLUMNS, rows_of

@@ -206,7 +206,7 @@ def _legend(figure: Figure, chart: ChartPicture, more: dict[str, str] | None = N
 CHART = PaperFigure(
     name="9",
     title="the point chart",
-    claim="A chart tells for every landmark in which iterations it was visible.",
+    claim="A chart shows for every landmark in which iterations it was visible.",
     criterion=(
         f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
         f"partly: {MOSTLY:.0%}"

@@ -1,4 +1,4 @@
-"""Figure 12: how many comparisons it takes to tell what moves."""
+"""Figure 12: how many comparisons it takes to find what moves."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def _draw_comparisons(axes: Axes, data: Comparisons) -> None:
         style = {"color": colour, "markersize": size, "linewidth": 1.3}
         axes.plot(n, median, "o-", label=f"{100 * share:.0f} % dynamic", **style)
     axes.set(xscale="log", yscale="log", ylim=(n[0], 3 * n_log_n(n[-1:])[0]))
-    write_in_full(axes.xaxis, n)
+    write_in_full(axes.xaxis)
     title = f"Figure 12: comparisons, median of {data.right.shape[2]} worlds\n{_held(data)}"
     finish(axes, title, "landmarks n", "comparisons of two landmarks")
     axes.legend(fontsize=8, loc="lower right")
@@ -212,7 +212,7 @@ def _draw_right(axes: Axes, data: Comparisons) -> None:
 
 FIGURE = PaperFigure(
     name="12",
-    title="comparisons to tell what moves",
+    title="comparisons to find what moves",
     claim=(
         "With up to 40 % of the landmarks moving, binning them takes no more than n log n "
         "comparisons; from about 47 % on it takes n²."

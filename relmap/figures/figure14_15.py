@@ -26,7 +26,7 @@ DENSITIES = (12, 25, 50, 100, 200, 400, 700, 1200, 1900)
 QUICK_DENSITIES = (12, 50, 150, 500)
 ITERATIONS, QUICK_ITERATIONS = 900, 300
 BEGINNING = 25
-"""Iterations in which a map begins; left out where the end of a loop is held against its start."""
+"""Iterations in which a map begins; left out where the end of a loop is compared with its start."""
 HALF_WINDOW = 25
 """Iterations before and after that a running median or mean takes in."""
 FLAT = 1.2
@@ -193,7 +193,7 @@ def _plot_loop(data: LoopTiming) -> Figure:
         above.plot(i, _running(data.time_ms, of), color=colour, linewidth=1.8, label=label)
     lowest, highest = float(data.time_ms.min()), float(data.time_ms.max())
     above.set(yscale="log", ylim=(lowest / 1.5, 2.5 * highest))
-    write_in_full(above.yaxis, data.time_ms)
+    write_in_full(above.yaxis)
     title = f"Figure 14: run time over one loop {MACHINE}\n{data.said}"
     finish(above, title, "", "processor time of an iteration [ms]")
     above.legend(fontsize=8, loc="upper center", ncols=3)
@@ -257,8 +257,8 @@ def _plot_densities(data: DensityTiming) -> Figure:
     bound = n_log_n(n) * data.mean_ms[-1] / n_log_n(n[-1:])
     axes.plot(n, bound, ":", color=GREY, linewidth=1.6, label="slope of n log₂ n alone")
     axes.set(xscale="log", yscale="log", ylim=(data.median_ms.min() / 2, 2 * data.mean_ms.max()))
-    write_in_full(axes.xaxis, data.visible)
-    write_in_full(axes.yaxis, np.concatenate([data.median_ms, data.mean_ms]))
+    write_in_full(axes.xaxis)
+    write_in_full(axes.yaxis)
     title = f"Figure 15: run time over what is visible {MACHINE}\n{data.said}"
     finish(axes, title, "landmarks visible n, on average", "processor time of an iteration [ms]")
     axes.legend(fontsize=8, loc="upper left")

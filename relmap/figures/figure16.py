@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from relmap.comparison.baselines import ekf
@@ -23,7 +22,7 @@ from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.sources import EightSource
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
-from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish
+from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, write_in_full
 from relmap.points.mapper import PointMapper
 
 SIGMA_M = 0.05
@@ -182,9 +181,7 @@ def _plot(data: ErrorCurves) -> Figure:
         finish(axes, f"{noise} noise ({what})", "iteration", "")
         axes.legend(loc="upper center", **style)
     panels[0].set(yscale="log", ylabel="landmark RMSE after rigid alignment [m]")
-    panels[0].yaxis.set_major_locator(LogLocator(10, (1, 2, 3, 5)))
-    panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panels[0].yaxis.set_minor_formatter(NullFormatter())
+    write_in_full(panels[0].yaxis, (1, 2, 3, 5))
     figure.suptitle("Figure 16: landmark error over the run", fontsize=11)
     return figure
 

@@ -77,7 +77,7 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     result : Result
         Of mapping the log.
     log : ObservationLog
-        With the published ids, which judge the map and make the reference.
+        With the published ids, for the evaluation and for the reference.
 
     Returns
     -------

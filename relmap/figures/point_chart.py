@@ -41,7 +41,7 @@ class ChartPicture:
     visible : (n, i) bool
         One column for each iteration of the window.
     members : int
-        The group is the first so many landmarks.
+        How many landmarks, from the first on, make the group.
     """
 
     begin: int

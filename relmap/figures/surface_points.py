@@ -17,7 +17,7 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, stored_scans
 from relmap.evaluation.sources import truth_of
 from relmap.evaluation.truth import Truth
-from relmap.simulation import Building, BuildingScan
+from relmap.simulation import Building, BuildingScan, simulate_building
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,14 @@ class SurfacePoints:
     def sigma(self) -> float:
         """Standard deviation of each coordinate, metres."""
         return self.noise * self.spacing_m
+
+
+def wall_points(
+    spacing_m: float, noise: float, seed: int, iterations: int | None = None
+) -> SurfacePoints:
+    """Return a drive through a building past fixed points; see `scan_surface_points`."""
+    building = simulate_building(points=1, sigma=0.0, seed=seed, iterations=iterations)
+    return scan_surface_points(building, spacing_m, noise, seed)
 
 
 def scan_surface_points(

@@ -58,7 +58,7 @@ def plot_submaps(
         axes.tick_params(labelsize=6)
     left = n_submaps - len(submaps)
     also = f", {left} of a few scans not drawn" if left else ""
-    figure.suptitle(f"{n_submaps} submaps that nothing ties to one another{also}", fontsize=11)
+    figure.suptitle(f"{n_submaps} separate submaps{also}", fontsize=11)
     legend_below(figure, 3, axes)
     return figure
 

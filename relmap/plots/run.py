@@ -129,10 +129,12 @@ def _draw_groups(
 
 def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
     """Ring the segments and merges that fit the refined map much worse than noise explains."""
-    told = result.summary.get("refinement") or {}
-    segments = [place for place in told.get("weakest_segments", ()) if place["residual"] > WEAK]
+    refinement = result.summary.get("refinement") or {}
+    segments, merges = (
+        [place for place in refinement.get(kind, ()) if place["residual"] > WEAK]
+        for kind in ("weakest_segments", "weakest_merges")
+    )
     place_of = dict(zip(result.landmarks.landmark.tolist(), result.landmarks.position, strict=True))
-    merges = [merge for merge in told.get("weakest_merges", ()) if merge["residual"] > WEAK]
     for label, marker, places in (
         ("stretch that fits badly", "o", [[*place["middle"], 0.0][:3] for place in segments]),
         ("doubtful merge", "D", [place_of[merge["landmark"]] for merge in merges]),

@@ -15,7 +15,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from relmap.io.files import atomic_write
@@ -99,23 +99,10 @@ def draw_limits(axes: Axes, limits: Limits) -> None:
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
-def write_in_full(
-    axis: Any, values: NDArray[np.float64], digits: Sequence[int] = (1, 2, 5)
-) -> None:
-    """Write the numbers of a logarithmic axis in full: 1, 2, 5, 10, ...
-
-    Parameters
-    ----------
-    axis : matplotlib.axis.Axis
-    values : (n,) float64
-        What is shown.
-    digits : sequence of int
-        First digits of the numbers to write.
-    """
-    steps = np.outer(10.0 ** np.arange(-6, 9), digits).ravel()
-    shown = steps[(steps >= values.min() / 1.7) & (steps <= values.max() * 1.7)]
-    axis.set_major_locator(FixedLocator(shown.tolist()))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+def write_in_full(axis: Any, digits: Sequence[int] = (1, 2, 5)) -> None:
+    """Write the numbers of a logarithmic axis that begin with these digits, as 1, 2, 5, 10, ..."""
+    axis.set_major_locator(LogLocator(10, digits))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
