@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -156,7 +158,7 @@ def test_picture_of_the_crossing_shows_medians() -> None:
 def test_every_method_is_run_on_every_cell() -> None:
     counted: list[int] = []
 
-    def progress(cells: list[tuple[float, float, int]]) -> list[tuple[float, float, int]]:
+    def progress(cells: Sequence[Any]) -> Sequence[Any]:
         counted.append(len(cells))
         return cells
 

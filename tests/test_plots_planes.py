@@ -59,7 +59,7 @@ def cut_walls() -> PlaneHistory:
 def test_corner_test_finds_the_static_pair_and_tells_all_four() -> None:
     (test,) = corner_tests(cut_walls())
     assert test.static == test.chosen == (1, 0)
-    np.testing.assert_allclose(test.sizes, (4.0, 5.0))
+    np.testing.assert_allclose(test.sizes, [4.0, 5.0])
     np.testing.assert_allclose(test.skew, np.pi / 2)
     np.testing.assert_allclose(test.deviation[1, 0], 0.0, atol=1e-12)
     # An end that goes 0.1 m a scan takes its midpoint along.

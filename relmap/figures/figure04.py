@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -68,10 +69,6 @@ class CornerTest:
     iterations : (k,) int64
     ends : (2, k, 2, 2) float64, robot frame, metres
         Right and left end of each wall as observed.
-    sizes : tuple of float
-        The size of each wall, fixed over the interval: the largest seen in it.
-    offsets : (k, 2, 2, 2) float64, metres
-        See `relmap.planes.pairwise.midpoint_pairs`.
     static : tuple of int
         The static end of each wall by its type in each scan: 0 right, 1 left.
     """
@@ -79,9 +76,23 @@ class CornerTest:
     planes: tuple[int, int]
     iterations: NDArray[np.int64]
     ends: NDArray[np.float64]
-    sizes: tuple[float, float]
-    offsets: NDArray[np.float64]
     static: tuple[int, int]
+
+    @property
+    def lengths(self) -> NDArray[np.float64]:
+        """Visible length of each wall in each iteration, (2, k), metres."""
+        return np.asarray(np.linalg.norm(self.ends[:, :, 1] - self.ends[:, :, 0], axis=2))
+
+    @property
+    def sizes(self) -> NDArray[np.float64]:
+        """Size of each wall, fixed over the interval: the largest seen in it, (2,), metres."""
+        return np.asarray(self.lengths.max(axis=1))
+
+    @cached_property
+    def offsets(self) -> NDArray[np.float64]:
+        """See `relmap.planes.pairwise.midpoint_pairs`, (k, 2, 2, 2), metres."""
+        first, second = self.sizes.tolist()
+        return midpoint_pairs(self.ends[0], self.ends[1], (first, second))[0]
 
     @property
     def deviation(self) -> NDArray[np.float64]:
@@ -112,11 +123,8 @@ def corner_tests(history: PlaneHistory) -> list[CornerTest]:
         if plane == other or len(i) < SHORTEST:
             continue
         ends = np.stack([history.ends[rows[i]], history.ends[other_rows[j]]])
-        first, second = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2).max(axis=1).tolist()
-        offsets, _ = midpoint_pairs(ends[0], ends[1], (first, second))
-        pair, static = (plane, other), (side, other_side)
         iterations = history.iteration[rows[i]]
-        tests.append(CornerTest(pair, iterations, ends, (first, second), offsets, static))
+        tests.append(CornerTest((plane, other), iterations, ends, (side, other_side)))
     return tests
 
 
@@ -191,13 +199,15 @@ def _plot(tests: list[CornerTest]) -> Figure:
     figure = blank(14.0, 4.8)
     seen, pairs, shifts = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.15])
     k = _shown(test)
-    ends = test.ends[:, k]
-    midpoints = np.stack([_midpoints(*wall) for wall in zip(ends, test.sizes, strict=True)])
+    ends, size = test.ends[:, k], test.sizes[:, None]
+    along = (ends[:, 1] - ends[:, 0]) / test.lengths[:, k, None]
+    midpoints = np.stack([ends[:, 0] + size / 2 * along, ends[:, 1] - size / 2 * along], axis=1)
+    far = ends[[0, 1], test.static] + np.array([[1.0], [-1.0]])[list(test.static)] * size * along
     half = np.rad2deg(SENSOR.view_rad / 2)
     for axes in (seen, pairs):
         axes.add_patch(Wedge((0, 0), SENSOR.range_m, -half, half, color=SAND, alpha=0.45, zorder=0))
         axes.plot(0, 0, ">", color=INK, markersize=9, zorder=4)
-        far = _draw_walls(axes, test, ends)
+        _draw_walls(axes, test, ends, far)
         axes.plot(*midpoints.reshape(-1, 2).T, "o", color=RED, label="estimated midpoint", **RING)
         places = np.concatenate([np.zeros((1, 2)), *ends, *midpoints, far])
         draw_limits(axes, limits_of(places, places, MARGIN_M))
@@ -218,39 +228,25 @@ def _plot(tests: list[CornerTest]) -> Figure:
 
 def _shown(test: CornerTest) -> int:
     """Return the iteration in which midpoints and ends of both walls lie farthest apart."""
-    seen = np.linalg.norm(test.ends[:, :, 1] - test.ends[:, :, 0], axis=2)
-    size = np.array(test.sizes)[:, None]
+    seen, size = test.lengths, test.sizes[:, None]
     return int(np.minimum(abs(size - seen), abs(size / 2 - seen)).min(axis=0).argmax())
 
 
-def _along(ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
-
-
-def _midpoints(ends: NDArray[np.float64], size: float) -> NDArray[np.float64]:
-    """Return the midpoints (2, 2) estimated from the right and the left end (2, 2)."""
-    half = size / 2 * _along(ends)
-    return np.stack([ends[0] + half, ends[1] - half])
-
-
-def _draw_walls(axes: Axes, test: CornerTest, walls: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Draw walls as observed, dashed up to their sizes; return where the dashes end, (2, 2)."""
-    reached = []
-    for plane, fixed, size, ends in zip(test.planes, test.static, test.sizes, walls, strict=True):
-        along = _along(ends)
-        far = ends[fixed] + (1 - 2 * fixed) * size * along
-        axes.plot(*np.stack([ends[fixed], far]).T, "--", color=INK, linewidth=1, zorder=2)
+def _draw_walls(
+    axes: Axes, test: CornerTest, walls: NDArray[np.float64], far: NDArray[np.float64]
+) -> None:
+    """Draw walls (2, 2, 2) as observed, dashed up to where their sizes reach, (2, 2)."""
+    for plane, fixed, ends, end in zip(test.planes, test.static, walls, far, strict=True):
+        axes.plot(*np.stack([ends[fixed], end]).T, "--", color=INK, linewidth=1, zorder=2)
         axes.plot(*ends.T, color=INK, linewidth=2.5, zorder=2)
-        at = ends.mean(axis=0) - 0.45 * np.array([-along[1], along[0]])
+        x, y = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        at = ends.mean(axis=0) + 0.45 * np.array([y, -x])
         axes.annotate(str(plane), at, ha="center", va="center", color=INK)
-        reached.append(far)
-    return np.array(reached)
 
 
 def _colours(test: CornerTest) -> dict[tuple[int, int], str]:
     others = iter((ORANGE, BROWN, VIOLET))
-    pairs = ((0, 0), (0, 1), (1, 0), (1, 1))
-    return {pair: GREEN if pair == test.chosen else next(others) for pair in pairs}
+    return {(i, j): GREEN if (i, j) == test.chosen else next(others) for i, j in np.ndindex(2, 2)}
 
 
 def _named(pair: tuple[int, int]) -> str:
