@@ -261,10 +261,10 @@ def test_curves_end_at_the_errors_of_the_maps(monkeypatch: pytest.MonkeyPatch) -
     there = world.landmarks_map[mapper.map.landmark_ids]
     R, t = fit_rigid(mapper.map.positions, there)
     off = mapper.map.positions @ R.T + t - there
-    curve = data.of["flat"][figure16.SHAPED]
+    curve = data["flat"][figure16.SHAPED]
     assert curve.iteration.tolist() == [99]
     assert curve.end_m == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()))
-    assert data.of["Gaussian"][figure16.PAPER].iteration.tolist() == list(range(9, 100, 10))
+    assert data["Gaussian"][figure16.PAPER].iteration.tolist() == list(range(9, 100, 10))
 
 
 # Figure 17.

@@ -83,12 +83,10 @@ def tiny_eight(**found: Any) -> EightMap:
 def tiny_errors(**ends_m: tuple[float, float]) -> ErrorCurves:
     """Three seeds whose median error at the end is given for each method, Gaussian and flat."""
     at, spread = np.array([9, 19]), np.array([0.9, 1.0, 1.1])
-    return ErrorCurves(
-        {
-            noise: {
-                name: Curve(at, np.column_stack([np.full(3, 0.5), end[k] * spread]))
-                for name, end in ends_m.items()
-            }
-            for k, noise in enumerate(("Gaussian", "flat"))
+    return {
+        noise: {
+            name: Curve(at, np.column_stack([np.full(3, 0.5), end[k] * spread]))
+            for name, end in ends_m.items()
         }
-    )
+        for k, noise in enumerate(("Gaussian", "flat"))
+    }

@@ -20,10 +20,10 @@ SIGMA_M = 0.05
 BLOCK = 30
 """Iterations in which the landmarks are seen."""
 MISPLACED = 0.02
-"""Share of them that the static bin may hold wrongly or lack, and be right all the same."""
+"""Largest share of them that a right static bin may hold wrongly or lack."""
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 PAPERS_SHARE = 0.4
-"""Of the landmarks: up to here the paper has no more than n log n comparisons."""
+"""Share of the landmarks up to which the paper has no more than n log n comparisons."""
 SIZES, QUICK_SIZES = (20, 30, 50, 80, 130, 200, 320, 500, 800), (20, 50, 130, 320, 800)
 WORLDS, QUICK_WORLDS = 40, 6
 OFTEN = 0.95
@@ -31,7 +31,7 @@ OFTEN = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Comparisons:
-    """What sorting landmarks into static and dynamic ones took, and whether it came out right.
+    """Comparisons to sort landmarks into static and dynamic ones, and whether the result is right.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Comparisons:
 
     @property
     def within_n_log_n(self) -> int:
-        """How many of the shares, from the smallest on, have no median above n log2 n."""
+        """Number of shares, from the smallest on, without a median above n log2 n."""
         within = np.all(self.median <= n_log_n(self.n), axis=1)
         return int(np.logical_and.accumulate(within).sum())
 

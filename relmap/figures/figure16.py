@@ -61,19 +61,8 @@ class Curve:
         return float(np.median(self.rmse_m[:, -1]))
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorCurves:
-    """Curves by noise and method, in the order in which they are drawn."""
-
-    of: Mapping[str, Mapping[str, Curve]]
-
-    def ratio(self, noise: str, method: str, other: str) -> float:
-        """Return the error of one method over that of another at the end of the run.
-
-        It is the median of the seeds' ratios: both methods saw the same worlds.
-        """
-        ends = (self.of[noise][name].rmse_m[:, -1] for name in (method, other))
-        return float(np.median(np.divide(*ends)))
+ErrorCurves = Mapping[str, Mapping[str, Curve]]
+"""By noise and method, in the order in which they are drawn."""
 
 
 class RefinedByShape(relmap.Relmap):
@@ -134,25 +123,28 @@ def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurve
             method = make(setup_for(world, SIGMA_M))
             at[name], rmse_m = landmark_error_curve(method, world.log, world.truth, every)
             found.setdefault((noise, name), []).append(rmse_m)
-    return ErrorCurves(
-        {
-            noise: {name: Curve(at[name], np.array(found[noise, name])) for name in METHODS}
-            for noise in NOISES
-        }
-    )
+    return {
+        noise: {name: Curve(at[name], np.array(found[noise, name])) for name in METHODS}
+        for noise in NOISES
+    }
 
 
 def _judge(data: ErrorCurves) -> Outcome:
-    """Judge by the errors at the end."""
+    """Judge by the errors at the end, median of the seeds' ratios: all saw the same worlds."""
+
+    def ratio(noise: str, method: str, other: str) -> float:
+        ends = (data[noise][name].rmse_m[:, -1] for name in (method, other))
+        return float(np.median(np.divide(*ends)))
+
     rows = [
         (noise, seed, method.replace(",", ""),
          int(curve.iteration[k]), float(curve.rmse_m[seed, k]))
-        for noise, methods in data.of.items()
+        for noise, methods in data.items()
         for method, curve in methods.items()
         for seed, k in np.ndindex(curve.rmse_m.shape)
     ]  # fmt: skip
-    gaussian, flat = (data.ratio(noise, MRPT, PAPER) for noise in NOISES)
-    live = [data.ratio(noise, MRPT, LIVE) for noise in NOISES]
+    gaussian, flat = (ratio(noise, MRPT, PAPER) for noise in NOISES)
+    live = [ratio(noise, MRPT, LIVE) for noise in NOISES]
     wide = flat >= WIDE
     return Outcome(
         Table(("noise", "seed", "method", "iteration", "landmark_rmse_m"), rows),
@@ -161,8 +153,8 @@ def _judge(data: ErrorCurves) -> Outcome:
         f"{gaussian:.2f} under Gaussian and {flat:.2f} under flat noise of the same variance, by "
         f"default {live[0]:.2f} and {live[1]:.2f}. The wide margin under flat noise is "
         f"{'there' if wide else 'not there'}. relmap refined by the shape of the noise uses "
-        f"it: under flat noise it has {data.ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
-        f"that EKF and {data.ratio(FLAT, SHAPED, FITTED):.2f} times that of one linearised at the "
+        f"it: under flat noise it has {ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
+        f"that EKF and {ratio(FLAT, SHAPED, FITTED):.2f} times that of one linearised at the "
         "best fit.",
         judged(gaussian >= 1 / SIMILAR, wide),
     )
@@ -170,10 +162,10 @@ def _judge(data: ErrorCurves) -> Outcome:
 
 def _plot(data: ErrorCurves) -> Figure:
     """Draw a panel for each noise: medians of the seeds, and each seed thinly."""
-    figure = blank(6.2 * len(data.of), 6.2)
-    panels = figure.subplots(1, len(data.of), sharey=True, squeeze=False)[0]
+    figure = blank(6.2 * len(data), 6.2)
+    panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
     style: dict[str, Any] = {"frameon": False, "fontsize": 9, "bbox_to_anchor": (0.5, -0.1)}
-    for axes, (noise, methods) in zip(panels, data.of.items(), strict=True):
+    for axes, (noise, methods) in zip(panels, data.items(), strict=True):
         for (name, curve), colour in zip(methods.items(), COLOURS, strict=False):
             _draw(axes, name, curve, colour)
         seeds = len(next(iter(methods.values())).rmse_m)
