@@ -141,7 +141,6 @@ def _cut(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> list[CornerTest]:
-    """Map a building and test all pairs of walls that have one cut end each."""
     building = simulate_building(sigma=SIGMA_M, iterations=QUICK_ITERATIONS if quick else None)
     segmenter = PlaneSegmenter(view_rad=SENSOR.view_rad, range_m=SENSOR.range_m)
     mapper = PlaneMapper(segmenter=segmenter)

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from relmap.datasets.scans import PointScan
 from relmap.evaluation.evaluate import Evaluation, evaluate
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import BuildingSource
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
 from relmap.plots.bench import plot_bench, write_bench_gif
-from relmap.plots.bench_recorder import COLUMNS, BenchFrame, BenchRecorder, frame_step
+from relmap.plots.bench_recorder import COLUMNS, FRAMES, BenchFrame, BenchRecorder, frame_step
 from relmap.segmentation import PlaneSegmenter
 
 SIGMA_M = 0.05
 QUICK_ITERATIONS = 40
-FRAMES, QUICK_FRAMES = 80, 10
+QUICK_FRAMES = 10
 COVERED = 0.8
 TITLE = "Figure 5: the test bench"
 
@@ -40,11 +38,13 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
     mapper, segmenter = PlaneMapper(), PlaneSegmenter()
     every = frame_step(len(log), QUICK_FRAMES if quick else FRAMES)
     recorder = BenchRecorder(mapper, segmenter, truth, every)
-
-    def watched(scans: Iterable[PointScan]) -> Iterator[PointScan]:
-        return recorder.watch(watch(list(scans)))
-
-    run = run_mapper(mapper, log, progress=watched, refine=True, segmenter=segmenter)
+    run = run_mapper(
+        mapper,
+        log,
+        progress=lambda scans: recorder.watch(watch(list(scans))),
+        refine=True,
+        segmenter=segmenter,
+    )
     last = recorder.last()
     assert last is not None
     return Bench([*recorder.frames, last], len(log), evaluate(run.result, truth))

@@ -69,7 +69,6 @@ def _run_groups(quick: bool, data: Path | None, watch: Watch) -> list[ChartPictu
 
 
 def _judge_groups(charts: list[ChartPicture]) -> Outcome:
-    """Judge the paper's rule by the groups of many landmarks."""
     shown, charts = charts[0], charts[1:]
     sizes = [(paper_stops(chart.area), chart.members) for chart in charts]
     seeds = [

@@ -55,7 +55,6 @@ class EightMap:
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> EightMap:
-    """Map the loop."""
     world = simulate_figure_eight(QUICK_DENSITY if quick else DENSITY, sigma=SIGMA_M)
     mapper = PointMapper()
     result = run_mapper(

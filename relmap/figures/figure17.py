@@ -109,7 +109,6 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> list[Panel]:
-    """Map both stretches."""
     if data is None:
         raise RelmapError("figure 17 needs the Victoria Park data: --data PATH")
     log = victoria_park(data)

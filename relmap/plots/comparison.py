@@ -15,7 +15,7 @@ OURS = "relmap"
 """What the names of relmap's own methods begin with."""
 ROW_IN = 0.34
 MANY = 30.0
-"""Where the figures span more, only powers of ten are written."""
+"""Ratio of the largest to the smallest figure above which only powers of ten are written."""
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:

@@ -23,7 +23,7 @@ WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
 """Residual, in units of what the noise explains, above which a place is ringed."""
 MOST_LINKS = 6000
-"""So many links between groups and members are drawn; of more groups only a part is shown."""
+"""Most links between groups and members that are drawn; of more groups a part is shown."""
 
 
 def plot_run(
