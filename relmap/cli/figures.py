@@ -13,7 +13,8 @@ from relmap.cli.console import busy
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.figures.base import Made, Watch
+    from relmap.figures.base import Watch
+    from relmap.figures.page import Made
 
 T = TypeVar("T")
 
@@ -62,8 +63,7 @@ def figures_command(
 
 def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | None) -> list[Made]:
     """Run figures, tell the verdict on each, and write each with the page when it is done."""
-    from relmap.figures.making import check_data, make_figure, write_page
-    from relmap.figures.registry import chosen_figures
+    from relmap.figures.making import check_data, chosen_figures, make_figure, write_page
     from relmap.io.files import staged_folder
 
     figures = chosen_figures(names)

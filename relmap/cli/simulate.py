@@ -152,7 +152,7 @@ def _write_building(folder: Path, building: Building) -> None:
     from relmap.datasets.scans import SensorView
     from relmap.io.files import atomic_write, write_tum
     from relmap.io.tables import csv_text
-    from relmap.plots.building import write_building_png
+    from relmap.plots.planes import write_building_png
 
     truth = folder / "truth"
     truth.mkdir()
