@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.config import MapperConfig
+from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
 from relmap.planes.basis import relative_map
+from relmap.planes.observation import PlaneObservation
 from relmap.planes.registration import PlaneRegistration
 
 TURN = np.cos(np.deg2rad(20.0))
@@ -25,12 +27,43 @@ class WallModel:
         Knows which end of a wall each corner is.
     """
 
+    columns: Rows = {
+        "landmark": np.empty((0, 2), dtype=np.int64),
+        "location": np.empty((0, 2, 2)),
+        "wall": np.empty(0, dtype=np.int64),
+        "corner": np.empty((0, 2), dtype=np.int64),
+        "sd": np.empty(0),
+        "z_extent": np.empty((0, 2)),
+    }
+    """Of an observed wall: its right and left end, untransformed; the landmark that the map hangs
+    on at either end, if any; the number of the wall, and of the corner at either end; how sure its
+    distance is; its lowest and highest z."""
     noise_spread = 3.0
     position_spread = 2.0
     drift_m = 1.5
 
     def __init__(self, walls: PlaneRegistration) -> None:
         self._walls = walls
+
+    def rows(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> Rows:
+        """Return what is stored of the walls of one scan, of which these are the numbers (m,)."""
+        return {
+            "landmark": self._walls.landmark,
+            "location": seen.ends,
+            "wall": walls,
+            "corner": self._walls.corner,
+            "sd": seen.sd,
+            "z_extent": seen.z_extent,
+        }
+
+    def points(self, rows: Rows) -> Shown:
+        """Return the corners that the map hangs on, and the midpoints estimated from them."""
+        from relmap.planes.model_kernels import corners_and_midpoints
+
+        if not self._walls.n_corners:
+            return Shown(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.zeros(len(rows["wall"]), dtype=np.int64))
+        midpoint, half = self._walls.midpoint(rows["corner"]), self._walls.half[rows["corner"]]
+        return Shown(*corners_and_midpoints(rows["landmark"], midpoint, rows["location"], half))
 
     def association(self, config: MapperConfig) -> PlaneRegistration:
         """Return what finds out who is who."""

@@ -77,6 +77,9 @@ class StateWriter:
             self.columns[name] = value.item() if isinstance(value, np.generic) else value
         elif kind in (np.ndarray, GrowingArray):
             self.columns[name] = value if isinstance(value, np.ndarray) else value.values
+        elif kind is dict and of[0] is str:
+            for key, column in value.items():
+                self._add(f"{name}/{key}", column, None)
         elif kind is dict and (of[1] is int or get_origin(of[1]) is list):
             self.columns[name] = _rows(value)
         elif kind is dict:
@@ -150,6 +153,8 @@ class StateReader:
         if kind is GrowingArray:
             now.hold(self._array(name, now.values.dtype, now.values.ndim))
             return now
+        if kind is dict and of[0] is str:
+            return {key: self._value(f"{name}/{key}", None, value) for key, value in now.items()}
         if kind is dict:
             return self._dict(name, of[1])
         if kind in (list, tuple):
