@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from relmap.core.association.merging import merge_doubles
 from relmap.core.association.tying import tie_submaps
 from relmap.core.mapper import RelativeMapper
-from relmap.core.refinement.piecewise import refine_submaps
+from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.turns import group_or_found, last_pass
 
 
@@ -15,7 +17,8 @@ def finish(engine: RelativeMapper) -> None:
         if engine.table.weight[seed] == 0:
             group_or_found(engine, seed, 1)
     engine.schedule.end()
-    for seed in engine.schedule.longest_gone.tolist():
+    gone = engine.schedule.gone
+    for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
         if engine.table.is_gone[seed]:
             last_pass(engine, seed)
 

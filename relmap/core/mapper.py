@@ -89,9 +89,11 @@ class RelativeMapper:
         # Register: match the scan to those before, untransformed (section II).
         found = self.association.match(seen, ids, iteration)
         rows = self.model.rows(seen, found)
-        self.table.see_first(self.model.points(rows), iteration)
-        # Store every observation as it was made (Fig. 3).
+        shown = self.model.points(rows)
+        n, dimension = int(shown.landmarks.max(initial=-1)) + 1, shown.points_robot.shape[1]
+        self.table.resize(n, iteration, dimension)
         rows["landmark"] = self.table.now(rows["landmark"])
+        # Store every observation as it was made (Fig. 3).
         self.store.append(**rows)
         landmarks = self.store.seen(iteration, iteration + 1)[0]
         left = self.schedule.see(landmarks, iteration)
@@ -105,7 +107,7 @@ class RelativeMapper:
         The group comes into the map at a level, 1, 2 or 3; nothing where it cannot be aligned.
         """
         fixes = self.model.min_shared(self.store.dimension)
-        chart = self.placing.chart(seed)  # Figs 9 and 10
+        chart = self.chart(seed)  # Figs 9 and 10
         for submap in self.map.submaps_of(chart.landmarks, fixes):
             weights = self.map.weights_in(submap, chart.landmarks)
             averaged = self.relative_map(chart, weights, fixes)
@@ -117,6 +119,11 @@ class RelativeMapper:
             if placed is not None:
                 return self.placing.place(submap, level, placed, *averaged)
         return np.empty(0, dtype=np.int64)
+
+    def chart(self, seed: int) -> PointChart:
+        """Chart what was seen with a landmark in its present interval (Figs 9 and 10)."""
+        begin = max(self.table.begin[seed], self.store.first_iteration)
+        return PointChart.around(seed, self.store, begin, self.store.n_iterations)
 
     def relative_map(
         self, chart: PointChart, weights: NDArray[np.float64], min_shared: int

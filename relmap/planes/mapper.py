@@ -84,6 +84,7 @@ class PlaneMapper(Mapper):
         run: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(config, journal, run)
+        self._engine.association.is_known = False
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
@@ -119,9 +120,7 @@ class PlaneMapper(Mapper):
             self._journal.ready()
         self._refined_walls = None
         self._astray = np.empty(0, dtype=np.int64)
-        self._planes.see(seen)
-        self._engine.update(self._planes.points_robot, None)
-        walls = self._planes.planes.copy()
+        walls = self._engine.update(seen, None)
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
         return walls
@@ -134,7 +133,7 @@ class PlaneMapper(Mapper):
         self._note_call("refine")
         # Who is who is found out anew, where the walls come to lie.
         self._astray = np.empty(0, dtype=np.int64)
-        history, moving, submaps = self._planes.history, self._moving, self._chained
+        history, moving, submaps = self.history, self._moving, self._chained
         chained = self._numbers
         numbers = WallNumbers.apart(len(chained.wall_of), len(chained.corner_of))
         for k, submap in enumerate(submaps):
@@ -152,7 +151,7 @@ class PlaneMapper(Mapper):
         self, numbers: WallNumbers, chained: WallNumbers, span: tuple[int, int]
     ) -> WallNumbers:
         """Return who is who, in one submap as the chained map has it."""
-        history = self._planes.history
+        history = self.history
         own = np.isin(np.arange(len(numbers.wall_of)), history.plane[history.within(span)])
         corner = own[self._planes.wall_end // 2]
         return WallNumbers(
@@ -164,7 +163,7 @@ class PlaneMapper(Mapper):
         """Return a submap without the tracks that went astray."""
         if submap.assembled is None or not submap.refined:
             return submap
-        track = self._planes.history.plane[submap.assembled.rows]
+        track = self.history.plane[submap.assembled.rows]
         kept = submap.assembled.only(~np.isin(track, self._astray))
         return WallSubmap.of(submap.span, submap.poses, kept, refined=True)
 
@@ -181,8 +180,18 @@ class PlaneMapper(Mapper):
 
     @property
     def history(self) -> PlaneHistory:
-        """All observations of walls, untransformed."""
-        return self._planes.history
+        """A view on all observations of walls, untransformed."""
+        store = self._engine.store
+        return PlaneHistory(
+            iteration=store.iterations,
+            plane=store.column("wall"),
+            ends=store.column("location"),
+            sd=store.column("sd"),
+            z_extent=store.column("z_extent"),
+            corner=store.column("corner"),
+            motion=self._planes.motions,
+            submap=self._planes.submaps,
+        )
 
     @property
     def submaps(self) -> list[WallSubmap]:
@@ -198,7 +207,7 @@ class PlaneMapper(Mapper):
         """Every wall ever seen; mapped, in its frame, are those of one of `submaps`."""
         submaps, numbers = self._state
         assembled = submaps[number].assembled if submaps else None
-        return plane_table(self._planes.history, numbers, assembled, self._moving)
+        return plane_table(self.history, numbers, assembled, self._moving)
 
     @property
     def map(self) -> LandmarkMap:
@@ -219,7 +228,7 @@ class PlaneMapper(Mapper):
         chosen, dynamic = self._planes.chosen, self._engine.table.dynamic[::2]
         assembled = [submap.assembled for submap in submaps]
         moving, spread = chosen[dynamic], self._covariances
-        return corner_table(self._planes.history, numbers, assembled, moving, spread)
+        return corner_table(self.history, numbers, assembled, moving, spread)
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -245,13 +254,13 @@ class PlaneMapper(Mapper):
         the map, and how sure the corners are, which are its landmarks.
         """
         submaps = [] if self._refined_walls is None else self._refined_walls[0]
-        history = self._planes.history
+        history = self.history
         return [refined_walls(s.assembled, history) for s in submaps if s.refined and s.assembled]
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN beyond the map."""
-        history, submaps = self._planes.history, self.submaps
+        history, submaps = self.history, self.submaps
         if not submaps:
             return np.full((history.n_iterations, 4, 4), np.nan)
         return among_all(submaps[0].poses, submaps[0].span, history)
@@ -259,7 +268,7 @@ class PlaneMapper(Mapper):
     @property
     def weak_links(self) -> NDArray[np.int64]:
         """Iterations (k,) before which too little was seen to tell how far the robot went."""
-        return weak_links(self._planes.history)
+        return weak_links(self.history)
 
     @property
     def _parts(self) -> list[Any]:
@@ -283,7 +292,7 @@ class PlaneMapper(Mapper):
     @property
     def _chained(self) -> list[WallSubmap]:
         """The submaps as the chained map has them, weak links included."""
-        history, numbers, moving = self._planes.history, self._numbers, self._moving
+        history, numbers, moving = self.history, self._numbers, self._moving
         paths, found = self._paths, []
         for span in history.spans:
             poses = chained_poses(paths, span, history)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +29,7 @@ class WallModel:
         Knows which end of a wall each corner is.
     """
 
-    columns: Rows = {
+    columns: ClassVar[Rows] = {
         "landmark": np.empty((0, 2), dtype=np.int64),
         "location": np.empty((0, 2, 2)),
         "wall": np.empty(0, dtype=np.int64),
@@ -38,6 +40,7 @@ class WallModel:
     """Of an observed wall: its right and left end, untransformed; the landmark that the map hangs
     on at either end, if any; the number of the wall, and of the corner at either end; how sure its
     distance is; its lowest and highest z."""
+    keeps_observations = True
     noise_spread = 3.0
     position_spread = 2.0
     drift_m = 1.5
@@ -60,10 +63,8 @@ class WallModel:
         """Return the corners that the map hangs on, and the midpoints estimated from them."""
         from relmap.planes.model_kernels import corners_and_midpoints
 
-        if not self._walls.n_corners:
-            return Shown(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.zeros(len(rows["wall"]), dtype=np.int64))
-        midpoint, half = self._walls.midpoint(rows["corner"]), self._walls.half[rows["corner"]]
-        return Shown(*corners_and_midpoints(rows["landmark"], midpoint, rows["location"], half))
+        walls, of = self._walls, (rows["landmark"], rows["corner"], rows["location"])
+        return Shown(*corners_and_midpoints(*of, walls.half, walls.place))
 
     def association(self, config: MapperConfig) -> PlaneRegistration:
         """Return what finds out who is who."""

@@ -13,19 +13,20 @@ from relmap.core.linalg.compiling import compiled
 @compiled
 def corners_and_midpoints(
     landmark: NDArray[np.int64],
-    midpoint: NDArray[np.int64],
+    corner: NDArray[np.int64],
     ends: NDArray[np.float64],
     half: NDArray[np.float64],
+    place: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the corners of walls, and the midpoints estimated from them (Fig. 4).
 
     Parameters
     ----------
-    landmark, midpoint : (n, 2) int64
-        Landmarks at either end of each wall, and the midpoints estimated from them; -1 for none.
+    landmark, corner : (n, 2) int64
+        Landmark and corner at either end of each wall; -1 for none.
     ends : (n, 2, 2) float64, robot frame, metres
-    half : (n, 2) float64, metres
-        Half of the fixed size of the wall, as from either end.
+    half : (c,) float64, metres
+        Half of the fixed size of the wall of each corner.
 
     Returns
     -------
@@ -47,8 +48,8 @@ def corners_and_midpoints(
         for e in range(2):
             if landmark[i, e] < 0:
                 continue
-            inwards = half[i, e] if e == 0 else -half[i, e]
-            landmarks[k], landmarks[k + 1] = landmark[i, e], midpoint[i, e]
+            inwards = half[corner[i, e]] if e == 0 else -half[corner[i, e]]
+            landmarks[k], landmarks[k + 1] = landmark[i, e], 2 * place[corner[i, e]] + 1
             points[k, 0], points[k, 1] = ends[i, e, 0], ends[i, e, 1]
             points[k + 1, 0] = ends[i, e, 0] + inwards * (x / size)
             points[k + 1, 1] = ends[i, e, 1] + inwards * (y / size)

@@ -112,13 +112,9 @@ class PlaneRegistration:
         return self._chosen.values
 
     @property
-    def n_corners(self) -> int:
-        """How many corners were seen."""
-        return len(self._half)
-
-    def midpoint(self, corner: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the landmarks that midpoints estimated from corners are."""
-        return 2 * self._place.values[corner] + 1
+    def place(self) -> NDArray[np.int64]:
+        """Place of each corner; -1 for those that the map never hung on."""
+        return self._place.values
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return landmarks (n,) as they are: they go by their number."""
@@ -132,7 +128,9 @@ class PlaneRegistration:
         """None: walls are judged one by one."""
         return []
 
-    def match(self, seen: PlaneObservation, ids: None) -> NDArray[np.int64]:
+    def match(
+        self, seen: PlaneObservation, ids: NDArray[np.int64] | None = None
+    ) -> NDArray[np.int64]:
         """Return the number of each wall (m,) of one scan.
 
         Where no link to those before is believed, a submap begins.

@@ -16,6 +16,7 @@ class PointModel:
     """What the engine has to know of points; see `relmap.core.model.LandmarkModel`."""
 
     columns = POINTS
+    keeps_observations = False
     noise_spread = 1.0
     position_spread = 1.0
     drift_m = None

@@ -61,7 +61,8 @@ class DataAssociation:
     @property
     def is_known(self) -> bool | None:
         """Whether ids come with the scans; None before the first of them."""
-        return self.registration and isinstance(self.registration, KnownAssociation)
+        registration = self.registration
+        return None if registration is None else isinstance(registration, KnownAssociation)
 
     @is_known.setter
     def is_known(self, known: bool | None) -> None:

@@ -83,6 +83,14 @@ class Placing:
         self._close(members[reached == 3])
         return landmarks[self._table.weight[landmarks] > 0]
 
+    def leave_out_moving(self, landmarks: NDArray[np.int64]) -> None:
+        """Take those of landmarks (k,) that are known to move off the map."""
+        moving = landmarks[self._table.dynamic[landmarks]]
+        if len(moving):
+            self._table.take_off_map(moving)
+            self._levels.leave(moving)
+            self._schedule.begin_anew(moving, self._store.n_iterations)
+
     def next_last_pass(self) -> int | None:
         """Return who needs its last pass next; None where nobody does yet.
 

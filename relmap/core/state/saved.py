@@ -83,13 +83,7 @@ class StateWriter:
         elif kind is dict and (of[1] is int or get_origin(of[1]) is list):
             self.columns[name] = _rows(value)
         elif kind is dict:
-            self.columns[f"{name}/number"] = np.array(list(value), dtype=np.int64)
-            for key, (attribute, _) in _members(of[1]).items():
-                arrays = [getattr(record, attribute) for record in value.values()]
-                sizes = np.array([len(array) for array in arrays], dtype=np.int64)
-                self.columns[f"{name}/{key}_rows"] = sizes
-                if arrays:
-                    self.columns[f"{name}/{key}"] = np.concatenate(arrays)
+            self._add_records(name, value, of[1])
         elif kind in (list, tuple) and set(of) <= set(PLAIN):
             self.columns[name] = list(value)
         elif kind in (list, tuple):
@@ -98,6 +92,14 @@ class StateWriter:
                 self._add(f"{name}/{k}", item, of[k if kind is tuple else 0])
         else:
             self.add(value, f"{name}/")
+
+    def _add_records(self, name: str, records: dict[int, Any], cls: type) -> None:
+        self.columns[f"{name}/number"] = np.array(list(records), dtype=np.int64)
+        for key, (attribute, _) in _members(cls).items():
+            arrays = [getattr(record, attribute) for record in records.values()]
+            self.columns[f"{name}/{key}_rows"] = np.array([len(a) for a in arrays], dtype=np.int64)
+            if arrays:
+                self.columns[f"{name}/{key}"] = np.concatenate(arrays)
 
 
 def _rows(lists: dict[int, Any]) -> NDArray[np.int64]:

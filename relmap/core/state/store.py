@@ -80,7 +80,7 @@ class ObservationStore:
     @property
     def dimension(self) -> int:
         """2 in a planar world, 3 in space, 0 before anything was seen."""
-        return self.points(self._first_iteration, self._first_iteration).shape[1]
+        return int(self.points(self._first_iteration, self._first_iteration).shape[1])
 
     @property
     def n_iterations(self) -> int:
@@ -133,10 +133,10 @@ class ObservationStore:
             self._offsets.drop(n)
             self._stored_from = before
 
-    def relabel(self, old: int, new: int) -> None:
-        """Give the observations of a landmark that are not forgotten to another."""
+    def merge(self, new: int, old: int) -> None:
+        """Give the observations of a landmark that are not forgotten to an older one."""
         landmark = self.column("landmark")[self._rows(self._first_iteration, self.n_iterations)[0]]
-        landmark[landmark == old] = new
+        landmark[landmark == new] = old
 
     def seen(self, begin: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return landmark and iteration of every point shown in iterations `begin` to `end`."""
