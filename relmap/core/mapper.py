@@ -32,14 +32,7 @@ from relmap.core.turns import take_turns
 
 
 class RelativeMapper:
-    """Builds a global map out of relative maps, one scan at a time.
-
-    Parameters
-    ----------
-    model : LandmarkModel
-        The kind of landmark.
-    config : MapperConfig
-    """
+    """Builds a global map of one kind of landmark out of relative maps, one scan at a time."""
 
     refined: list[Refined]
     STATE = (
@@ -69,55 +62,46 @@ class RelativeMapper:
 
         Parameters
         ----------
-        seen : array or other sequence of n observations
-            As the model has them, checked.
+        seen : sequence of n observations of the model's kind, robot frame
         ids : (n,) int64, optional
             Known association; negative where a landmark was not identified.
 
         Returns
         -------
         (n,) int64
-            Whom each observation is of, as the association numbers them; negative where unknown.
+            Whom each is of, as the association numbers them; negative where unknown.
 
         Raises
         ------
         RelmapError
             Where ids come with some scans and not with others.
         """
-        self.refined = []
-        iteration = self.store.n_iterations
-        # Register: match the scan to those before, untransformed (section II).
+        self.refined, iteration = [], self.store.n_iterations
+        # Register: match what is seen to the scans before, untransformed (section II).
         found = self.association.match(seen, ids, iteration)
         rows = self.model.rows(seen, found)
-        shown = self.model.points(rows)
-        n, dimension = int(shown.landmarks.max(initial=-1)) + 1, shown.points_robot.shape[1]
-        self.table.resize(n, iteration, dimension)
-        rows["landmark"] = self.table.now(rows["landmark"])
+        self.table.enter(*self.model.points(rows)[:2], iteration)
         # Store every observation as it was made (Fig. 3).
+        rows["landmark"] = self.table.now(rows["landmark"])
         self.store.append(**rows)
         landmarks = self.store.seen(iteration, iteration + 1)[0]
         left = self.schedule.see(landmarks, iteration)
-        # Chart, group, average, align, merge and forget, as somebody is due (section III).
+        # Group who is due, merge and forget (section III).
         take_turns(self, landmarks, left)
         return found
 
     def group(self, seed: int, level: int) -> NDArray[np.int64]:
-        """Group a landmark with what was seen together with it; return the landmarks mapped (k,).
-
-        The group comes into the map at a level, 1, 2 or 3; nothing where it cannot be aligned.
-        """
-        fixes = self.model.min_shared(self.store.dimension)
-        chart = self.chart(seed)  # Figs 9 and 10
+        """Group a landmark with what was seen with it, at level 1, 2 or 3; return who is mapped."""
+        chart, fixes = self.chart(seed), self.model.min_shared(self.table.dimension)
         for submap in self.map.submaps_of(chart.landmarks, fixes):
             weights = self.map.weights_in(submap, chart.landmarks)
-            averaged = self.relative_map(chart, weights, fixes)
-            if averaged is None:
+            relative = self.relative_map(chart, weights, fixes)
+            if relative is None:
                 continue
-            relative = averaged[0]
             # Align: least squares to those of its members that are mapped.
             placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
-                return self.placing.place(submap, level, placed, *averaged)
+                return self.placing.place(submap, level, placed, relative)
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:
@@ -127,33 +111,24 @@ class RelativeMapper:
 
     def relative_map(
         self, chart: PointChart, weights: NDArray[np.float64], min_shared: int
-    ) -> tuple[RelativeMap, NDArray[np.int64]] | None:
-        """Average the static landmarks of a chart relative to one another.
+    ) -> RelativeMap | None:
+        """Average the static landmarks of a chart relative to one another, and note who moves.
 
-        Returns
-        -------
-        (relative map, iterations) or None
-            The map, completed to all at rest, and the common interval of the group it began with;
-            None where no group can be grown, or it fixes no basis.
+        None where no group can be grown, or it fixes no basis.
         """
-        fewest = self.model.min_shared(self.store.dimension) + 1
+        relative, fewest = None, self.model.min_shared(self.table.dimension) + 1
         static = self.averaging.static(chart, weights)  # Fig. 12
         group = grow_group(chart, static, weights, fewest, min_shared)  # Fig. 11
-        core = None if group is None else chart.points_robot[group.rows][:, group.columns]
-        average = None if core is None else self.model.average_in_basis(core)  # Figs 1, 2 and 8
-        relative = None
-        if group is not None and core is not None and average is not None:
-            relative = self.averaging.completed(chart, group, core, average)
+        if group is not None:
+            core = chart.points_robot[group.rows][:, group.columns]
+            average = self.model.average_in_basis(core)  # Figs 1, 2 and 8
+            if average is not None:
+                relative = self.averaging.completed(chart, group, core, average)
         self.placing.leave_out_moving(chart.landmarks)
-        if group is None or relative is None:
-            return None
-        return relative, chart.iterations[group.columns]
+        return relative
 
     def merge(self, placed: NDArray[np.int64]) -> int:
-        """Merge those of landmarks (k,) that are older ones seen again; return how many were.
-
-        All that is stored of one goes over to the other.
-        """
+        """Merge those of landmarks (k,) that are older ones seen again; return how many were."""
         levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
         pairs = self.merger.find(placed, levels, noise_m).tolist()
         for new, old in pairs:

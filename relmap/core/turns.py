@@ -81,7 +81,7 @@ def _found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
 
     The frame is that of the robot in the first iteration of the group.
     """
-    fixes = engine.model.min_shared(engine.store.dimension)
+    fixes = engine.model.min_shared(engine.table.dimension)
     mapped_in_view = np.sum(engine.table.weight[engine.schedule.in_view] > 0)
     if mapped_in_view >= fixes or engine.table.dynamic[seed]:
         return
@@ -89,15 +89,14 @@ def _found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
     if not len(chart.iterations):
         return
     chart = chart.only(chart.visible[:, 0])
-    averaged = engine.relative_map(chart, np.zeros(len(chart.landmarks)), 0)
-    if averaged is None:
+    relative = engine.relative_map(chart, np.zeros(len(chart.landmarks)), 0)
+    if relative is None:
         return
-    relative = averaged[0]
     first = chart.points_robot[np.isin(chart.landmarks, relative.landmarks), 0]
     if len(first) > fixes:
         R, t = fit_rigid(relative.positions, first)
         placed = relative.positions @ R.T + t
-        engine.placing.place(engine.map.new_submap(), level, placed, *averaged)
+        engine.placing.place(engine.map.new_submap(), level, placed, relative)
 
 
 def last_pass(engine: RelativeMapper, seed: int) -> None:

@@ -30,11 +30,10 @@ class DataAssociation:
         None before the first observation.
     """
 
-    registration: Registration | None
     STATE = "is_known _first_scan registration"
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
-        self.registration = None
+        self.registration: Registration | None = None
         self._first_scan = 0
         self._model = model
         self._config = config
