@@ -121,7 +121,7 @@ def mixture_of(walls: list[list[float]], xy: np.ndarray, sigma: float) -> WallMi
 
 
 @pytest.mark.parametrize(("gap", "count"), [(0.0, 1), (0.9, 2)])
-def test_touching_submaps_of_a_line_are_one_wall_and_a_door_parts_them(
+def test_touching_pieces_of_a_line_are_one_wall_and_a_door_parts_them(
     gap: float, count: int
 ) -> None:
     rng = np.random.default_rng(7)
