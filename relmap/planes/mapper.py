@@ -225,9 +225,8 @@ class PlaneMapper(Mapper):
         Before refinement `sd` is that of the average behind a corner alone, along its wall.
         """
         submaps, numbers = self._state
-        chosen, dynamic = self._planes.chosen, self._engine.table.dynamic[::2]
+        moving, spread = np.flatnonzero(self._engine.table.dynamic[::2]), self._covariances
         assembled = [submap.assembled for submap in submaps]
-        moving, spread = chosen[dynamic], self._covariances
         return corner_table(self.history, numbers, assembled, moving, spread)
 
     @property
@@ -237,13 +236,13 @@ class PlaneMapper(Mapper):
         Their landmarks are corners, numbered as in `landmarks`; the midpoints beside them, which
         have no number, are left out.  Several that turned out to be one corner have one number.
         """
-        corner = self._own_numbers.corner_of[self._planes.chosen]
-        return [corner_group(group, corner) for group in super().groups]
+        corner_of = self._own_numbers.corner_of
+        return [corner_group(group, corner_of) for group in super().groups]
 
     @property
     def group_walls(self) -> list[NDArray[np.int64]]:
         """Numbers of the walls that each group ties to one another, in the order of mapping."""
-        wall = self._own_numbers.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
+        wall = self._own_numbers.wall_of[self._planes.wall_end // 2]
         return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
 
     @property
@@ -335,9 +334,9 @@ class PlaneMapper(Mapper):
 
     @property
     def _numbers(self) -> WallNumbers:
-        chosen, wall_end = self._planes.chosen, self._planes.wall_end
-        corner_of = np.arange(len(wall_end))
-        corner_of[chosen] = chosen[self._engine.table.landmark_of[2 * np.arange(len(chosen))] // 2]
+        wall_end = self._planes.wall_end
+        corner_of, merged = np.arange(len(wall_end)), self._engine.table.landmark_of[::2] // 2
+        corner_of[: len(merged)] = merged
         return WallNumbers.of(self._planes.n_planes, wall_end, corner_of)
 
     @property
@@ -349,7 +348,7 @@ class PlaneMapper(Mapper):
         dynamic = self._engine.table.dynamic[::2] | self._engine.table.dynamic[1::2]
         at_rest = (self._engine.table.weight[::2] > 0) & ~dynamic
         n = self._planes.n_planes
-        planes = self._planes.wall_end[self._planes.chosen] // 2
+        planes = self._planes.wall_end[: len(dynamic)] // 2
         moves = np.bincount(planes[dynamic], minlength=n) > 0
         moves &= np.bincount(planes[at_rest], minlength=n) == 0
         moves[self._astray] = True

@@ -63,8 +63,8 @@ class WallModel:
         """Return the corners that the map hangs on, and the midpoints estimated from them."""
         from relmap.planes.model_kernels import corners_and_midpoints
 
-        walls, of = self._walls, (rows["landmark"], rows["corner"], rows["location"])
-        return Shown(*corners_and_midpoints(*of, walls.half, walls.place))
+        walls = rows["landmark"], rows["corner"], rows["location"]
+        return Shown(*corners_and_midpoints(*walls, self._walls.half))
 
     def association(self, config: MapperConfig) -> PlaneRegistration:
         """Return what finds out who is who."""
@@ -87,7 +87,7 @@ class WallModel:
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
         """Tell whether a corner may be an older one: the same end of a wall with its direction."""
-        corners = self._walls.chosen[[new // 2, old // 2]]
+        corners = np.array([new, old]) // 2
         ends, submaps = self._walls.wall_end[corners], self._walls.submap_of[corners]
         if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
             return False

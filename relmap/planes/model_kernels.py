@@ -16,7 +16,6 @@ def corners_and_midpoints(
     corner: NDArray[np.int64],
     ends: NDArray[np.float64],
     half: NDArray[np.float64],
-    place: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the corners of walls, and the midpoints estimated from them (Fig. 4).
 
@@ -49,7 +48,7 @@ def corners_and_midpoints(
             if landmark[i, e] < 0:
                 continue
             inwards = half[corner[i, e]] if e == 0 else -half[corner[i, e]]
-            landmarks[k], landmarks[k + 1] = landmark[i, e], 2 * place[corner[i, e]] + 1
+            landmarks[k], landmarks[k + 1] = landmark[i, e], 2 * corner[i, e] + 1
             points[k, 0], points[k, 1] = ends[i, e, 0], ends[i, e, 1]
             points[k + 1, 0] = ends[i, e, 0] + inwards * (x / size)
             points[k + 1, 1] = ends[i, e, 1] + inwards * (y / size)

@@ -33,8 +33,8 @@ FAMILIAR = 8
 class PlaneRegistration:
     """Matches walls to those of the iterations before, and gives their corners numbers.
 
-    The corners that the map hangs on, few of them in each scan, have places in the order of their
-    choice: that at place ``k`` is landmark ``2 k``, and its midpoint landmark ``2 k + 1``.
+    Corner ``k`` is landmark ``2 k``, and the midpoint estimated from it landmark ``2 k + 1``; the
+    map hangs on few of those of a scan.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class PlaneRegistration:
     _motion: PlanarMotion
     STATE = (
         "_motions _submaps _tracks _motion n_planes _n_submaps _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of _place _chosen"
+        "_unsure_each_m _half _wall_end _submap_of"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -66,8 +66,6 @@ class PlaneRegistration:
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._place: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._chosen: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.n_planes = 0
         self.corner = np.empty((0, 2), dtype=np.int64)
         self.landmark = np.empty((0, 2), dtype=np.int64)
@@ -105,16 +103,6 @@ class PlaneRegistration:
     def submap_of(self) -> NDArray[np.int64]:
         """Submap of each corner."""
         return self._submap_of.values
-
-    @property
-    def chosen(self) -> NDArray[np.int64]:
-        """Corner at each place."""
-        return self._chosen.values
-
-    @property
-    def place(self) -> NDArray[np.int64]:
-        """Place of each corner; -1 for those that the map never hung on."""
-        return self._place.values
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return landmarks (n,) as they are: they go by their number."""
@@ -204,21 +192,11 @@ class PlaneRegistration:
         tracks.corner[row, end] = corners
         self.corner = np.full((len(seen), 2), NO_CORNER)
         self.corner[wall, end] = corners
-        best = self._choose(corners, seen.size[wall], times)
+        # The map hangs on those of long walls, and seen before.
+        rank = np.minimum(seen.size[wall], LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
+        best = np.argsort(-rank, kind="stable")[:MOST]
         self.landmark = np.full((len(seen), 2), NO_CORNER)
-        self.landmark[wall[best], end[best]] = 2 * self._place.values[corners[best]]
-
-    def _choose(
-        self, corners: NDArray[np.int64], size: NDArray[np.float64], times: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
-        """Return which corners (k,) the map hangs on: of long walls, and seen before."""
-        rank = np.minimum(size, LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
-        best = np.sort(np.argsort(-rank, kind="stable")[:MOST])
-        self._place.resize(len(self._half), NO_CORNER)
-        new = corners[best][self._place.values[corners[best]] == NO_CORNER]
-        self._place.values[new] = len(self._chosen) + np.arange(len(new))
-        self._chosen.extend(new)
-        return best
+        self.landmark[wall[best], end[best]] = 2 * corners[best]
 
     def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
         """Return how sure the ends (m,) are along their walls, about."""

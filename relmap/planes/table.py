@@ -209,7 +209,7 @@ def corner_group(group: MappedGroup, corner: NDArray[np.int64]) -> MappedGroup:
     group : MappedGroup
         Of landmarks numbered as by `PlaneRegistration`.
     corner : (k,) int64
-        Number of the corner at each place; -1 for what turned out to be none.
+        Number of each corner; -1 for what turned out to be none.
     """
     number = np.where(group.landmarks % 2 == 0, corner[group.landmarks // 2], -1)
     own = number >= 0
