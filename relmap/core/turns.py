@@ -73,10 +73,10 @@ def group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:
     if len(placed):
         _merge_seen_again(engine, placed)
     elif engine.table.weight[seed] == 0:
-        _found_submap(engine, seed, level)
+        found_submap(engine, seed, level)
 
 
-def _found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
+def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
     """Begin the map, or a new submap where what is in view is not enough to go on.
 
     The frame is that of the robot in the first iteration of the group.

@@ -131,33 +131,18 @@ class PlaneMapper(Mapper):
         Walls that come to lie on one another are joined, which closes loops.
         """
         self._note_call("refine")
-        # Who is who is found out anew, where the walls come to lie.
+        # From the map that the groups give: where they place the scans, who is who, and who moves.
         self._astray = np.empty(0, dtype=np.int64)
         history, moving, submaps = self.history, self._moving, self._chained
-        chained = self._numbers
-        numbers = WallNumbers.apart(len(chained.wall_of), len(chained.corner_of))
+        numbers = self._numbers_at_rest
         for k, submap in enumerate(submaps):
             found = refined_map(history, numbers, submap, moving)
-            if found is None:
-                numbers = self._with(numbers, chained, submap.span)
-            else:
+            if found is not None:
                 submaps[k], numbers = found
         astray = [tracks_astray(s.assembled, history) for s in submaps if s.refined and s.assembled]
         self._astray = np.concatenate([self._astray, *astray])
         self._spread = None
         self._refined_walls = [self._at_rest(submap) for submap in submaps], numbers
-
-    def _with(
-        self, numbers: WallNumbers, chained: WallNumbers, span: tuple[int, int]
-    ) -> WallNumbers:
-        """Return who is who, in one submap as the chained map has it."""
-        history = self.history
-        own = np.isin(np.arange(len(numbers.wall_of)), history.plane[history.within(span)])
-        corner = own[self._planes.wall_end // 2]
-        return WallNumbers(
-            np.where(own, chained.wall_of, numbers.wall_of),
-            np.where(corner, chained.corner_of, numbers.corner_of),
-        )
 
     def _at_rest(self, submap: WallSubmap) -> WallSubmap:
         """Return a submap without the tracks that went astray."""
@@ -291,12 +276,15 @@ class PlaneMapper(Mapper):
     @property
     def _chained(self) -> list[WallSubmap]:
         """The submaps as the chained map has them, weak links included."""
-        history, numbers, moving = self.history, self._numbers, self._moving
+        history, numbers, moving = self.history, self._numbers_at_rest, self._moving
         paths, found = self._paths, []
         for span in history.spans:
-            poses = chained_poses(paths, span, history)
-            there = among_all(poses, span, history)
-            found.append(WallSubmap.of(span, poses, assemble(history, numbers, there, moving)))
+            poses, assembled = chained_poses(paths, span, history), None
+            # A motion from scan to scan bridges; where no group placed any scan it maps nothing.
+            if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
+                there = among_all(poses, span, history)
+                assembled = assemble(history, numbers, there, moving)
+            found.append(WallSubmap.of(span, poses, assembled))
         return found
 
     @property
@@ -338,6 +326,14 @@ class PlaneMapper(Mapper):
         corner_of, merged = np.arange(len(wall_end)), self._engine.table.landmark_of[::2] // 2
         corner_of[: len(merged)] = merged
         return WallNumbers.of(self._planes.n_planes, wall_end, corner_of)
+
+    @property
+    def _numbers_at_rest(self) -> WallNumbers:
+        """Who is who, with corners that were seen moving left out (-1)."""
+        numbers = self._numbers
+        corner_of = numbers.corner_of.copy()
+        corner_of[np.flatnonzero(self._engine.table.dynamic[::2])] = -1
+        return WallNumbers(numbers.wall_of, corner_of)
 
     @property
     def _moving(self) -> NDArray[np.bool_]:

@@ -164,7 +164,8 @@ def corner_table(
         Covariances of all corners of the first submap, square metres, where they are known.
     """
     row, end = np.nonzero(history.corner >= 0)
-    corner = numbers.corner_of[history.corner[row, end]]
+    own = history.corner[row, end]
+    corner = np.where(np.isin(own, moving), own, numbers.corner_of[own])
     row, corner = row[corner >= 0], corner[corner >= 0]
     label, at = np.unique(corner, return_inverse=True)
     n = len(label)
