@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.planes.history import PlaneHistory
-from relmap.planes.pairwise import midpoint_pairs
 
 SIDES = ("right", "left")
 SHORTEST = 12
@@ -37,7 +36,7 @@ class CornerTest:
     sizes : tuple of float
         The size of each wall, fixed over the interval: the largest seen in it.
     offsets : (k, 2, 2, 2) float64, metres
-        See `relmap.planes.pairwise.midpoint_pairs`.
+        See `relmap.planes.corner_kernels.midpoint_pairs`.
     static : tuple of int
         The static end of each wall, as its type in each scan told: 0 right, 1 left.
     """
@@ -55,7 +54,9 @@ class CornerTest:
     @property
     def deviation(self) -> NDArray[np.float64]:
         """Standard deviation of each pair's offset over the interval, (2, 2), metres."""
-        return np.asarray(np.sqrt(self.offsets.var(axis=0).sum(axis=2)))
+        from relmap.planes.corner_kernels import deviations
+
+        return deviations(self.offsets)
 
     @property
     def chosen(self) -> tuple[int, int]:
@@ -81,6 +82,8 @@ class CornerTest:
 
 def corner_tests(history: PlaneHistory) -> list[CornerTest]:
     """Return all pairs of walls that are seen for long with one static and one cut end each."""
+    from relmap.planes.corner_kernels import largest, midpoint_pairs
+
     runs = list(_cut_runs(history))
     tests = []
     for (plane, side, rows), (other, other_side, other_rows) in combinations(runs, 2):
@@ -92,8 +95,8 @@ def corner_tests(history: PlaneHistory) -> list[CornerTest]:
         if len(i) < SHORTEST:
             continue
         first, second = history.ends[rows[i]], history.ends[other_rows[j]]
-        sizes = _largest(first), _largest(second)
-        offsets, _ = midpoint_pairs(first, second, sizes)
+        sizes = largest(first), largest(second)
+        offsets = midpoint_pairs(first, second, *sizes)
         iterations = history.iteration[rows[i]]
         pair = (plane, other), iterations, first, second, sizes, offsets, (side, other_side)
         tests.append(CornerTest(*pair))
@@ -121,10 +124,6 @@ def clearest(tests: list[CornerTest]) -> CornerTest:
 def _clearness(test: CornerTest) -> float:
     lowest, second = np.sort(test.deviation, axis=None)[:2]
     return float(second / max(lowest, STEADY_M))
-
-
-def _largest(ends: NDArray[np.float64]) -> float:
-    return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max())
 
 
 def _cut_runs(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:

@@ -85,6 +85,7 @@ class PlaneMapper(Mapper):
     ) -> None:
         super().__init__(config, journal, run)
         self._engine.association.is_known = False
+        self._planes.store = self._engine.store
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
@@ -97,7 +98,8 @@ class PlaneMapper(Mapper):
         ----------
         points : (n, 2) or (n, 3) array, robot frame, metres; or planes
             Points of a scan; or what a segmenter found in them: anything with `ends` and
-            `end_type` as `relmap.segmentation.Planes` has them.
+            `end_type` as `relmap.segmentation.Planes` has them.  Where an `end_type` is "unknown",
+            or none is there, which ends are the walls' own shows over time (Fig. 4).
         ids : None
             Walls have no known association.
 
@@ -113,7 +115,7 @@ class PlaneMapper(Mapper):
         """
         if ids is not None:
             raise RelmapError("ids were given; a plane mapper finds out itself who is who")
-        if not hasattr(points, "end_type"):
+        if not hasattr(points, "ends"):
             points = self._segmented(points)
         seen = checked_planes(points)
         if self._journal is not None:

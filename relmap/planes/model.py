@@ -34,12 +34,13 @@ class WallModel:
         "location": np.empty((0, 2, 2)),
         "wall": np.empty(0, dtype=np.int64),
         "corner": np.empty((0, 2), dtype=np.int64),
+        "kind": np.empty((0, 2), dtype=np.int8),
         "sd": np.empty(0),
         "z_extent": np.empty((0, 2)),
     }
     """Of an observed wall: its right and left end, untransformed; the landmark that the map hangs
-    on at either end, if any; the number of the wall, and of the corner at either end; how sure its
-    distance is; its lowest and highest z."""
+    on at either end, if any; the number of the wall, and of the corner at either end; which kind
+    of ends they are told to be; how sure its distance is; its lowest and highest z."""
     keeps_observations = True
     noise_spread = 3.0
     position_spread = 2.0
@@ -55,6 +56,7 @@ class WallModel:
             "location": seen.ends,
             "wall": walls,
             "corner": self._walls.corner,
+            "kind": seen.kind,
             "sd": seen.sd,
             "z_extent": seen.z_extent,
         }

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.state.growing import GrowingArray
+from relmap.core.state.store import ObservationStore
+from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
 from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
@@ -26,6 +28,10 @@ MOST = 14
 """Corners of a scan that the map hangs on: more of them would not make it firmer."""
 LONG_M = 4.0
 """Walls longer than this are as good as any."""
+UNTOLD, STATIC, MOVING = 0, 1, -1
+"""What was found out of an end over time."""
+TESTED = 4
+"""Ends of unknown type are tested every so many iterations."""
 FAMILIAR = 8
 """Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
 
@@ -43,6 +49,8 @@ class PlaneRegistration:
 
     Attributes
     ----------
+    store : ObservationStore
+        What was observed so far, for ends of unknown type.
     corner, landmark : (w, 2) int64
         Corner at either end of each wall of the scan seen last, and the landmark that the map hangs
         on there; -1 for none.
@@ -52,7 +60,7 @@ class PlaneRegistration:
     _motion: PlanarMotion
     STATE = (
         "_motions _submaps _tracks _motion n_planes _n_submaps _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of"
+        "_unsure_each_m _half _wall_end _submap_of _told _since"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -66,7 +74,10 @@ class PlaneRegistration:
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._told: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
+        self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.n_planes = 0
+        self.store = ObservationStore()
         self.corner = np.empty((0, 2), dtype=np.int64)
         self.landmark = np.empty((0, 2), dtype=np.int64)
 
@@ -134,6 +145,9 @@ class PlaneRegistration:
         new = walls < 0
         walls[new] = self.n_planes + np.arange(new.sum())
         self.n_planes += int(new.sum())
+        self._told.resize(self.n_planes, UNTOLD)
+        self._since.resize(self.n_planes, len(self._motions))
+        self._test_ends()
         begun = PlaneTracks.begun(walls[new], seen.only(new))
         tracks = begun if tracks is None else tracks.joined(begun)
         tracks = tracks.kept(tracks.missed <= self._max_missed)
@@ -174,11 +188,18 @@ class PlaneRegistration:
     ) -> None:
         """Tell which corner every static end is; begin new ones where none is expected there."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
-        wall, end = np.nonzero(seen.static)
+        told = self._told.values[walls]
+        untyped = seen.kind == UNKNOWN
+        wall, end = np.nonzero(np.where(untyped, told == STATIC, seen.static & (told != MOVING)))
         row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
         at = seen.ends[wall, end]
         off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
         fresh = ~(off <= STRAYED_M + SIGMAS * self._sd(seen)[wall])
+        strayed = untyped[wall, end] & fresh & (tracks.corner[row, end] >= 0)
+        if strayed.any():  # what was static is no longer in view: another interval begins
+            tracks.corner[row[strayed], end[strayed]] = NO_CORNER
+            self._ask_again(walls[wall[strayed]], end[strayed])
+            wall, end, row, at, fresh = (v[~strayed] for v in (wall, end, row, at, fresh))
         corners = tracks.corner[row, end]
         corners[fresh] = len(self._half) + np.arange(fresh.sum())
         self._half.extend(seen.size[wall[fresh]] / 2)
@@ -190,14 +211,56 @@ class PlaneRegistration:
         tracks.corner_at[row, end] = before + share * (at - before)
         tracks.corner_seen[row, end] = times
         tracks.corner[row, end] = corners
-        self.corner = np.full((len(seen), 2), NO_CORNER)
+        for k in np.flatnonzero(fresh & untyped[wall, end]).tolist():
+            self._name(walls[wall[k]], end[k], corners[k])
+        self.corner, self.landmark = np.full((2, len(seen), 2), NO_CORNER)
         self.corner[wall, end] = corners
-        # The map hangs on those of long walls, and seen before.
-        rank = np.minimum(seen.size[wall], LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
-        best = np.argsort(-rank, kind="stable")[:MOST]
-        self.landmark = np.full((len(seen), 2), NO_CORNER)
+        best = _best(seen.size[wall], times)
         self.landmark[wall[best], end[best]] = 2 * corners[best]
+
+    def _test_ends(self) -> None:
+        """Tell by the last iterations which ends are static, where no types tell (Fig. 4).
+
+        Ends of unknown type are tested now and then, typed corners once in an interval.
+        """
+        now = len(self._motions)
+        if now < INTERVAL or now % TESTED:
+            return
+        rows, iteration = self.store.between(now - INTERVAL, now)
+        wall, kind = self.store.column("wall")[rows], self.store.column("kind")[rows]
+        ends, sd = self.store.column("location")[rows], self.store.column("sd")[rows]
+        same = self._since.values[wall] <= now - INTERVAL
+        if not same.any() or (now % INTERVAL and not (kind == UNKNOWN).any()):
+            return
+        told = self._told.values
+        kind = np.where((kind == UNKNOWN) & (told[wall] == STATIC), CORNER, kind)
+        found = compared_ends(iteration[same], wall[same], ends[same], sd[same], kind[same])
+        told[found.walls] = np.where(found.moving, MOVING, told[found.walls])
+        told[found.walls] = np.where(found.static, STATIC, told[found.walls])
+        for k, end in np.argwhere(found.moving & ~found.static).tolist():
+            self._name(found.walls[k], end, NO_CORNER)
+
+    def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+        """Let another interval begin for walls (k,), and forget what was told of their ends."""
+        self._told.values[walls, ends] = UNTOLD
+        self._since.values[walls] = len(self._motions)
+
+    def _name(self, wall: int, end: int, corner: int) -> None:
+        """Enter which corner an end of a wall was throughout the last interval."""
+        now = len(self._motions)
+        begin = max(int(self._since.values[wall]), now - INTERVAL, 0)
+        rows, _ = self.store.between(min(begin, now), now)
+        own = self.store.column("wall")[rows] == wall
+        self.store.column("corner")[rows][own, end] = corner
+        if corner == NO_CORNER:
+            self.store.column("landmark")[rows][own, end] = corner
 
     def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
         """Return how sure the ends (m,) are along their walls, about."""
         return 3 * seen.sd
+
+
+def _best(size: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return which corners (k,) the map hangs on: of long walls, and seen before."""
+    rank = np.minimum(size, LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
+    return np.argsort(-rank, kind="stable")[:MOST]

@@ -99,6 +99,11 @@ class ObservationStore:
             np.arange(self._stored_from, self.n_iterations), np.diff(self._offsets.values)
         )
 
+    def between(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of iterations `begin` to `end`, and the iteration of each."""
+        rows, offsets = self._rows(begin, end)
+        return rows, np.repeat(np.arange(begin, end), np.diff(offsets))
+
     def column(self, name: str) -> NDArray[Any]:
         """Return a column (n, ...) of all observations stored, in order of iteration."""
         return self._columns[name].values
