@@ -97,10 +97,12 @@ def test_an_end_that_is_typed_a_corner_but_moves_is_left_out() -> None:
     mapper = PlaneMapper()
     for k in range(40):
         walls = WALLS.copy()
-        walls[1, 1, 0] += 0.08 * k
+        walls[1, 1, 0] += 0.11 * k
         c, s = np.cos(0.01 * k), np.sin(0.01 * k)
         ends = (walls - [0.03 * k, 0.0]) @ np.array([[c, -s], [s, c]])
         mapper.update(SimpleNamespace(ends=ends, end_type=np.full((3, 2), "corner")))
+    shadow = mapper.history.corner[mapper.history.plane == mapper.history.plane[1], 1]
+    assert (shadow[-12:] < 0).all()
     mapper.finish()
     mapper.refine()
     corners = mapper.map.positions[:, :2]
