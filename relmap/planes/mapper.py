@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
-from relmap.core.map.pose import trajectory
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
-from relmap.core.state.table import NONE
 from relmap.mapper import Mapper
-from relmap.planes.assembly import WallNumbers, assemble
+from relmap.planes.assembly import WallNumbers
+from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
 from relmap.planes.observation import checked_planes, journaled, of_journal
@@ -25,7 +24,7 @@ from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.solving import tracks_astray
 from relmap.planes.stitching import weak_links
-from relmap.planes.submaps import WallSubmap, among_all, chained_poses
+from relmap.planes.submaps import WallSubmap, among_all
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
@@ -135,8 +134,12 @@ class PlaneMapper(Mapper):
         self._note_call("refine")
         # From the map that the groups give: where they place the scans, who is who, and who moves.
         self._astray = np.empty(0, dtype=np.int64)
-        history, moving, submaps = self.history, self._moving, self._chained
-        numbers = self._numbers_at_rest
+        grouped, moving = self._grouped, self._moving
+        history, numbers, submaps = (
+            grouped.history,
+            grouped.numbers_at_rest,
+            grouped.submaps(moving),
+        )
         for k, submap in enumerate(submaps):
             found = refined_map(history, numbers, submap, moving)
             if found is not None:
@@ -163,7 +166,7 @@ class PlaneMapper(Mapper):
             Where no update has returned such a number.
         """
         labels = checked_labels(labels, np.arange(self._planes.n_planes))
-        return np.asarray(self._state[1].wall_of[labels])
+        return np.asarray(self._own_numbers.wall_of[labels])
 
     @property
     def history(self) -> PlaneHistory:
@@ -212,7 +215,7 @@ class PlaneMapper(Mapper):
         Before refinement `sd` is that of the average behind a corner alone, along its wall.
         """
         submaps, numbers = self._state
-        moving, spread = np.flatnonzero(self._engine.table.dynamic[::2]), self._covariances
+        moving, spread = self._grouped.moving_corners, self._covariances
         assembled = [submap.assembled for submap in submaps]
         return corner_table(self.history, numbers, assembled, moving, spread)
 
@@ -276,41 +279,16 @@ class PlaneMapper(Mapper):
         return self._segmenter.planes_
 
     @property
-    def _chained(self) -> list[WallSubmap]:
-        """The submaps as the chained map has them, weak links included."""
-        history, numbers, moving = self.history, self._numbers_at_rest, self._moving
-        paths, found = self._paths, []
-        for span in history.spans:
-            poses, assembled = chained_poses(paths, span, history), None
-            # A motion from scan to scan bridges; where no group placed any scan it maps nothing.
-            if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
-                there = among_all(poses, span, history)
-                assembled = assemble(history, numbers, there, moving)
-            found.append(WallSubmap.of(span, poses, assembled))
-        return found
-
-    @property
-    def _paths(self) -> list[NDArray[np.float64]]:
-        """The poses (i, 4, 4) that each submap of the chained map tells, the largest first."""
-        table, rows = self._engine.table, self._engine.rows
-        submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
-        paths = []
-        for submap in submaps[np.argsort(-counts, kind="stable")]:
-            positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
-            paths.append(trajectory(rows, positions, table.landmark_of))
-        return paths
-
-    @property
     def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
         """What the map is now, and who is who in it."""
         if self._refined_walls is not None:
             return self._refined_walls
-        return self._chained, self._numbers
+        return self._grouped.submaps(self._moving), self._grouped.numbers
 
     @property
     def _own_numbers(self) -> WallNumbers:
         """Who is who in the map as it is."""
-        return self._numbers if self._refined_walls is None else self._refined_walls[1]
+        return self._refined_walls[1] if self._refined_walls else self._grouped.numbers
 
     @property
     def _covariances(self) -> NDArray[np.float64] | None:
@@ -323,31 +301,12 @@ class PlaneMapper(Mapper):
         return self._spread
 
     @property
-    def _numbers(self) -> WallNumbers:
-        wall_end = self._planes.wall_end
-        corner_of, merged = np.arange(len(wall_end)), self._engine.table.landmark_of[::2] // 2
-        corner_of[: len(merged)] = merged
-        return WallNumbers.of(self._planes.n_planes, wall_end, corner_of)
-
-    @property
-    def _numbers_at_rest(self) -> WallNumbers:
-        """Who is who, with corners that were seen moving left out (-1)."""
-        numbers = self._numbers
-        corner_of = numbers.corner_of.copy()
-        corner_of[np.flatnonzero(self._engine.table.dynamic[::2])] = -1
-        return WallNumbers(numbers.wall_of, corner_of)
+    def _grouped(self) -> GroupedMap:
+        return GroupedMap(self._engine, self._planes, self.history)
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
-        """Which plane tracks were seen moving: all their corners that could be told do; (p,).
-
-        Or, once the map is refined, they are not where it has them.
-        """
-        dynamic = self._engine.table.dynamic[::2] | self._engine.table.dynamic[1::2]
-        at_rest = (self._engine.table.weight[::2] > 0) & ~dynamic
-        n = self._planes.n_planes
-        planes = self._planes.wall_end[: len(dynamic)] // 2
-        moves = np.bincount(planes[dynamic], minlength=n) > 0
-        moves &= np.bincount(planes[at_rest], minlength=n) == 0
-        moves[self._astray] = True
-        return np.asarray(moves)
+        """Which plane tracks (p,) move, or are not where the refined map has them."""
+        moving = self._grouped.moving_walls
+        moving[self._astray] = True
+        return moving
