@@ -47,7 +47,7 @@ class CountingMapper(PointMapper):
         super().__init__()
         self.charts: Groups = []
         engine = self._engine
-        relative_map = engine._relative_map
+        relative_map = engine.relative_map
 
         def counted(chart, *settings):
             averaged = relative_map(chart, *settings)
@@ -55,7 +55,7 @@ class CountingMapper(PointMapper):
             self.charts.append((n, engine.averaging.n_comparisons))
             return averaged
 
-        engine._relative_map = counted
+        engine.relative_map = counted
 
 
 @dataclass(frozen=True)

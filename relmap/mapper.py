@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from relmap.core import readout, turns
-from relmap.core.association import KnownAssociation
+from relmap.core import afterwards, readout
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
@@ -74,7 +73,7 @@ class Mapper(ABC):
     def finish(self) -> None:
         """Group what is still in view and not mapped yet, and what has left for the last time."""
         self._note_call("finish")
-        turns.finish(self._engine)
+        afterwards.finish(self._engine)
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now.
@@ -83,14 +82,14 @@ class Mapper(ABC):
         A label that no update has returned raises `RelmapError`.
         """
         labels = checked_labels(labels, np.append(readout.labels(self._engine), -1))
-        if self._engine.has_ids:
+        if self._engine.association.has_ids:
             return labels
         return np.where(labels >= 0, self._engine.table.landmark_of[labels], labels)
 
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that the mapper makes use of, by name."""
-        is_known = isinstance(self._engine.association, KnownAssociation)
+        is_known = self._engine.association.is_known
         return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
@@ -130,9 +129,7 @@ class Mapper(ABC):
     @property
     def rejected(self) -> NDArray[np.int64]:
         """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
-        association = self._engine.association
-        scans = [] if association is None else association.rejected
-        return np.array(scans, dtype=np.int64) + self._engine.first_scan
+        return self._engine.association.rejected
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

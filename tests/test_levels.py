@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core import turns
 from relmap.core.grouping.levels import GroupLevels
 from relmap.core.landmarks import MappedGroup
+from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import walk
@@ -106,10 +109,12 @@ def test_one_merged_into_another_goes_on_with_its_group() -> None:
     assert numbers(levels) == [0, 3]
 
 
-def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_interval() -> None:
+def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_interval(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     mapper, world = PointMapper(), walk(3, 7, sigma=0.05, iterations=300)
     engine = mapper._engine
-    group, found = engine.group, engine.found_submap
+    group, found = engine.group, turns.found_submap
     passes: dict[int, list[int]] = {}
 
     def noted(seed: int, level: int) -> None:
@@ -117,17 +122,18 @@ def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_
         first = int(engine.table.first[seed])
         if engine.table.begin[seed] == first:
             passes.setdefault(seed, []).append(level)
-            assert engine._chart(seed).iterations[0] == first
+            assert engine.chart(seed).iterations[0] == first
 
     def grouped(seed: int, level: int) -> NDArray[np.int64]:
         noted(seed, level)
         return group(seed, level)
 
-    def founded(seed: int, level: int) -> None:
+    def founded(engine: RelativeMapper, seed: int, level: int) -> None:
         noted(seed, level)
-        found(seed, level)
+        found(engine, seed, level)
 
-    engine.group, engine.found_submap = grouped, founded  # type: ignore[method-assign]
+    monkeypatch.setattr(engine, "group", grouped)
+    monkeypatch.setattr(turns, "found_submap", founded)
     level_was = np.zeros(0, dtype=np.int64)
     for ids, points in world.scans:
         mapper.update(points, ids)

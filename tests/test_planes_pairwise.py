@@ -46,11 +46,12 @@ def test_the_static_pair_of_ends_is_found() -> None:
 
 def test_chain_of_relations_is_exact_where_all_ends_are_seen() -> None:
     walls = np.array([FIRST, SECOND, [[-1.0, -2.0], [4.0, -2.0]]])
-    history = PlaneHistory()
-    for k in range(6):
-        ends = np.array([in_robot_frame(wall, 0.1 * k, 0.2 * k) for wall in walls])
-        planes = SimpleNamespace(ends=ends, end_type=np.full((3, 2), "corner"))
-        history.append(np.arange(3), np.full((3, 2), -1), checked_planes(planes), np.zeros(3))
+    scans = [[in_robot_frame(wall, 0.1 * k, 0.2 * k) for wall in walls] for k in range(6)]
+    planes = SimpleNamespace(ends=np.concatenate(scans), end_type=np.full((18, 2), "corner"))
+    seen = checked_planes(planes)
+    when, plane = np.repeat(np.arange(6), 3), np.tile(np.arange(3), 6)
+    rows = when, plane, seen.ends, seen.sd, seen.z_extent, np.full((18, 2), -1)
+    history = PlaneHistory(*rows, np.zeros((6, 3)), np.zeros(6, dtype=np.int64))
     mapped = pairwise_map(history, 3)
     distances = np.linalg.norm(mapped.reshape(-1, 1, 2) - mapped.reshape(-1, 2), axis=2)
     truth = np.linalg.norm(walls.reshape(-1, 1, 2) - walls.reshape(-1, 2), axis=2)

@@ -34,12 +34,14 @@ WALLS = np.array([[[4.0, -2.0], [4.0, 2.0]], [[4.0, 2.0], [-1.0, 2.0]]])
 def history_of(
     scans: list[NDArray[np.float64]], kinds: list[list[str]], corners: list[list[int]]
 ) -> PlaneHistory:
-    """Store the same walls, seen over and over."""
-    history = PlaneHistory()
-    for ends in scans:
-        seen = checked_planes(SimpleNamespace(ends=ends, end_type=np.array(kinds)))
-        history.append(np.arange(len(ends)), np.array(corners), seen, np.zeros(3))
-    return history
+    """Return what is stored of the same walls, seen over and over."""
+    k, m = len(scans), len(scans[0])
+    ends, corner = np.concatenate(scans), np.tile(corners, (k, 1))
+    end_type = np.tile(np.array(kinds), (k, 1))
+    seen = checked_planes(SimpleNamespace(ends=ends, end_type=end_type))
+    when, plane = np.repeat(np.arange(k), m), np.tile(np.arange(m), k)
+    rows = when, plane, seen.ends, seen.sd, seen.z_extent, corner
+    return PlaneHistory(*rows, np.zeros((k, 3)), np.zeros(k, dtype=np.int64))
 
 
 # Figure 4.

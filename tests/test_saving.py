@@ -145,8 +145,9 @@ def test_tables_and_columns_go_by_what_they_hold(tmp_path: Path) -> None:
     with np.load(saved_map(tmp_path)) as content:
         names = set(content)
     assert {
-        *("landmarks/position", "landmarks/submap", "observations/points", "segments/points"),
-        *("schedule/in_view", "association/tracks/expected", "groups/mapped/landmarks"),
+        *("landmarks/position", "landmarks/submap", "observations/columns/location"),
+        *("segments/points", "association/registration/tracks/expected"),
+        *("schedule/in_view", "groups/mapped/landmarks"),
     } <= names
     assert not any("_model" in name or "relmap" in name or "/_" in name for name in names)
 
@@ -161,8 +162,11 @@ def shifted(name: str, by: float = 1.0) -> Any:
 @pytest.mark.parametrize(
     "change",
     [
-        *(shifted(n) for n in ("landmarks/position", "observations/landmarks", "schedule/in_view")),
-        lambda a, h: h["values"].update(first_scan=1),
+        *(
+            shifted(n)
+            for n in ("landmarks/position", "observations/columns/landmark", "schedule/in_view")
+        ),
+        lambda a, h: h["values"].update({"association/first_scan": 1}),
         lambda a, h: h["configuration"].update(group_after=9),
         lambda a, h: a.update({"landmarks/position": a["landmarks/position"].T.copy().T}),
         lambda a, h: a.update(checksum=a["checksum"][:4]),
@@ -185,10 +189,22 @@ def test_a_change_is_told(tmp_path: Path, change: Any) -> None:
         (lambda a, h: a.update(graph=a["header"]), "is of format 1 or less, .*map its log again"),
         (lambda a, h: a.pop("landmarks/weight"), "another relmap .*weight is missing; map its log"),
         (lambda a, h: a.update(more=a["landmarks/weight"]), "more is not known; map its log again"),
-        (lambda a, h: h["values"].pop("first_scan"), "first_scan is missing; map its log again"),
-        (lambda a, h: h["values"].update(first_scan=1.5), "first_scan is 1.5, not int"),
-        (lambda a, h: h["values"].update(first_scan=None), "first_scan is None, not int"),
-        (lambda a, h: h["values"].update({"association/alone": [0.5]}), "is no list of int"),
+        (
+            lambda a, h: h["values"].pop("association/first_scan"),
+            "first_scan is missing; map its log",
+        ),
+        (
+            lambda a, h: h["values"].update({"association/first_scan": 1.5}),
+            "association/first_scan is 1.5, not int",
+        ),
+        (
+            lambda a, h: h["values"].update({"association/first_scan": None}),
+            "association/first_scan is None, not int",
+        ),
+        (
+            lambda a, h: h["values"].update({"association/registration/alone": [0.5]}),
+            "is no list of int",
+        ),
         (
             lambda a, h: a.update({"landmarks/weight": a["landmarks/weight"].astype(np.float32)}),
             "landmarks/weight is not of float64",

@@ -129,7 +129,7 @@ def test_one_merged_into_another_goes_on_in_its_place() -> None:
     for k in range(12):
         see(schedule, table, [1] if k >= 8 else [0], k)
     table.merge(1, 0)
-    schedule.relabel(1, 0)
+    schedule.merge(1, 0)
     assert schedule.in_view.tolist() == [0]
     assert schedule.gone.tolist() == []
     assert (table.begin[0], table.in_interval[0]) == (8, 4)
@@ -141,5 +141,5 @@ def test_one_in_view_is_there_once_after_a_merge() -> None:
     see(schedule, table, [0], 0)
     see(schedule, table, [1], 1)
     table.merge(1, 0)
-    schedule.relabel(1, 0)
+    schedule.merge(1, 0)
     assert schedule.in_view.tolist() == [0]

@@ -115,7 +115,7 @@ def test_every_member_is_visible_in_the_whole_common_interval(
 ) -> None:
     store, table = filled_store(visible)
     weights = np.random.default_rng(seed).integers(0, 3, table.shape[1]).astype(float)
-    for landmark in np.unique(store.landmarks):
+    for landmark in np.unique(store.column("landmark")):
         chart = PointChart.around(int(landmark), store, 0, len(visible))
         group = grown(chart, weights[chart.landmarks], min_shared + 1, min_shared)
         if group is None:

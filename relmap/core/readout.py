@@ -15,8 +15,6 @@ from relmap.core.state.table import NONE, LandmarkState
 
 def labels(engine: RelativeMapper) -> NDArray[np.int64]:
     """Return what landmarks (n,) are called outside."""
-    if engine.association is None:
-        return np.empty(0, dtype=np.int64)
     return engine.association.labels_of(np.arange(len(engine.table)))
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.refinement.live import SLICE_EVERY
 
 if TYPE_CHECKING:
@@ -32,24 +33,12 @@ def take_turns(engine: RelativeMapper, seen: NDArray[np.int64], left: NDArray[np
             break
 
 
-def finish(engine: RelativeMapper) -> None:
-    """Group what is still in view and not mapped yet, and what has left for the last time."""
-    for seed in engine.schedule.in_view.tolist():
-        if engine.table.weight[seed] == 0:
-            _group_or_found(engine, seed, 1)
-    engine.schedule.end()
-    gone = engine.schedule.gone
-    for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
-        if engine.table.is_gone[seed]:
-            _last_pass(engine, seed)
-
-
 def _group_next(engine: RelativeMapper) -> bool:
     """Group whoever was seen often enough since the last time; tell whether somebody was."""
     due = engine.schedule.next_due()
     if due is None or engine.table.dynamic[due[0]]:
         return False
-    _group_or_found(engine, *due)
+    group_or_found(engine, *due)
     return True
 
 
@@ -57,7 +46,7 @@ def _last_pass_next(engine: RelativeMapper) -> bool:
     """Group whoever is seen no longer over the whole interval; tell whether somebody was."""
     seed = engine.placing.next_last_pass()
     if seed is not None:
-        _last_pass(engine, seed)
+        last_pass(engine, seed)
     return seed is not None
 
 
@@ -78,15 +67,39 @@ def _refine_next(engine: RelativeMapper) -> bool:
     return engine.live.is_busy
 
 
-def _group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:
+def group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:
+    """Group a landmark; where it cannot be aligned and has no place yet, found a submap."""
     placed = engine.group(seed, level)
     if len(placed):
         _merge_seen_again(engine, placed)
     elif engine.table.weight[seed] == 0:
-        engine.found_submap(seed, level)
+        found_submap(engine, seed, level)
 
 
-def _last_pass(engine: RelativeMapper, seed: int) -> None:
+def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
+    """Begin the map, or a new submap where what is in view is not enough to go on.
+
+    The frame is that of the robot in the first iteration of the group.
+    """
+    fixes = engine.model.min_shared(engine.table.dimension)
+    mapped_in_view = np.sum(engine.table.weight[engine.schedule.in_view] > 0)
+    if mapped_in_view >= fixes or engine.table.dynamic[seed]:
+        return
+    chart = engine.chart(seed)
+    if not len(chart.iterations):
+        return
+    chart = chart.only(chart.visible[:, 0])
+    relative = engine.relative_map(chart, np.zeros(len(chart.landmarks)), 0)
+    if relative is None:
+        return
+    first = chart.points_robot[np.isin(chart.landmarks, relative.landmarks), 0]
+    if len(first) > fixes:
+        R, t = fit_rigid(relative.positions, first)
+        placed = relative.positions @ R.T + t
+        engine.placing.place(engine.map.new_submap(), level, placed, relative)
+
+
+def last_pass(engine: RelativeMapper, seed: int) -> None:
     """Group a landmark over its whole interval, and look for a last time who it is."""
     placed = np.empty(0, dtype=np.int64)
     if engine.placing.needs_last_pass(np.array([seed]))[0]:
@@ -99,5 +112,5 @@ def _last_pass(engine: RelativeMapper, seed: int) -> None:
 
 
 def _merge_seen_again(engine: RelativeMapper, placed: NDArray[np.int64]) -> None:
-    if not engine.has_ids:
+    if not engine.association.has_ids:
         engine.merge(placed)

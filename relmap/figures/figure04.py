@@ -20,7 +20,6 @@ from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
-from relmap.planes.pairwise import midpoint_pairs
 from relmap.plots.sheet import (
     BLUE,
     GREY,
@@ -90,14 +89,17 @@ class CornerTest:
 
     @cached_property
     def offsets(self) -> NDArray[np.float64]:
-        """See `relmap.planes.pairwise.midpoint_pairs`, (k, 2, 2, 2), metres."""
-        first, second = self.sizes.tolist()
-        return midpoint_pairs(self.ends[0], self.ends[1], (first, second))[0]
+        """See `relmap.planes.corner_kernels.midpoint_pairs`, (k, 2, 2, 2), metres."""
+        from relmap.planes.corner_kernels import midpoint_pairs
+
+        return midpoint_pairs(self.ends[0], self.ends[1], *self.sizes.tolist())
 
     @property
     def deviation(self) -> NDArray[np.float64]:
         """Standard deviation of each pair's offset over the interval, (2, 2), metres."""
-        return np.asarray(np.sqrt(self.offsets.var(axis=0).sum(axis=2)))
+        from relmap.planes.corner_kernels import deviations
+
+        return deviations(self.offsets)
 
     @property
     def chosen(self) -> tuple[int, int]:

@@ -35,11 +35,6 @@ class WallNumbers:
     wall_of: NDArray[np.int64]
     corner_of: NDArray[np.int64]
 
-    @classmethod
-    def apart(cls, n_planes: int, n_corners: int) -> WallNumbers:
-        """Let every track be a wall of its own."""
-        return cls(np.arange(n_planes), np.arange(n_corners))
-
     def same_as(self, other: WallNumbers) -> bool:
         """Tell whether nothing differs."""
         return np.array_equal(self.wall_of, other.wall_of) and np.array_equal(

@@ -143,8 +143,8 @@ def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservatio
     along = along / size[:, None]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     offset = (normal * ends.mean(axis=1)).sum(axis=1)
-    static, sd = history.corner[rows] >= 0, history.sd[rows]
-    return PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
+    kind, sd = (history.corner[rows] >= 0).astype(np.int8), history.sd[rows]
+    return PlaneObservation(ends, kind, along, normal, offset, size, sd, history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:

@@ -11,12 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
-from relmap.core.map.pose import trajectory
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
-from relmap.core.state.table import NONE
 from relmap.mapper import Mapper
-from relmap.planes.assembly import WallNumbers, assemble
+from relmap.planes.assembly import WallNumbers
+from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
 from relmap.planes.observation import checked_planes, journaled, of_journal
@@ -25,7 +24,7 @@ from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.solving import tracks_astray
 from relmap.planes.stitching import weak_links
-from relmap.planes.submaps import WallSubmap, among_all, chained_poses
+from relmap.planes.submaps import WallSubmap, among_all
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
@@ -84,6 +83,8 @@ class PlaneMapper(Mapper):
         run: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(config, journal, run)
+        self._engine.association.is_known = False
+        self._planes.store = self._engine.store
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
@@ -96,7 +97,8 @@ class PlaneMapper(Mapper):
         ----------
         points : (n, 2) or (n, 3) array, robot frame, metres; or planes
             Points of a scan; or what a segmenter found in them: anything with `ends` and
-            `end_type` as `relmap.segmentation.Planes` has them.
+            `end_type` as `relmap.segmentation.Planes` has them.  Where an `end_type` is "unknown",
+            or none is there, which ends are the walls' own shows over time (Fig. 4).
         ids : None
             Walls have no known association.
 
@@ -112,16 +114,14 @@ class PlaneMapper(Mapper):
         """
         if ids is not None:
             raise RelmapError("ids were given; a plane mapper finds out itself who is who")
-        if not hasattr(points, "end_type"):
+        if not hasattr(points, "ends"):
             points = self._segmented(points)
         seen = checked_planes(points)
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = None
         self._astray = np.empty(0, dtype=np.int64)
-        self._planes.see(seen)
-        self._engine.update(self._planes.points_robot, None)
-        walls = self._planes.planes.copy()
+        walls = self._engine.update(seen, None)
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
         return walls
@@ -132,39 +132,28 @@ class PlaneMapper(Mapper):
         Walls that come to lie on one another are joined, which closes loops.
         """
         self._note_call("refine")
-        # Who is who is found out anew, where the walls come to lie.
+        # From the map that the groups give: where they place the scans, who is who, and who moves.
         self._astray = np.empty(0, dtype=np.int64)
-        history, moving, submaps = self._planes.history, self._moving, self._chained
-        chained = self._numbers
-        numbers = WallNumbers.apart(len(chained.wall_of), len(chained.corner_of))
+        grouped, moving = self._grouped, self._moving
+        history, numbers, submaps = (
+            grouped.history,
+            grouped.numbers_at_rest,
+            grouped.submaps(moving),
+        )
         for k, submap in enumerate(submaps):
             found = refined_map(history, numbers, submap, moving)
-            if found is None:
-                numbers = self._with(numbers, chained, submap.span)
-            else:
+            if found is not None:
                 submaps[k], numbers = found
         astray = [tracks_astray(s.assembled, history) for s in submaps if s.refined and s.assembled]
         self._astray = np.concatenate([self._astray, *astray])
         self._spread = None
         self._refined_walls = [self._at_rest(submap) for submap in submaps], numbers
 
-    def _with(
-        self, numbers: WallNumbers, chained: WallNumbers, span: tuple[int, int]
-    ) -> WallNumbers:
-        """Return who is who, in one submap as the chained map has it."""
-        history = self._planes.history
-        own = np.isin(np.arange(len(numbers.wall_of)), history.plane[history.within(span)])
-        corner = own[self._planes.wall_end // 2]
-        return WallNumbers(
-            np.where(own, chained.wall_of, numbers.wall_of),
-            np.where(corner, chained.corner_of, numbers.corner_of),
-        )
-
     def _at_rest(self, submap: WallSubmap) -> WallSubmap:
         """Return a submap without the tracks that went astray."""
         if submap.assembled is None or not submap.refined:
             return submap
-        track = self._planes.history.plane[submap.assembled.rows]
+        track = self.history.plane[submap.assembled.rows]
         kept = submap.assembled.only(~np.isin(track, self._astray))
         return WallSubmap.of(submap.span, submap.poses, kept, refined=True)
 
@@ -177,12 +166,22 @@ class PlaneMapper(Mapper):
             Where no update has returned such a number.
         """
         labels = checked_labels(labels, np.arange(self._planes.n_planes))
-        return np.asarray(self._state[1].wall_of[labels])
+        return np.asarray(self._own_numbers.wall_of[labels])
 
     @property
     def history(self) -> PlaneHistory:
-        """All observations of walls, untransformed."""
-        return self._planes.history
+        """A view on all observations of walls, untransformed."""
+        store = self._engine.store
+        return PlaneHistory(
+            iteration=store.iterations,
+            plane=store.column("wall"),
+            ends=store.column("location"),
+            sd=store.column("sd"),
+            z_extent=store.column("z_extent"),
+            corner=store.column("corner"),
+            motion=self._planes.motions,
+            submap=self._planes.submaps,
+        )
 
     @property
     def submaps(self) -> list[WallSubmap]:
@@ -198,7 +197,7 @@ class PlaneMapper(Mapper):
         """Every wall ever seen; mapped, in its frame, are those of one of `submaps`."""
         submaps, numbers = self._state
         assembled = submaps[number].assembled if submaps else None
-        return plane_table(self._planes.history, numbers, assembled, self._moving)
+        return plane_table(self.history, numbers, assembled, self._moving)
 
     @property
     def map(self) -> LandmarkMap:
@@ -216,10 +215,9 @@ class PlaneMapper(Mapper):
         Before refinement `sd` is that of the average behind a corner alone, along its wall.
         """
         submaps, numbers = self._state
-        chosen, dynamic = self._planes.chosen, self._engine.table.dynamic[::2]
+        moving, spread = self._grouped.moving_corners, self._covariances
         assembled = [submap.assembled for submap in submaps]
-        moving, spread = chosen[dynamic], self._covariances
-        return corner_table(self._planes.history, numbers, assembled, moving, spread)
+        return corner_table(self.history, numbers, assembled, moving, spread)
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -228,13 +226,13 @@ class PlaneMapper(Mapper):
         Their landmarks are corners, numbered as in `landmarks`; the midpoints beside them, which
         have no number, are left out.  Several that turned out to be one corner have one number.
         """
-        corner = self._own_numbers.corner_of[self._planes.chosen]
-        return [corner_group(group, corner) for group in super().groups]
+        corner_of = self._own_numbers.corner_of
+        return [corner_group(group, corner_of) for group in super().groups]
 
     @property
     def group_walls(self) -> list[NDArray[np.int64]]:
         """Numbers of the walls that each group ties to one another, in the order of mapping."""
-        wall = self._own_numbers.wall_of[self._planes.wall_end[self._planes.chosen] // 2]
+        wall = self._own_numbers.wall_of[self._planes.wall_end // 2]
         return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
 
     @property
@@ -245,13 +243,13 @@ class PlaneMapper(Mapper):
         the map, and how sure the corners are, which are its landmarks.
         """
         submaps = [] if self._refined_walls is None else self._refined_walls[0]
-        history = self._planes.history
+        history = self.history
         return [refined_walls(s.assembled, history) for s in submaps if s.refined and s.assembled]
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN beyond the map."""
-        history, submaps = self._planes.history, self.submaps
+        history, submaps = self.history, self.submaps
         if not submaps:
             return np.full((history.n_iterations, 4, 4), np.nan)
         return among_all(submaps[0].poses, submaps[0].span, history)
@@ -259,7 +257,7 @@ class PlaneMapper(Mapper):
     @property
     def weak_links(self) -> NDArray[np.int64]:
         """Iterations (k,) before which too little was seen to tell how far the robot went."""
-        return weak_links(self._planes.history)
+        return weak_links(self.history)
 
     @property
     def _parts(self) -> list[Any]:
@@ -281,38 +279,16 @@ class PlaneMapper(Mapper):
         return self._segmenter.planes_
 
     @property
-    def _chained(self) -> list[WallSubmap]:
-        """The submaps as the chained map has them, weak links included."""
-        history, numbers, moving = self._planes.history, self._numbers, self._moving
-        paths, found = self._paths, []
-        for span in history.spans:
-            poses = chained_poses(paths, span, history)
-            there = among_all(poses, span, history)
-            found.append(WallSubmap.of(span, poses, assemble(history, numbers, there, moving)))
-        return found
-
-    @property
-    def _paths(self) -> list[NDArray[np.float64]]:
-        """The poses (i, 4, 4) that each submap of the chained map tells, the largest first."""
-        table, rows = self._engine.table, self._engine.rows
-        submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
-        paths = []
-        for submap in submaps[np.argsort(-counts, kind="stable")]:
-            positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
-            paths.append(trajectory(rows, positions, table.landmark_of))
-        return paths
-
-    @property
     def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
         """What the map is now, and who is who in it."""
         if self._refined_walls is not None:
             return self._refined_walls
-        return self._chained, self._numbers
+        return self._grouped.submaps(self._moving), self._grouped.numbers
 
     @property
     def _own_numbers(self) -> WallNumbers:
         """Who is who in the map as it is."""
-        return self._numbers if self._refined_walls is None else self._refined_walls[1]
+        return self._refined_walls[1] if self._refined_walls else self._grouped.numbers
 
     @property
     def _covariances(self) -> NDArray[np.float64] | None:
@@ -325,23 +301,12 @@ class PlaneMapper(Mapper):
         return self._spread
 
     @property
-    def _numbers(self) -> WallNumbers:
-        chosen, wall_end = self._planes.chosen, self._planes.wall_end
-        corner_of = np.arange(len(wall_end))
-        corner_of[chosen] = chosen[self._engine.table.landmark_of[2 * np.arange(len(chosen))] // 2]
-        return WallNumbers.of(self._planes.n_planes, wall_end, corner_of)
+    def _grouped(self) -> GroupedMap:
+        return GroupedMap(self._engine, self._planes, self.history)
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
-        """Which plane tracks were seen moving: all their corners that could be told do; (p,).
-
-        Or, once the map is refined, they are not where it has them.
-        """
-        dynamic = self._engine.table.dynamic[::2] | self._engine.table.dynamic[1::2]
-        at_rest = (self._engine.table.weight[::2] > 0) & ~dynamic
-        n = self._planes.n_planes
-        planes = self._planes.wall_end[self._planes.chosen] // 2
-        moves = np.bincount(planes[dynamic], minlength=n) > 0
-        moves &= np.bincount(planes[at_rest], minlength=n) == 0
-        moves[self._astray] = True
-        return np.asarray(moves)
+        """Which plane tracks (p,) move, or are not where the refined map has them."""
+        moving = self._grouped.moving_walls
+        moving[self._astray] = True
+        return moving

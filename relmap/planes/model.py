@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.config import MapperConfig
+from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
 from relmap.planes.basis import relative_map
+from relmap.planes.observation import PlaneObservation
 from relmap.planes.registration import PlaneRegistration
 
 TURN = np.cos(np.deg2rad(20.0))
@@ -25,12 +29,44 @@ class WallModel:
         Knows which end of a wall each corner is.
     """
 
+    columns: ClassVar[Rows] = {
+        "landmark": np.empty((0, 2), dtype=np.int64),
+        "location": np.empty((0, 2, 2)),
+        "wall": np.empty(0, dtype=np.int64),
+        "corner": np.empty((0, 2), dtype=np.int64),
+        "kind": np.empty((0, 2), dtype=np.int8),
+        "sd": np.empty(0),
+        "z_extent": np.empty((0, 2)),
+    }
+    """Of an observed wall: its right and left end, untransformed; the landmark that the map hangs
+    on at either end, if any; the number of the wall, and of the corner at either end; which kind
+    of ends they are told to be; how sure its distance is; its lowest and highest z."""
+    keeps_observations = True
     noise_spread = 3.0
     position_spread = 2.0
     drift_m = 1.5
 
     def __init__(self, walls: PlaneRegistration) -> None:
         self._walls = walls
+
+    def rows(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> Rows:
+        """Return what is stored of the walls of one scan, of which these are the numbers (m,)."""
+        return {
+            "landmark": self._walls.landmark,
+            "location": seen.ends,
+            "wall": walls,
+            "corner": self._walls.corner,
+            "kind": seen.kind,
+            "sd": seen.sd,
+            "z_extent": seen.z_extent,
+        }
+
+    def points(self, rows: Rows) -> Shown:
+        """Return the corners that the map hangs on, and the midpoints estimated from them."""
+        from relmap.planes.model_kernels import corners_and_midpoints
+
+        walls = rows["landmark"], rows["corner"], rows["location"]
+        return Shown(*corners_and_midpoints(*walls, self._walls.half))
 
     def association(self, config: MapperConfig) -> PlaneRegistration:
         """Return what finds out who is who."""
@@ -53,7 +89,7 @@ class WallModel:
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
         """Tell whether a corner may be an older one: the same end of a wall with its direction."""
-        corners = self._walls.chosen[[new // 2, old // 2]]
+        corners = np.array([new, old]) // 2
         ends, submaps = self._walls.wall_end[corners], self._walls.submap_of[corners]
         if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
             return False

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
+from relmap.planes.corners import CORNER, CUT, UNKNOWN
 
 SHORTEST_M = 1e-6
 """A wall shorter than this has no direction."""
@@ -26,8 +27,9 @@ class PlaneObservation:
     ----------
     ends : (m, 2, 2) float64
         x, y of the right and the left end, as seen from the robot.
-    static : (m, 2) bool
-        Whether an end is the wall's own, not where the sight of it ends.
+    kind : (m, 2) int8
+        Whether an end is the wall's own, or where the sight of it ends, or not told; see
+        `relmap.planes.corners`.
     along : (m, 2) float64
         Unit vector from the right end to the left one.
     normal : (m, 2) float64
@@ -42,7 +44,7 @@ class PlaneObservation:
     """
 
     ends: NDArray[np.float64]
-    static: NDArray[np.bool_]
+    kind: NDArray[np.int8]
     along: NDArray[np.float64]
     normal: NDArray[np.float64]
     offset: NDArray[np.float64]
@@ -53,6 +55,11 @@ class PlaneObservation:
     def __len__(self) -> int:
         """Return the number of walls."""
         return len(self.ends)
+
+    @property
+    def static(self) -> NDArray[np.bool_]:
+        """Whether an end is told to be the wall's own; (m, 2)."""
+        return np.asarray(self.kind == CORNER)
 
     def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
         """Return some of the walls."""
@@ -66,8 +73,9 @@ def checked_planes(planes: Any) -> PlaneObservation:
     ----------
     planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
         Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
-        and `end_type` (m, 2), "corner" where an end is the wall's own.  `noise` (m,), `n_points`
-        (m,) and `z_extent` (m, 2) are used where they are there.
+        and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where nobody can
+        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,) and `z_extent` (m, 2)
+        are used where they are there.
 
     Raises
     ------
@@ -76,7 +84,7 @@ def checked_planes(planes: Any) -> PlaneObservation:
     """
     ends = checked_ends(planes.ends)
     m = len(ends)
-    kind = np.asarray(planes.end_type)
+    kind = np.asarray(getattr(planes, "end_type", np.full((m, 2), "unknown")))
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
@@ -93,8 +101,14 @@ def checked_planes(planes: Any) -> PlaneObservation:
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
     return PlaneObservation(
-        ends, kind == "corner", along, normal, offset, size, sd[kept], z_extent[kept]
+        ends, _coded(kind), along, normal, offset, size, sd[kept], z_extent[kept]
     )
+
+
+def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
+    """Return the kinds of ends by their names."""
+    kind = np.where(end_type == "corner", CORNER, np.where(end_type == "unknown", UNKNOWN, CUT))
+    return kind.astype(np.int8)
 
 
 def checked_ends(ends: Any) -> NDArray[np.float64]:
@@ -145,7 +159,7 @@ def _column(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float6
 def journaled(seen: PlaneObservation) -> NDArray[np.float64]:
     """Return the walls (m,) of one scan as rows (m, 9), as a journal keeps them."""
     ends = seen.ends.reshape(-1, 4)
-    return np.column_stack([ends, seen.z_extent, seen.sd, seen.static.astype(np.float64)])
+    return np.column_stack([ends, seen.z_extent, seen.sd, seen.kind.astype(np.float64)])
 
 
 def of_journal(rows: NDArray[np.float64]) -> SimpleNamespace:
@@ -153,7 +167,7 @@ def of_journal(rows: NDArray[np.float64]) -> SimpleNamespace:
     rows = rows.reshape(-1, 9)
     return SimpleNamespace(
         ends=rows[:, :4].reshape(-1, 2, 2),
-        end_type=np.where(rows[:, 7:] > 0, "corner", "open"),
+        end_type=np.array(["open", "corner", "unknown"])[rows[:, 7:].astype(np.int64)],
         z_extent=rows[:, 4:6],
         noise=rows[:, 6],
         n_points=np.ones(len(rows)),

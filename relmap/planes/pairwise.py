@@ -59,53 +59,21 @@ def relate(
     sizes : tuple of float
         One size for each wall.
     """
-    offset, turn = midpoint_pairs(first, second, sizes)
-    deviation = np.sqrt(offset.var(axis=0).sum(axis=2))
+    from relmap.planes.corner_kernels import deviations, midpoint_pairs
+
+    offset, turn = midpoint_pairs(first, second, *sizes), _turns(first, second)
+    deviation = deviations(offset)
     i, j = np.unravel_index(np.argmin(deviation), deviation.shape)
     steady = float(turn[0] + wrapped(turn - turn[0]).mean())
     mean = offset.mean(axis=0)[i, j]
     return Relation(mean, steady, float(deviation[i, j]), (int(i), int(j)), len(first))
 
 
-def midpoint_pairs(
-    first: NDArray[np.float64], second: NDArray[np.float64], sizes: tuple[float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the four pairs of estimated midpoints in each iteration (Fig. 4).
-
-    Parameters
-    ----------
-    first, second : (k, 2, 2) float64, robot frame, metres
-        Right and left ends of both walls.
-    sizes : tuple of float
-        One size for each wall.
-
-    Returns
-    -------
-    (k, 2, 2, 2) float64, metres
-        From the first wall's midpoint, by its right or left end, to the second's, by its right or
-        left end; the first wall's normal along x.
-    (k,) float64, radians
-        Turn from the first wall to the second.
-    """
-    normal, midpoint = _midpoints(first, sizes[0])
-    other_normal, other_midpoint = _midpoints(second, sizes[1])
-    apart = other_midpoint[:, None, :] - midpoint[:, :, None]
-    left = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
-    axes = np.stack([normal, left], axis=1)
-    offset = np.einsum("kxd,kijd->kijx", axes, apart)
-    turn = np.arctan2((other_normal * left).sum(axis=1), (other_normal * normal).sum(axis=1))
-    return offset, turn
-
-
-def _midpoints(
-    ends: NDArray[np.float64], size: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the normals (k, 2), and the midpoints (k, 2, 2) estimated from either end."""
-    along = ends[:, 1] - ends[:, 0]
-    along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    inwards = size / 2 * along
-    return normal, np.stack([ends[:, 0] + inwards, ends[:, 1] - inwards], axis=1)
+def _turns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the turn from the first wall (k, 2, 2) to the second; (k,) radians."""
+    along, other = (ends[:, 1] - ends[:, 0] for ends in (first, second))
+    turns = np.arctan2(other[:, 1], other[:, 0]) - np.arctan2(along[:, 1], along[:, 0])
+    return wrapped(turns)
 
 
 def pairwise_map(history: PlaneHistory, n_planes: int) -> NDArray[np.float64]:

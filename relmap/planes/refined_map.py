@@ -60,10 +60,9 @@ def refined_map(
         None where nothing is mapped, or refining does not settle or makes it worse.
     """
     span = chained.span
-    first = assemble(history, numbers, among_all(chained.poses, span, history), moving)
-    if first is None:
+    if chained.assembled is None:
         return None
-    best = refined(first, WIDELY)
+    best = refined(chained.assembled, WIDELY)
     for rounds, times in ((WIDELY, CLOSED), (ROUGHLY, JOINED)):
         for _ in range(times):
             if rounds is WIDELY:

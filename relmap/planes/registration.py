@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.state.growing import GrowingArray
-from relmap.planes.history import PlaneHistory
+from relmap.core.state.store import ObservationStore
+from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
 from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
@@ -27,6 +28,10 @@ MOST = 14
 """Corners of a scan that the map hangs on: more of them would not make it firmer."""
 LONG_M = 4.0
 """Walls longer than this are as good as any."""
+UNTOLD, STATIC, MOVING = 0, 1, -1
+"""What was found out of an end over time."""
+TESTED = 4
+"""Ends of unknown type are tested every so many iterations."""
 FAMILIAR = 8
 """Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
 
@@ -34,8 +39,8 @@ FAMILIAR = 8
 class PlaneRegistration:
     """Matches walls to those of the iterations before, and gives their corners numbers.
 
-    The corners that the map hangs on, few of them in each scan, have places in the order of their
-    choice: that at place ``k`` is landmark ``2 k``, and its midpoint landmark ``2 k + 1``.
+    Corner ``k`` is landmark ``2 k``, and the midpoint estimated from it landmark ``2 k + 1``; the
+    map hangs on few of those of a scan.
 
     Parameters
     ----------
@@ -44,44 +49,61 @@ class PlaneRegistration:
 
     Attributes
     ----------
-    planes : (w,) int64
-        Number of the wall of each observed one, in the scan seen last.
-    points_robot : (n, 2) float64, robot frame, metres
-        Corners and midpoints in it.
+    store : ObservationStore
+        What was observed so far, for ends of unknown type.
+    corner, landmark : (w, 2) int64
+        Corner at either end of each wall of the scan seen last, and the landmark that the map hangs
+        on there; -1 for none.
     """
 
     _tracks: PlaneTracks | None
     _motion: PlanarMotion
     STATE = (
-        "history planes points_robot _tracks _motion _n_planes _n_submaps _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of _place _chosen _landmarks"
+        "_motions _submaps _tracks _motion n_planes _n_submaps _unsure_m "
+        "_unsure_each_m _half _wall_end _submap_of _told _since"
     )
 
     def __init__(self, max_missed: int) -> None:
         self._max_missed = max_missed
         self._tracks = None
         self._motion = STILL
-        self._n_planes = 0
         self._n_submaps = 0
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
+        self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
+        self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._place: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self._chosen: GrowingArray[np.int64] = GrowingArray(np.int64)
-        self.planes = np.empty(0, dtype=np.int64)
-        self.points_robot = np.empty((0, 2))
-        self.history = PlaneHistory()
-        self._landmarks = np.empty(0, dtype=np.int64)
+        self._told: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
+        self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self.n_planes = 0
+        self.store = ObservationStore()
+        self.corner = np.empty((0, 2), dtype=np.int64)
+        self.landmark = np.empty((0, 2), dtype=np.int64)
 
     @property
     def _usual(self) -> PlanarMotion:
         """How the robot went last: the median of some scans, for one of them may be a jump."""
-        if not self.history.n_iterations:
+        if not len(self._motions):
             return STILL
-        last = np.sort(self.history.motion[-STEADY:], axis=0)
+        last = np.sort(self.motions[-STEADY:], axis=0)
         yaw, x, y = last[len(last) // 2].tolist()
         return PlanarMotion(yaw, np.array([x, y]))
+
+    @property
+    def motions(self) -> NDArray[np.float64]:
+        """From the robot frame before into that of each iteration: yaw, x, y; (i, 3), rough."""
+        return self._motions.values
+
+    @property
+    def submaps(self) -> NDArray[np.int64]:
+        """Submap of each iteration; (i,), -1 where nothing ties it to any."""
+        return self._submaps.values
+
+    @property
+    def half(self) -> NDArray[np.float64]:
+        """Half of the size of its wall, as when each corner was seen first; metres."""
+        return self._half.values
 
     @property
     def wall_end(self) -> NDArray[np.int64]:
@@ -92,16 +114,6 @@ class PlaneRegistration:
     def submap_of(self) -> NDArray[np.int64]:
         """Submap of each corner."""
         return self._submap_of.values
-
-    @property
-    def chosen(self) -> NDArray[np.int64]:
-        """Corner at each place."""
-        return self._chosen.values
-
-    @property
-    def n_planes(self) -> int:
-        """How many walls were seen."""
-        return self._n_planes
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return landmarks (n,) as they are: they go by their number."""
@@ -116,33 +128,43 @@ class PlaneRegistration:
         return []
 
     def match(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
+        self, seen: PlaneObservation, ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.int64]:
-        """Return the landmark of each of the `points_robot` of the scan seen last."""
-        return self._landmarks
+        """Return the number of each wall (m,) of one scan.
 
-    def see(self, seen: PlaneObservation) -> None:
-        """Take in the walls of one scan; where no link to those before is believed, begin anew."""
-        self.planes = np.full(len(seen), -1)
+        Where no link to those before is believed, a submap begins.
+        """
+        walls = np.full(len(seen), -1)
         self._motion, tracks = self._usual, self._tracks  # on as before
         if tracks is not None and len(seen):
-            tracks = self._followed(tracks, seen)
+            tracks = self._followed(tracks, seen, walls)
         elif tracks is not None:
             tracks = tracks.carried(self._motion.yaw, self._motion.t)
             tracks.missed += 1
         self._n_submaps += int(tracks is None and len(seen) > 0)
-        new = self.planes < 0
-        self.planes[new] = self._n_planes + np.arange(new.sum())
-        self._n_planes += int(new.sum())
-        begun = PlaneTracks.begun(self.planes[new], seen.only(new))
+        new = walls < 0
+        walls[new] = self.n_planes + np.arange(new.sum())
+        self.n_planes += int(new.sum())
+        self._told.resize(self.n_planes, UNTOLD)
+        self._since.resize(self.n_planes, len(self._motions))
+        self._test_ends()
+        begun = PlaneTracks.begun(walls[new], seen.only(new))
         tracks = begun if tracks is None else tracks.joined(begun)
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
-        self._see_corners(tracks, seen)
+        self._see_corners(tracks, seen, walls)
+        self._motions.extend(np.array([[self._motion.yaw, *self._motion.t]]))
+        self._submaps.extend(np.array([-1 if self._tracks is None else self._n_submaps - 1]))
+        return walls
 
-    def _followed(self, tracks: PlaneTracks, seen: PlaneObservation) -> PlaneTracks | None:
-        """Return the tracks where a scan sees them; None where it is tied to them by too little."""
-        found = place(tracks, seen, self._usual, farthest_m(self.history.motion))
+    def _followed(
+        self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
+    ) -> PlaneTracks | None:
+        """Return the tracks where a scan sees them, and enter which walls (m,) they are.
+
+        None where it is tied to them by too little.
+        """
+        found = place(tracks, seen, self._usual, farthest_m(self.motions))
         if found is None or not believed(tracks, seen, found, self._usual):
             return None
         motion, match = found
@@ -150,7 +172,7 @@ class PlaneRegistration:
             self._unsure_m = 0.0
         else:
             if not self._unsure_m:
-                self._unsure_each_m = unsure_m(self.history.motion)
+                self._unsure_each_m = unsure_m(self.motions)
             self._unsure_m += self._unsure_each_m
         if self._unsure_m > ASTRAY_M:
             self._unsure_m = 0.0
@@ -158,58 +180,87 @@ class PlaneRegistration:
         self._motion = motion
         tracks = tracks.carried(motion.yaw, motion.t)
         tracks.see(match.tracks, seen, match.walls)
-        self.planes[match.walls] = tracks.plane[match.tracks]
+        walls[match.walls] = tracks.plane[match.tracks]
         return tracks
 
-    def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation) -> None:
+    def _see_corners(
+        self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
+    ) -> None:
         """Tell which corner every static end is; begin new ones where none is expected there."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
-        wall, end = np.nonzero(seen.static)
-        row = np.array([row_of[plane] for plane in self.planes[wall].tolist()], dtype=np.int64)
+        told = self._told.values[walls]
+        untyped = seen.kind == UNKNOWN
+        wall, end = np.nonzero(np.where(untyped, told == STATIC, seen.static & (told != MOVING)))
+        row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
         at = seen.ends[wall, end]
         off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
         fresh = ~(off <= STRAYED_M + SIGMAS * self._sd(seen)[wall])
+        strayed = untyped[wall, end] & fresh & (tracks.corner[row, end] >= 0)
+        if strayed.any():  # what was static is no longer in view: another interval begins
+            tracks.corner[row[strayed], end[strayed]] = NO_CORNER
+            self._ask_again(walls[wall[strayed]], end[strayed])
+            wall, end, row, at, fresh = (v[~strayed] for v in (wall, end, row, at, fresh))
         corners = tracks.corner[row, end]
         corners[fresh] = len(self._half) + np.arange(fresh.sum())
         self._half.extend(seen.size[wall[fresh]] / 2)
         self._submap_of.extend(np.full(fresh.sum(), self._n_submaps - 1))
-        self._wall_end.extend(2 * self.planes[wall[fresh]] + end[fresh])
+        self._wall_end.extend(2 * walls[wall[fresh]] + end[fresh])
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]
         before = np.where(fresh[:, None], at, tracks.corner_at[row, end])
         tracks.corner_at[row, end] = before + share * (at - before)
         tracks.corner_seen[row, end] = times
         tracks.corner[row, end] = corners
-        self._choose(corners, at, end, seen, wall, times)
-        corner = np.full((len(seen), 2), NO_CORNER)
-        corner[wall, end] = corners
-        motion = np.array([self._motion.yaw, *self._motion.t])
-        submap = -1 if self._tracks is None else self._n_submaps - 1
-        self.history.append(self.planes, corner, seen, motion, submap)
+        for k in np.flatnonzero(fresh & untyped[wall, end]).tolist():
+            self._name(walls[wall[k]], end[k], corners[k])
+        self.corner, self.landmark = np.full((2, len(seen), 2), NO_CORNER)
+        self.corner[wall, end] = corners
+        best = _best(seen.size[wall], times)
+        self.landmark[wall[best], end[best]] = 2 * corners[best]
 
-    def _choose(
-        self,
-        corners: NDArray[np.int64],
-        at: NDArray[np.float64],
-        end: NDArray[np.int64],
-        seen: PlaneObservation,
-        wall: NDArray[np.int64],
-        times: NDArray[np.int64],
-    ) -> None:
-        """Choose the corners that the map hangs on: of long walls, and seen before."""
-        self._place.resize(len(self._half), NO_CORNER)
-        rank = np.minimum(seen.size[wall], LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
-        best = np.sort(np.argsort(-rank, kind="stable")[:MOST])
-        corners, at, end, wall = corners[best], at[best], end[best], wall[best]
-        new = self._place.values[corners] == NO_CORNER
-        self._place.values[corners[new]] = len(self._chosen) + np.arange(new.sum())
-        self._chosen.extend(corners[new])
-        inwards = np.where(end == 0, 1.0, -1.0) * self._half.values[corners]
-        midpoint = at + inwards[:, None] * seen.along[wall]
-        self.points_robot = np.stack([at, midpoint], axis=1).reshape(-1, 2)
-        place = 2 * self._place.values[corners]
-        self._landmarks = np.column_stack([place, place + 1]).reshape(-1)
+    def _test_ends(self) -> None:
+        """Tell by the last iterations which ends are static, where no types tell (Fig. 4).
+
+        Ends of unknown type are tested now and then, typed corners once in an interval.
+        """
+        now = len(self._motions)
+        if now < INTERVAL or now % TESTED:
+            return
+        rows, iteration = self.store.between(now - INTERVAL, now)
+        wall, kind = self.store.column("wall")[rows], self.store.column("kind")[rows]
+        ends, sd = self.store.column("location")[rows], self.store.column("sd")[rows]
+        same = self._since.values[wall] <= now - INTERVAL
+        if not same.any() or (now % INTERVAL and not (kind == UNKNOWN).any()):
+            return
+        told = self._told.values
+        kind = np.where((kind == UNKNOWN) & (told[wall] == STATIC), CORNER, kind)
+        found = compared_ends(iteration[same], wall[same], ends[same], sd[same], kind[same])
+        told[found.walls] = np.where(found.moving, MOVING, told[found.walls])
+        told[found.walls] = np.where(found.static, STATIC, told[found.walls])
+        for k, end in np.argwhere(found.moving & ~found.static).tolist():
+            self._name(found.walls[k], end, NO_CORNER)
+
+    def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+        """Let another interval begin for walls (k,), and forget what was told of their ends."""
+        self._told.values[walls, ends] = UNTOLD
+        self._since.values[walls] = len(self._motions)
+
+    def _name(self, wall: int, end: int, corner: int) -> None:
+        """Enter which corner an end of a wall was throughout the last interval."""
+        now = len(self._motions)
+        begin = max(int(self._since.values[wall]), now - INTERVAL, 0)
+        rows, _ = self.store.between(min(begin, now), now)
+        own = self.store.column("wall")[rows] == wall
+        self.store.column("corner")[rows][own, end] = corner
+        if corner == NO_CORNER:
+            self.store.column("landmark")[rows][own, end] = corner
 
     def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
         """Return how sure the ends (m,) are along their walls, about."""
         return 3 * seen.sd
+
+
+def _best(size: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return which corners (k,) the map hangs on: of long walls, and seen before."""
+    rank = np.minimum(size, LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
+    return np.argsort(-rank, kind="stable")[:MOST]

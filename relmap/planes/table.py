@@ -64,10 +64,7 @@ def plane_table(
     """
     plane, row = np.unique(numbers.wall_of[history.plane], return_inverse=True)
     n = len(plane)
-    first, last = np.full(n, history.n_iterations), np.full(n, -1)
-    np.minimum.at(first, row, history.iteration)
-    np.maximum.at(last, row, history.iteration)
-    count = np.bincount(row, minlength=n)
+    count, first, last = _sightings(row, history.iteration, n)
     z = np.column_stack(
         [np.bincount(row, axis, minlength=n) / np.maximum(count, 1) for axis in history.z_extent.T]
     )
@@ -80,6 +77,15 @@ def plane_table(
         ends[at], normal[at], corner[at] = (part[often] for part in _mapped(assembled))
         status[at] = "static"
     return PlaneTable(plane, ends, z, normal, corner, count, first, last, status)
+
+
+def _sightings(
+    of: NDArray[np.int64], iteration: NDArray[np.int64], n: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return how often each of n was seen, first and last; iterations (k,) ascend."""
+    first, last = np.zeros((2, n), dtype=np.int64)
+    first[of[::-1]], last[of] = iteration[::-1], iteration
+    return np.bincount(of, minlength=n), first, last
 
 
 def _mapped(
@@ -164,13 +170,12 @@ def corner_table(
         Covariances of all corners of the first submap, square metres, where they are known.
     """
     row, end = np.nonzero(history.corner >= 0)
-    corner = numbers.corner_of[history.corner[row, end]]
+    own = history.corner[row, end]
+    corner = np.where(np.isin(own, moving), own, numbers.corner_of[own])
     row, corner = row[corner >= 0], corner[corner >= 0]
     label, at = np.unique(corner, return_inverse=True)
     n = len(label)
-    first, last = np.full(n, history.n_iterations), np.full(n, -1)
-    np.minimum.at(first, at, history.iteration[row])
-    np.maximum.at(last, at, history.iteration[row])
+    count, first, last = _sightings(at, history.iteration[row], n)
     position, sd = np.full((n, 3), np.nan), np.full(n, np.nan)
     status = np.where(np.isin(label, moving), "dynamic", "unmapped")
     level, submap = np.zeros(n, dtype=np.int64), np.full(n, -1)
@@ -191,7 +196,7 @@ def corner_table(
         landmark=label,
         position=position,
         sd=sd,
-        observations=np.bincount(at, minlength=n),
+        observations=count,
         first_iteration=first,
         last_iteration=last,
         level=level,
@@ -209,7 +214,7 @@ def corner_group(group: MappedGroup, corner: NDArray[np.int64]) -> MappedGroup:
     group : MappedGroup
         Of landmarks numbered as by `PlaneRegistration`.
     corner : (k,) int64
-        Number of the corner at each place; -1 for what turned out to be none.
+        Number of each corner; -1 for what turned out to be none.
     """
     number = np.where(group.landmarks % 2 == 0, corner[group.landmarks // 2], -1)
     own = number >= 0

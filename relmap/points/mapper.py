@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relmap.core import afterwards
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
@@ -87,6 +88,9 @@ class PointMapper(Mapper):
         if self._journal is not None:
             self._journal.ready()
         labels = self._engine.update(points_robot, known)
+        seen = labels >= 0
+        numbers = self._engine.table.now(labels[seen])
+        labels[seen] = self._engine.association.labels_of(numbers)
         if self._journal is not None:
             self._journal.append(points_robot, known, labels)
         return labels
@@ -101,7 +105,7 @@ class PointMapper(Mapper):
         """
         self._note_call("refine")
         self._finder = None
-        self._engine.refine()
+        afterwards.refine(self._engine)
 
     def finish(self) -> None:
         """Map what is left, spread what has drifted since, and without ids tie submaps.
@@ -114,8 +118,8 @@ class PointMapper(Mapper):
         if self.config.refine_live:
             self._engine.live.complete()
             self._engine.merger.look_again()
-        if not self._engine.has_ids:
-            self._engine.tie_submaps()
+        if not self._engine.association.has_ids:
+            afterwards.tie(self._engine)
 
     def localise(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return where a scan was taken, found from the map alone; the mapper stays as it is.
@@ -167,13 +171,14 @@ class PointMapper(Mapper):
             raise RelmapError("a run that keeps a journal begins with an empty map")
         seen = checked_points(points, self._engine.store.dimension)
         placement = self._placed(seen)
-        if placement is None or self._engine.association is None:
+        registration = self._engine.association.registration
+        if placement is None or registration is None:
             return False
         positions = positions_in_largest_submap(self._engine.table)
         landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
         around = (positions[landmarks] - placement.t) @ placement.R
         near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
-        self._engine.association.expect(landmarks[near], around[near])
+        registration.expect(landmarks[near], around[near])
         return True
 
     def _placed(self, points_robot: NDArray[np.float64]) -> Placement | None:

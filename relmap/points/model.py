@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.association import Constellation, NearestPrevious, Registration
 from relmap.core.config import MapperConfig
+from relmap.core.state.store import POINTS, Rows, Shown, shown_points
 from relmap.core.state.table import LandmarkState
 from relmap.points.basis import relative_map
 
@@ -14,6 +15,8 @@ from relmap.points.basis import relative_map
 class PointModel:
     """What the engine has to know of points; see `relmap.core.model.LandmarkModel`."""
 
+    columns = POINTS
+    keeps_observations = False
     noise_spread = 1.0
     position_spread = 1.0
     drift_m = None
@@ -23,6 +26,15 @@ class PointModel:
         if config.registration == "nearest-previous":
             return NearestPrevious(config.gate_m)
         return Constellation(config.max_missed)
+
+    def rows(self, seen: NDArray[np.float64], landmarks: NDArray[np.int64]) -> Rows:
+        """Return what is stored of the points (n, d) of one scan: those that were identified."""
+        known = landmarks >= 0
+        return {"landmark": landmarks[known], "location": seen[known]}
+
+    def points(self, rows: Rows) -> Shown:
+        """Return the observed points as they are."""
+        return shown_points(rows)
 
     def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Average a group's locations (g, i, d) in the basis of three of its points (Fig. 8)."""

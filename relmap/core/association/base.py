@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,8 @@ class Registration(Protocol):
         """Return what landmarks (n,) are called outside."""
         ...
 
-    def match(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
-    ) -> NDArray[np.int64]:
-        """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
+    def match(self, seen: Any, ids: NDArray[np.int64] | None, /) -> NDArray[np.int64]:
+        """Return whom each observation (n,) is of, or `UNIDENTIFIED`."""
         ...
 
     def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:

@@ -147,7 +147,7 @@ class Merger:
         tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
         return self._choose(np.array(pairs), tolerance_m)
 
-    def relabel(self, new: int, old: int) -> None:
+    def merge(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
         self._old_near.pop(new, None)
         for others in self._old_near.values():

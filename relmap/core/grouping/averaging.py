@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,7 +78,8 @@ class Averaging:
         relative = self._completed(chart, group, average)
         at_rest = self._motion.test(relative, self._tolerated_m)
         self._bin_movers(chart)
-        return relative.only(at_rest)
+        interval = chart.iterations[group.columns]
+        return replace(relative.only(at_rest), common_interval=interval)
 
     def _completed(
         self, chart: PointChart, group: Group, average: NDArray[np.float64]

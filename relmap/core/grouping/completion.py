@@ -7,7 +7,7 @@ fitted, by least squares, to the relative map, and everything seen in it is aver
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class RelativeMap:
         Where each iteration lies: robot frame to group frame.
     fixed : (i,) bool
         Whether an iteration is fixed by what was seen in it.
+    common_interval : (c,) int64, ascending
+        Iterations that show all members of the group that it began with.
     """
 
     landmarks: NDArray[np.int64]
@@ -46,6 +48,7 @@ class RelativeMap:
     R: NDArray[np.float64]
     t: NDArray[np.float64]
     fixed: NDArray[np.bool_]
+    common_interval: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
     @property
     def n_used(self) -> NDArray[np.int64]:

@@ -44,7 +44,6 @@ class Placing:
         level: int,
         placed: NDArray[np.float64],
         relative: RelativeMap,
-        common_interval: NDArray[np.int64],
     ) -> NDArray[np.int64]:
         """Enter a relative map where it is the best there is.
 
@@ -56,8 +55,6 @@ class Placing:
         placed : (n, d) float64, frame of the submap, metres
             The relative map, aligned.
         relative : RelativeMap
-        common_interval : (i,) int64
-            Iterations of the group that it began with.
 
         Returns
         -------
@@ -77,11 +74,19 @@ class Placing:
             landmarks=landmarks,
             relative_map=relative.positions,
             n_observations=relative.n_used,
-            iterations=common_interval,
+            iterations=relative.common_interval,
         )
         self._levels.take(group, members, reached, n_averaged)
         self._close(members[reached == 3])
         return landmarks[self._table.weight[landmarks] > 0]
+
+    def leave_out_moving(self, landmarks: NDArray[np.int64]) -> None:
+        """Take those of landmarks (k,) that are known to move off the map."""
+        moving = landmarks[self._table.dynamic[landmarks]]
+        if len(moving):
+            self._table.take_off_map(moving)
+            self._levels.leave(moving)
+            self._schedule.begin_anew(moving, self._store.n_iterations)
 
     def next_last_pass(self) -> int | None:
         """Return who needs its last pass next; None where nobody does yet.

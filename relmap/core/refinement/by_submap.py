@@ -9,15 +9,16 @@ import numpy as np
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, refine
-from relmap.core.refinement.observations import KeptObservations
+from relmap.core.refinement.observations import observations_of
 from relmap.core.refinement.powers import refine_by_powers
+from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE
 
 logger = logging.getLogger(__name__)
 
 
 def refine_submaps(
-    global_map: GlobalMap, rows: SegmentRows, kept: KeptObservations | None
+    global_map: GlobalMap, rows: SegmentRows, kept: ObservationStore | None
 ) -> list[Refined]:
     """Move all landmarks to where the observations agree best; tell of each submap, in order.
 
@@ -25,7 +26,7 @@ def refine_submaps(
     ----------
     global_map : GlobalMap
     rows : SegmentRows
-    kept : KeptObservations, optional
+    kept : ObservationStore, optional
         Every observation, where bounded noise is to be made use of.
     """
     table = global_map.table
@@ -35,7 +36,7 @@ def refine_submaps(
     for submap in np.unique(submaps[submaps != NONE]):
         refined = refine(rows, table.position, submaps == submap, of, others, moving)
         if refined is not None and kept is not None:
-            seen = kept.of_landmarks(refined.landmarks, refined.positions, of)
+            seen = observations_of(kept, refined.landmarks, refined.positions, of)
             refined = refine_by_powers(refined, seen)
         if refined is not None:
             global_map.move(refined.landmarks, refined.positions)

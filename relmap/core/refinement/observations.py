@@ -1,4 +1,4 @@
-"""Every single observation of a run, kept only where somebody asks for it."""
+"""Every single observation of a run, as far as its landmarks are refined."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.refinement.rows import numbered
-from relmap.core.state.growing import FEW, GrowingArray
+from relmap.core.state.store import ObservationStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,48 +53,36 @@ class Observations:
         return fit_rigid_each(self.points, there, unit, self.iteration, len(self.iterations))
 
 
-class KeptObservations:
-    """Keeps what is seen, as it is seen, for as long as the mapper lives."""
+def observations_of(
+    store: ObservationStore,
+    landmarks: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    of: NDArray[np.int64],
+) -> Observations:
+    """Return the observations of landmarks (m,) at positions (m, d).
 
-    STATE = "_landmark _points _iteration"
+    Parameters
+    ----------
+    store : ObservationStore
+        Of points; it keeps all of them.
+    landmarks : (m,) int64, ascending
+    positions : (m, d) float64, metres
+    of : (k,) int64
+        The landmark that each number stands for, after merging.
+    """
+    number = np.full(len(of), -1)
+    number[landmarks] = np.arange(len(landmarks))
+    seen, when = store.seen(0, store.n_iterations)
+    landmark = number[of[seen]]
+    rows = np.flatnonzero(landmark >= 0)
+    points, landmark, when = store.points(0, store.n_iterations)[rows], landmark[rows], when[rows]
+    every = _observations(points, landmark, when)
+    fixed = every.placed_on(positions)[2][every.iteration]
+    return _observations(points[fixed], landmark[fixed], when[fixed])
 
-    def __init__(self) -> None:
-        self._landmark: GrowingArray[np.int32] = GrowingArray(np.int32)
-        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), FEW)
-        self._iteration: GrowingArray[np.int32] = GrowingArray(np.int32)
 
-    def append(
-        self, iteration: int, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]
-    ) -> None:
-        """Keep what one iteration saw: landmarks (n,), points (n, d)."""
-        if not len(landmarks):
-            return
-        if not len(self._points):
-            self._points = GrowingArray(np.float64, points_robot.shape[1:])
-        self._landmark.extend(landmarks)
-        self._points.extend(points_robot)
-        self._iteration.extend(np.full(len(landmarks), iteration))
-
-    def of_landmarks(
-        self, landmarks: NDArray[np.int64], positions: NDArray[np.float64], of: NDArray[np.int64]
-    ) -> Observations:
-        """Return the observations of landmarks (m,) at positions (m, d).
-
-        Parameters
-        ----------
-        landmarks : (m,) int64, ascending
-        positions : (m, d) float64, metres
-        of : (k,) int64
-            The landmark that each number stands for, after merging.
-        """
-        number = np.full(len(of), -1)
-        number[landmarks] = np.arange(len(landmarks))
-        landmark = number[of[self._landmark.values]]
-        rows = np.flatnonzero(landmark >= 0)
-        seen = self._chosen(rows, landmark[rows])
-        fixed = seen.placed_on(positions)[2][seen.iteration]
-        return self._chosen(rows[fixed], landmark[rows[fixed]])
-
-    def _chosen(self, rows: NDArray[np.int64], landmark: NDArray[np.int64]) -> Observations:
-        iterations, iteration = numbered(self._iteration.values[rows].astype(np.int64))
-        return Observations(self._points.values[rows], landmark, iteration, iterations)
+def _observations(
+    points: NDArray[np.float64], landmark: NDArray[np.int64], when: NDArray[np.int64]
+) -> Observations:
+    iterations, iteration = numbered(when)
+    return Observations(points, landmark, iteration, iterations)

@@ -77,16 +77,13 @@ class StateWriter:
             self.columns[name] = value.item() if isinstance(value, np.generic) else value
         elif kind in (np.ndarray, GrowingArray):
             self.columns[name] = value if isinstance(value, np.ndarray) else value.values
+        elif kind is dict and of[0] is str:
+            for key, column in value.items():
+                self._add(f"{name}/{key}", column, None)
         elif kind is dict and (of[1] is int or get_origin(of[1]) is list):
             self.columns[name] = _rows(value)
         elif kind is dict:
-            self.columns[f"{name}/number"] = np.array(list(value), dtype=np.int64)
-            for key, (attribute, _) in _members(of[1]).items():
-                arrays = [getattr(record, attribute) for record in value.values()]
-                sizes = np.array([len(array) for array in arrays], dtype=np.int64)
-                self.columns[f"{name}/{key}_rows"] = sizes
-                if arrays:
-                    self.columns[f"{name}/{key}"] = np.concatenate(arrays)
+            self._add_records(name, value, of[1])
         elif kind in (list, tuple) and set(of) <= set(PLAIN):
             self.columns[name] = list(value)
         elif kind in (list, tuple):
@@ -95,6 +92,14 @@ class StateWriter:
                 self._add(f"{name}/{k}", item, of[k if kind is tuple else 0])
         else:
             self.add(value, f"{name}/")
+
+    def _add_records(self, name: str, records: dict[int, Any], cls: type) -> None:
+        self.columns[f"{name}/number"] = np.array(list(records), dtype=np.int64)
+        for key, (attribute, _) in _members(cls).items():
+            arrays = [getattr(record, attribute) for record in records.values()]
+            self.columns[f"{name}/{key}_rows"] = np.array([len(a) for a in arrays], dtype=np.int64)
+            if arrays:
+                self.columns[f"{name}/{key}"] = np.concatenate(arrays)
 
 
 def _rows(lists: dict[int, Any]) -> NDArray[np.int64]:
@@ -150,6 +155,8 @@ class StateReader:
         if kind is GrowingArray:
             now.hold(self._array(name, now.values.dtype, now.values.ndim))
             return now
+        if kind is dict and of[0] is str:
+            return {key: self._value(f"{name}/{key}", None, value) for key, value in now.items()}
         if kind is dict:
             return self._dict(name, of[1])
         if kind in (list, tuple):

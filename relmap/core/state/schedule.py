@@ -135,7 +135,7 @@ class GroupingSchedule:
         reached = np.where(whole, level, min(level, 2))
         return np.where(2 * n_averaged >= np.minimum(counts, LONGEST_INTERVAL), reached, 1)
 
-    def relabel(self, new: int, old: int) -> None:
+    def merge(self, new: int, old: int) -> None:
         """Let an old landmark wait in place of a new one, which turned out to be it."""
         self._in_view = self._in_view[self._in_view != old]
         for waiting in (self._in_view, self._due, self._gone):

@@ -2,40 +2,90 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.state.growing import FEW, GrowingArray
+from relmap.core.state.growing import FEW, MANY, GrowingArray
+
+Rows = dict[str, NDArray[Any]]
+"""Columns of observations; each kind has `landmark` and `location`."""
+POINTS: Rows = {"landmark": np.empty(0, dtype=np.int64), "location": np.empty((0, 0))}
+"""The columns of points, with no rows."""
+
+
+class Shown(NamedTuple):
+    """The points at rest that some observations show.
+
+    Attributes
+    ----------
+    landmarks : (k,) int64
+    points_robot : (k, d) float64, robot frame, metres
+    per_row : (n,) int64 or None
+        How many points each observation shows; None where each shows one.
+    """
+
+    landmarks: NDArray[np.int64]
+    points_robot: NDArray[np.float64]
+    per_row: NDArray[np.int64] | None = None
+
+
+def shown_points(rows: Rows) -> Shown:
+    """Return the points that observations of points show: themselves."""
+    return Shown(rows["landmark"], rows["location"])
 
 
 class ObservationStore:
-    """Observations of all landmarks in the robot frame, as they were seen.
+    """Observations in the robot frame, as they were seen: one row for each, in order of iteration.
 
     The paper keeps a table of iterations per landmark.  Here one structure of arrays holds them
     in the order in which they came, which serves every landmark at once: a block of members by
     iterations is gathered in time proportional to what was seen in those iterations, whatever the
     size of the map.
+
+    Parameters
+    ----------
+    columns : dict of array
+        What is known of an observation: columns without rows.
+    show : callable
+        Returns the points at rest that rows show; see `relmap.core.model.LandmarkModel`.
+    keeps : bool
+        Whether rows that no group needs any more are kept.
     """
 
-    STATE = "_points _landmarks _offsets _slots _first_iteration"
+    _columns: dict[str, GrowingArray[Any]]
+    STATE = "_columns _offsets _stored_from _first_iteration"
 
-    def __init__(self) -> None:
-        self._points: GrowingArray[np.float64] = GrowingArray(np.float64, (0,), FEW)
-        self._landmarks: GrowingArray[np.int64] = GrowingArray(np.int64, room=FEW)
+    def __init__(
+        self,
+        columns: Rows | None = None,
+        show: Callable[[Rows], Shown] = shown_points,
+        keeps: bool = False,
+    ) -> None:
+        self._keeps = keeps
+        self._show = show
+        room = MANY if keeps else FEW
+        self._columns = {
+            name: GrowingArray(rows.dtype, rows.shape[1:], room)
+            for name, rows in (columns or POINTS).items()
+        }
         self._offsets: GrowingArray[np.int64] = GrowingArray(np.int64, room=FEW)
         self._offsets.extend(np.zeros(1, dtype=np.int64))
         self._slots: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._stored_from = 0
         self._first_iteration = 0
 
     @property
     def dimension(self) -> int:
         """2 in a planar world, 3 in space, 0 before anything was seen."""
-        return int(self.points_robot.shape[1])
+        return int(self.points(self._first_iteration, self._first_iteration).shape[1])
 
     @property
     def n_iterations(self) -> int:
         """Number of iterations seen, empty and forgotten ones included."""
-        return self._first_iteration + len(self._offsets) - 1
+        return self._stored_from + len(self._offsets) - 1
 
     @property
     def first_iteration(self) -> int:
@@ -43,55 +93,64 @@ class ObservationStore:
         return self._first_iteration
 
     @property
-    def points_robot(self) -> NDArray[np.float64]:
-        """Observations kept (n, d), robot frame, metres, in order of iteration."""
-        return self._points.values
+    def iterations(self) -> NDArray[np.int64]:
+        """When each observation stored was made; (n,) ascending."""
+        return np.repeat(
+            np.arange(self._stored_from, self.n_iterations), np.diff(self._offsets.values)
+        )
 
-    @property
-    def landmarks(self) -> NDArray[np.int64]:
-        """Landmark of each observation (n,)."""
-        return self._landmarks.values
+    def between(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of iterations `begin` to `end`, and the iteration of each."""
+        rows, offsets = self._rows(begin, end)
+        return rows, np.repeat(np.arange(begin, end), np.diff(offsets))
 
-    def append(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
-        """Store one iteration's observations: landmarks (n,), points (n, d)."""
-        if self.dimension == 0 and len(landmarks):
-            self._points = GrowingArray(np.float64, points_robot.shape[1:], FEW)
-        if len(landmarks):
-            self._points.extend(points_robot)
-        self._landmarks.extend(landmarks)
-        self._offsets.extend(self._offsets.values[-1:] + len(landmarks))
-        if len(landmarks):
-            self._slots.resize(int(landmarks.max()) + 1, -1)
+    def column(self, name: str) -> NDArray[Any]:
+        """Return a column (n, ...) of all observations stored, in order of iteration."""
+        return self._columns[name].values
+
+    def append(
+        self, landmark: NDArray[np.int64], location: NDArray[np.float64], **others: NDArray[Any]
+    ) -> None:
+        """Store one iteration: n observations of landmarks, where they were seen, and what else."""
+        if len(landmark):
+            for name, values in {"landmark": landmark, "location": location, **others}.items():
+                if self._columns[name].values.shape[1:] != values.shape[1:]:
+                    room = MANY if self._keeps else FEW
+                    self._columns[name] = GrowingArray(values.dtype, values.shape[1:], room)
+                self._columns[name].extend(values)
+        self._offsets.extend(self._offsets.values[-1:] + len(landmark))
 
     def forget(self, before: int) -> None:
-        """Drop the iterations before one that no later step needs."""
-        n = before - self._first_iteration
-        if n > 0:
-            rows = int(self._offsets.values[n] - self._offsets.values[0])
-            self._points.drop(rows)
-            self._landmarks.drop(rows)
-            self._offsets.drop(n)
-            self._first_iteration = before
+        """Let go of the iterations before one that no group needs; their rows are dropped or kept.
 
-    def relabel(self, old: int, new: int) -> None:
-        """Give the observations kept of a landmark to another."""
-        self.landmarks[self.landmarks == old] = new
+        Parameters
+        ----------
+        before : int
+        """
+        n = before - self._first_iteration
+        if n <= 0:
+            return
+        self._first_iteration = before
+        if not self._keeps:
+            rows = int(self._offsets.values[n] - self._offsets.values[0])
+            for column in self._columns.values():
+                column.drop(rows)
+            self._offsets.drop(n)
+            self._stored_from = before
+
+    def merge(self, new: int, old: int) -> None:
+        """Give the observations of a landmark that are not forgotten to an older one."""
+        landmark = self.column("landmark")[self._rows(self._first_iteration, self.n_iterations)[0]]
+        landmark[landmark == new] = old
 
     def seen(self, begin: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return landmark and iteration of every observation in iterations `begin` to `end`."""
-        rows, sizes = self._rows(begin, end)
-        return self.landmarks[rows], np.repeat(np.arange(begin, end), sizes)
+        """Return landmark and iteration of every point shown in iterations `begin` to `end`."""
+        shown, offsets = self._shown(begin, end)
+        return shown.landmarks, np.repeat(np.arange(begin, end), np.diff(offsets))
 
     def points(self, begin: int, end: int) -> NDArray[np.float64]:
-        """Return every observation (k, d) in iterations `begin` to `end`, ordered as in `seen`."""
-        return self.points_robot[self._rows(begin, end)[0]]
-
-    def _rows(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
-        """Return the rows of some iterations, and how many each has."""
-        first = begin - self._first_iteration
-        offsets = self._offsets.values[first : end - self._first_iteration + 1]
-        base = self._offsets.values[0]
-        return slice(int(offsets[0] - base), int(offsets[-1] - base)), np.diff(offsets)
+        """Return every point (k, d) shown in iterations `begin` to `end`, ordered as in `seen`."""
+        return self._shown(begin, end)[0].points_robot
 
     def seen_with(
         self, seed: int, begin: int, end: int
@@ -108,15 +167,25 @@ class ObservationStore:
         """
         from relmap.core.grouping.chart_kernels import chart_block
 
-        first = begin - self._first_iteration
-        offsets = self._offsets.values[first : end - self._first_iteration + 1]
-        rows, _ = self._rows(begin, end)
+        shown, offsets = self._shown(begin, end)
+        self._slots.resize(max(seed, int(shown.landmarks.max(initial=-1))) + 1, -1)
         landmarks, columns, block = chart_block(
-            self.landmarks[rows],
-            self.points_robot[rows],
-            offsets - offsets[0],
-            seed,
-            self._slots.values,
+            shown.landmarks, shown.points_robot, offsets, seed, self._slots.values
         )
         order = np.argsort(np.where(landmarks == seed, -1, landmarks))
         return landmarks[order], columns + begin, block[order]
+
+    def _rows(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
+        """Return the rows of some iterations, and where those of each begin and the last end."""
+        first = begin - self._stored_from
+        offsets = self._offsets.values[first : end - self._stored_from + 1]
+        base = self._offsets.values[0]
+        return slice(int(offsets[0] - base), int(offsets[-1] - base)), offsets - offsets[0]
+
+    def _shown(self, begin: int, end: int) -> tuple[Shown, NDArray[np.int64]]:
+        """Return what some iterations show, and where the points of each begin and the last end."""
+        rows, offsets = self._rows(begin, end)
+        shown = self._show({name: column.values[rows] for name, column in self._columns.items()})
+        if shown.per_row is None:
+            return shown, offsets
+        return shown, np.concatenate([[0], np.cumsum(shown.per_row)])[offsets]

@@ -237,6 +237,18 @@ class LandmarkState:
         self.landmark_of[before:] = np.arange(before, n)
         self.first[before:] = self.since[before:] = iteration
 
+    def enter(
+        self, landmarks: NDArray[np.int64], points: NDArray[np.float64], iteration: int
+    ) -> None:
+        """Add rows for those of landmarks (k,) seen now, at points (k, d), that are new."""
+        self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
+
+    def now(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what landmarks (any shape), as they were numbered, are after merging; -1 stays."""
+        merged = landmarks.copy()
+        merged[landmarks >= 0] = self.landmark_of[landmarks[landmarks >= 0]]
+        return merged
+
     def see(self, landmarks: NDArray[np.int64], iteration: int) -> None:
         """Note which landmarks (k,) are seen."""
         self.last[landmarks] = iteration

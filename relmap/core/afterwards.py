@@ -1,0 +1,44 @@
+"""What is done with the whole map, when no scan is to come for now."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.association.merging import merge_doubles
+from relmap.core.association.tying import tie_submaps
+from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.by_submap import refine_submaps
+from relmap.core.turns import group_or_found, last_pass
+
+
+def finish(engine: RelativeMapper) -> None:
+    """Group what is still in view and not mapped yet, and what has left for the last time."""
+    for seed in engine.schedule.in_view.tolist():
+        if engine.table.weight[seed] == 0:
+            group_or_found(engine, seed, 1)
+    engine.schedule.end()
+    gone = engine.schedule.gone
+    for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
+        if engine.table.is_gone[seed]:
+            last_pass(engine, seed)
+
+
+def tie(engine: RelativeMapper) -> None:
+    """Tie submaps that show the same place, and merge what both saw of it."""
+    for _ in tie_submaps(engine.map, engine.averaging.noise.sigma_m):
+        merge_doubles(engine.table, engine.merger, engine.merge)
+
+
+def refine(engine: RelativeMapper) -> None:
+    """Bring all landmarks to where all observations agree best, by joint least squares.
+
+    Without ids, landmarks that then lie where older ones do that they may be are merged.
+    """
+    kept = engine.store if engine.config.keep_observations else None
+    engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    merged = not engine.association.has_ids and merge_doubles(
+        engine.table, engine.merger, engine.merge
+    )
+    if merged:
+        engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    engine.merger.look_again()

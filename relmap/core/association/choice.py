@@ -1,0 +1,85 @@
+"""Who is who: by ids if they come with the scans, or else as the kind of landmark has it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.association.base import Registration
+from relmap.core.association.known import KnownAssociation
+from relmap.core.config import WITH_IDS, MapperConfig
+from relmap.core.errors import RelmapError
+
+if TYPE_CHECKING:
+    from relmap.core.model import LandmarkModel
+
+
+class DataAssociation:
+    """Matches every scan by one registration, which the first scan with observations decides on.
+
+    Parameters
+    ----------
+    model : LandmarkModel
+    config : MapperConfig
+
+    Attributes
+    ----------
+    registration : Registration or None
+        None before the first observation.
+    """
+
+    STATE = "is_known _first_scan registration"
+
+    def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
+        self.registration: Registration | None = None
+        self._first_scan = 0
+        self._model = model
+        self._config = config
+
+    def match(self, seen: Any, ids: NDArray[np.int64] | None, iteration: int) -> NDArray[np.int64]:
+        """Return whom each observation (n,) of an iteration is of; negative where nobody knows.
+
+        Raises
+        ------
+        RelmapError
+            Where ids come with some scans and not with others.
+        """
+        if self.registration is None and not len(seen):
+            return np.empty(0, dtype=np.int64)
+        if self.registration is None:
+            if ids is not None:
+                self._config.refuse(WITH_IDS)
+            self.is_known, self._first_scan = ids is not None, iteration
+        if self.is_known != (ids is not None) or self.registration is None:
+            given = "came with" if ids is None else "did not come with"
+            raise RelmapError(f"ids {given} the scans before; give them with every scan or none")
+        return self.registration.match(seen, ids)
+
+    @property
+    def is_known(self) -> bool | None:
+        """Whether ids come with the scans; None before the first of them."""
+        registration = self.registration
+        return None if registration is None else isinstance(registration, KnownAssociation)
+
+    @is_known.setter
+    def is_known(self, known: bool | None) -> None:
+        if known is not None:
+            own = self._model.association
+            self.registration = KnownAssociation() if known else own(self._config)
+
+    @property
+    def has_ids(self) -> bool:
+        """Whether nothing is left to find out about who is who."""
+        return self.is_known is not False
+
+    @property
+    def rejected(self) -> NDArray[np.int64]:
+        """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
+        scans = [] if self.registration is None else self.registration.rejected
+        return np.array(scans, dtype=np.int64) + self._first_scan
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return what landmarks (n,) are called outside."""
+        return landmarks if self.registration is None else self.registration.labels_of(landmarks)

@@ -1,0 +1,170 @@
+"""The four midpoint pairs of Fig. 4, compiled; see `relmap.planes.corners`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+FEWEST = 8
+"""Common iterations without which nothing is said."""
+SKEW = 0.5
+"""Sine of the angle between two walls below which nothing is said: two ends that the view cuts go
+together there, where the robot goes straight on."""
+MOVED_M = 0.5
+"""How far one of two ends must have moved, as the robot sees it, before a steady pair tells that
+both are static."""
+NOISY_M = 0.05
+"""A pair that deviates by more for noise alone says nothing."""
+EXACT_M = 0.01
+"""Deviations below this are as good as none."""
+BLUNT = 3.0
+"""How much less sure an end is along its wall than the wall is across."""
+
+
+@compiled
+def midpoint_pairs(
+    first: NDArray[np.float64], second: NDArray[np.float64], size: float, other_size: float
+) -> NDArray[np.float64]:
+    """Return the four pairs of estimated midpoints in each iteration (k, 2, 2, 2), metres.
+
+    From the first wall's midpoint, by its right or left end, to the second's, by its right or left
+    end; the first wall's normal along x.
+    """
+    pairs = np.empty((len(first), 2, 2, 2))
+    for k in range(len(first)):
+        x, y = first[k, 1, 0] - first[k, 0, 0], first[k, 1, 1] - first[k, 0, 1]
+        length = math.hypot(x, y)
+        ux, uy = x / length, y / length
+        x, y = second[k, 1, 0] - second[k, 0, 0], second[k, 1, 1] - second[k, 0, 1]
+        length = math.hypot(x, y)
+        vx, vy = x / length, y / length
+        for i in range(2):
+            inwards = size / 2 if i == 0 else -size / 2
+            mid_x, mid_y = first[k, i, 0] + inwards * ux, first[k, i, 1] + inwards * uy
+            for j in range(2):
+                inwards = other_size / 2 if j == 0 else -other_size / 2
+                apart_x = second[k, j, 0] + inwards * vx - mid_x
+                apart_y = second[k, j, 1] + inwards * vy - mid_y
+                # The first wall's normal is (-uy, ux).
+                pairs[k, i, j, 0] = -uy * apart_x + ux * apart_y
+                pairs[k, i, j, 1] = -ux * apart_x - uy * apart_y
+    return pairs
+
+
+@compiled
+def largest(ends: NDArray[np.float64]) -> float:
+    """Return the largest size of a wall in some iterations, of its ends (k, 2, 2)."""
+    size = 0.0
+    for k in range(len(ends)):
+        size = max(size, math.hypot(ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1]))
+    return size
+
+
+@compiled
+def deviations(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviation (2, 2) of each of four pairs (k, 2, 2, 2), metres."""
+    k, found = len(pairs), np.empty((2, 2))
+    for i in range(2):
+        for j in range(2):
+            total = 0.0
+            for a in range(2):
+                mean = 0.0
+                for n in range(k):
+                    mean += pairs[n, i, j, a] / k
+                for n in range(k):
+                    total += (pairs[n, i, j, a] - mean) ** 2
+            found[i, j] = math.sqrt(total / k)
+    return found
+
+
+@compiled
+def _skew(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    """Return the sine of the angle between two walls, in the middle one of some iterations."""
+    k = len(first) // 2
+    x, y = first[k, 1, 0] - first[k, 0, 0], first[k, 1, 1] - first[k, 0, 1]
+    v, w = second[k, 1, 0] - second[k, 0, 0], second[k, 1, 1] - second[k, 0, 1]
+    return float(abs(x * w - y * v) / (math.hypot(x, y) * math.hypot(v, w)))
+
+
+@compiled
+def _moved(ends: NDArray[np.float64], e: int) -> float:
+    """Return how far one end (k, 2, 2) was from where it was first, at most; robot frame."""
+    farthest = 0.0
+    for k in range(len(ends)):
+        away = math.hypot(ends[k, e, 0] - ends[0, e, 0], ends[k, e, 1] - ends[0, e, 1])
+        farthest = max(farthest, away)
+    return farthest
+
+
+@compiled
+def _expected(
+    first: NDArray[np.float64], second: NDArray[np.float64], size: float, sd: float, other_sd: float
+) -> float:
+    """Return the deviation that noise gives a pair of corners: of both ends, and of the turn."""
+    k = len(first) // 2
+    x = (second[k, 0, 0] + second[k, 1, 0] - first[k, 0, 0] - first[k, 1, 0]) / 2
+    y = (second[k, 0, 1] + second[k, 1, 1] - first[k, 0, 1] - first[k, 1, 1]) / 2
+    turned = math.sqrt(12.0) * math.hypot(x, y) * sd / size
+    return float(math.sqrt((BLUNT * sd) ** 2 + (BLUNT * other_sd) ** 2 + turned**2))
+
+
+@compiled
+def _common(
+    first: NDArray[np.float64], second: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the ends of two walls (k, 2, 2) in the iterations in which both were seen."""
+    n, at = 0, np.empty(len(first), dtype=np.int64)
+    for k in range(len(first)):
+        if not (math.isnan(first[k, 0, 0]) or math.isnan(second[k, 0, 0])):
+            at[n] = k
+            n += 1
+    return first[at[:n]], second[at[:n]]
+
+
+@compiled
+def relative_deviations(
+    block: NDArray[np.float64], sd: NDArray[np.float64], wall: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compare a wall with all others that it was seen with.
+
+    Parameters
+    ----------
+    block : (w, k, 2, 2) float64, robot frame, metres
+        Ends of walls in the iterations of an interval; NaN where one was not seen.
+    sd : (w,) float64, metres
+        How sure the distances of the walls are.
+    wall : int
+
+    Returns
+    -------
+    deviation : (w, 2, 2) float64, metres
+        Of each of the four pairs with each wall; infinite where nothing is said.
+    expected : (w,) float64, metres
+        What noise alone gives.
+    """
+    n = len(block)
+    found, by_noise = np.full((n, 2, 2), np.inf), np.full(n, np.inf)
+    for other in range(n):
+        first, second = _common(block[wall], block[other])
+        if len(first) < FEWEST or other == wall:
+            continue
+        size, other_size = largest(first), largest(second)
+        # The longer wall turns least by noise: it is the one at 0 degrees.
+        if size >= other_size:
+            expected = _expected(first, second, size, sd[wall], sd[other])
+            spread = deviations(midpoint_pairs(first, second, size, other_size))
+        else:
+            expected = _expected(second, first, other_size, sd[other], sd[wall])
+            spread = deviations(midpoint_pairs(second, first, other_size, size)).T
+        if _skew(first, second) < SKEW or expected > NOISY_M:
+            continue
+        for i in range(2):
+            for j in range(2):
+                if max(_moved(first, i), _moved(second, j)) >= MOVED_M:
+                    found[other, i, j] = spread[i, j]
+                    by_noise[other] = max(expected, EXACT_M)
+    return found, by_noise

@@ -1,0 +1,82 @@
+"""Which ends of walls are static: the four midpoint pairs of Fig. 4, over a common interval.
+
+For two walls midpoints are estimated from either end of either, and a size that is fixed over the
+interval; the pair that deviates least over time is that of static ends.  Types of ends, where a
+scan tells them, go first: an end that is cut by the view is not asked, and one that is not cut is
+checked.  Where none are told, deviation alone decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+CUT, CORNER, UNKNOWN = 0, 1, 2
+"""Kinds of ends: where the sight of a wall ends, where the wall does, and not told."""
+INTERVAL = 12
+"""Iterations over which pairs are compared."""
+STEADY = 1.6
+"""A pair that deviates by no more, in units of what noise gives, is one of static ends."""
+MOVES, MOVES_M = 4.0, 0.3
+WITNESSES = 2
+"""An end moves that deviates by more from all ends that are typed corners, so many at least."""
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedEnds:
+    """What an interval tells of the ends of walls.
+
+    Attributes
+    ----------
+    walls : (w,) int64, ascending
+    static, moving : (w, 2) bool
+        Of the right and the left end; neither where nothing is told.
+    """
+
+    walls: NDArray[np.int64]
+    static: NDArray[np.bool_]
+    moving: NDArray[np.bool_]
+
+
+def compared_ends(
+    iteration: NDArray[np.int64],
+    wall: NDArray[np.int64],
+    ends: NDArray[np.float64],
+    sd: NDArray[np.float64],
+    kind: NDArray[np.int8],
+) -> ComparedEnds:
+    """Test the ends of all walls seen in an interval; an end whose kind changed in it is not told.
+
+    Parameters
+    ----------
+    iteration, wall : (n,) int64
+        When each observation was made, and of which wall.
+    ends : (n, 2, 2) float64, robot frame, metres
+    sd : (n,) float64, metres
+        How sure the distances are.
+    kind : (n, 2) int8
+        `CUT`, `CORNER` or `UNKNOWN`.
+    """
+    from relmap.planes.corner_kernels import relative_deviations
+
+    walls, row = np.unique(wall, return_inverse=True)
+    column = iteration - iteration[0]
+    block = np.full((len(walls), int(column[-1]) + 1, 2, 2), np.nan)
+    block[row, column] = ends
+    mean_sd = np.bincount(row, sd) / np.bincount(row)
+    least, most = np.full((len(walls), 2), UNKNOWN), np.full((len(walls), 2), CUT)
+    np.minimum.at(least, row, kind)
+    np.maximum.at(most, row, kind)
+    possible, typed = (least == most) & (least != CUT), (least == most) & (least == CORNER)
+    static, moving = np.zeros((2, len(walls), 2), dtype=np.bool_)
+    for k in np.flatnonzero(possible.any(axis=1)).tolist():
+        off, noise = relative_deviations(block, mean_sd, k)
+        for e in np.flatnonzero(possible[k]).tolist():
+            steady = off[:, e] <= STEADY * noise[:, None]
+            static[k, e] = (steady & np.isfinite(off[:, e]) & possible).any()
+            told = np.isfinite(off[:, e]) & typed
+            apart = off[:, e] > np.maximum(MOVES * noise, MOVES_M)[:, None]
+            moving[k, e] = told.sum() >= WITNESSES and apart[told].all()
+    return ComparedEnds(walls, static, moving)

@@ -1,0 +1,90 @@
+"""The map that the groups give: where walls lie by it, who is who, and who moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.map.pose import trajectory
+from relmap.core.mapper import RelativeMapper
+from relmap.core.state.table import NONE
+from relmap.planes.assembly import WallNumbers, assemble
+from relmap.planes.history import PlaneHistory
+from relmap.planes.registration import PlaneRegistration
+from relmap.planes.submaps import WallSubmap, among_all, chained_poses
+
+
+@dataclass(frozen=True, eq=False)
+class GroupedMap:
+    """What the engine found out of corners, told of walls.
+
+    Attributes
+    ----------
+    engine : RelativeMapper
+    walls : PlaneRegistration
+    history : PlaneHistory
+    """
+
+    engine: RelativeMapper
+    walls: PlaneRegistration
+    history: PlaneHistory
+
+    @property
+    def numbers(self) -> WallNumbers:
+        """Who is who: walls whose corners the engine merged are one."""
+        wall_end = self.walls.wall_end
+        corner_of, merged = np.arange(len(wall_end)), self.engine.table.landmark_of[::2] // 2
+        corner_of[: len(merged)] = merged
+        return WallNumbers.of(self.walls.n_planes, wall_end, corner_of)
+
+    @property
+    def numbers_at_rest(self) -> WallNumbers:
+        """Who is who, with corners that were seen moving left out (-1)."""
+        numbers = self.numbers
+        corner_of = numbers.corner_of.copy()
+        corner_of[self.moving_corners] = -1
+        return WallNumbers(numbers.wall_of, corner_of)
+
+    @property
+    def moving_corners(self) -> NDArray[np.int64]:
+        """Corners (k,) that were seen moving."""
+        return np.flatnonzero(self.engine.table.dynamic[::2])
+
+    @property
+    def moving_walls(self) -> NDArray[np.bool_]:
+        """Which plane tracks were seen moving: all their corners that could be told do; (p,)."""
+        table, n = self.engine.table, self.walls.n_planes
+        dynamic = table.dynamic[::2] | table.dynamic[1::2]
+        at_rest = (table.weight[::2] > 0) & ~dynamic
+        planes = self.walls.wall_end[: len(dynamic)] // 2
+        moves = np.bincount(planes[dynamic], minlength=n) > 0
+        return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))
+
+    def submaps(self, moving: NDArray[np.bool_]) -> list[WallSubmap]:
+        """Return the submaps without plane tracks (p,) that move, those of most scans first.
+
+        A motion from scan to scan bridges between groups; where none placed any scan of a submap,
+        it maps nothing.
+        """
+        history, numbers = self.history, self.numbers_at_rest
+        paths, found = self._paths, []
+        for span in history.spans:
+            poses, assembled = chained_poses(paths, span, history), None
+            if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):
+                there = among_all(poses, span, history)
+                assembled = assemble(history, numbers, there, moving)
+            found.append(WallSubmap.of(span, poses, assembled))
+        return found
+
+    @property
+    def _paths(self) -> list[NDArray[np.float64]]:
+        """The poses (i, 4, 4) that each of the engine's submaps tells, the largest first."""
+        table, rows = self.engine.table, self.engine.rows
+        submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
+        paths = []
+        for submap in submaps[np.argsort(-counts, kind="stable")]:
+            positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
+            paths.append(trajectory(rows, positions, table.landmark_of))
+        return paths

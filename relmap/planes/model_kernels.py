@@ -1,0 +1,56 @@
+"""The points at rest that walls show, compiled; see `relmap.planes.model`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+
+@compiled
+def corners_and_midpoints(
+    landmark: NDArray[np.int64],
+    corner: NDArray[np.int64],
+    ends: NDArray[np.float64],
+    half: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return the corners of walls, and the midpoints estimated from them (Fig. 4).
+
+    Parameters
+    ----------
+    landmark, corner : (n, 2) int64
+        Landmark and corner at either end of each wall; -1 for none.
+    ends : (n, 2, 2) float64, robot frame, metres
+    half : (c,) float64, metres
+        Half of the fixed size of the wall of each corner.
+
+    Returns
+    -------
+    landmarks : (k,) int64, points_robot : (k, 2) float64
+        A corner and its midpoint in turn.
+    per_row : (n,) int64
+    """
+    k, per_row = 0, np.zeros(len(landmark), dtype=np.int64)
+    for i in range(len(landmark)):
+        for e in range(2):
+            if landmark[i, e] >= 0:
+                per_row[i] += 2
+        k += per_row[i]
+    landmarks, points = np.empty(k, dtype=np.int64), np.empty((k, 2))
+    k = 0
+    for i in range(len(landmark)):
+        x, y = ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1]
+        size = math.hypot(x, y)
+        for e in range(2):
+            if landmark[i, e] < 0:
+                continue
+            inwards = half[corner[i, e]] if e == 0 else -half[corner[i, e]]
+            landmarks[k], landmarks[k + 1] = landmark[i, e], 2 * corner[i, e] + 1
+            points[k, 0], points[k, 1] = ends[i, e, 0], ends[i, e, 1]
+            points[k + 1, 0] = ends[i, e, 0] + inwards * (x / size)
+            points[k + 1, 1] = ends[i, e, 1] + inwards * (y / size)
+            k += 2
+    return landmarks, points, per_row

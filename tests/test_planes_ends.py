@@ -1,0 +1,111 @@
+"""Which ends of walls are static, told by the four midpoint pairs of Fig. 4 over an interval."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper
+from relmap.evaluation.corners import match_corners
+from relmap.evaluation.sources import truth_of
+from relmap.planes.corners import CORNER, CUT, UNKNOWN, compared_ends
+from relmap.simulation import simulate_building
+
+WALLS = np.array(
+    [[[4.0, -2.0], [4.0, 2.0]], [[4.0, 2.0], [-1.0, 2.0]], [[-1.0, -2.0], [4.0, -2.0]]]
+)
+
+
+def seen_on_the_way(moving: NDArray[np.float64], n: int = 12) -> NDArray[np.float64]:
+    """Return three walls (n, 3, 2, 2) as a robot on its way sees them; some ends move along."""
+    scans = []
+    for k in range(n):
+        ends = WALLS.copy()
+        along = WALLS[:, 1] - WALLS[:, 0]
+        ends += k * moving[:, :, None] * (along / np.linalg.norm(along, axis=1)[:, None])[:, None]
+        c, s = np.cos(0.03 * k), np.sin(0.03 * k)
+        scans.append((ends - [0.1 * k, 0.05 * k]) @ np.array([[c, -s], [s, c]]))
+    return np.array(scans)
+
+
+def compared(moving: NDArray[np.float64], kind: NDArray[np.int8]) -> Any:
+    scans = seen_on_the_way(moving)
+    n = len(scans)
+    rows = np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), scans.reshape(-1, 2, 2)
+    return compared_ends(*rows, np.zeros(3 * n), np.tile(kind, (n, 1)))
+
+
+def test_ends_of_unknown_type_are_told_by_the_lowest_deviation() -> None:
+    moving = np.array([[0.05, 0.0], [0.0, -0.08], [0.03, -0.04]])
+    found = compared(moving, np.full((3, 2), UNKNOWN, dtype=np.int8))
+    np.testing.assert_array_equal(found.static, moving == 0)
+    assert not found.moving.any()
+
+
+def test_an_end_that_the_view_cuts_is_not_asked() -> None:
+    kind = np.full((3, 2), UNKNOWN, dtype=np.int8)
+    kind[0, 1] = CUT
+    found = compared(np.zeros((3, 2)), kind)
+    np.testing.assert_array_equal(found.static, kind == UNKNOWN)
+
+
+def test_a_typed_corner_that_moves_against_the_others_is_told() -> None:
+    moving = np.zeros((3, 2))
+    moving[1, 1] = -0.12
+    found = compared(moving, np.full((3, 2), CORNER, dtype=np.int8))
+    np.testing.assert_array_equal(found.moving, moving != 0)
+
+
+def test_a_robot_that_stands_still_tells_nothing() -> None:
+    still = np.tile(WALLS, (12, 1, 1, 1)).reshape(-1, 2, 2)
+    rows = np.repeat(np.arange(12), 3), np.tile(np.arange(3), 12), still
+    found = compared_ends(*rows, np.zeros(36), np.full((36, 2), UNKNOWN, dtype=np.int8))
+    assert not found.static.any()
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_walls_without_types_of_ends_are_mapped(named: bool) -> None:
+    """Of a building without noise, by "unknown" ends, or by ends without types at all."""
+    building = simulate_building(points=10, sigma=0.0, seed=1)
+    mapper = PlaneMapper()
+    for scan in building.scans:
+        seen = SimpleNamespace(ends=scan.seen.ends)
+        if named:
+            seen.end_type = np.full(scan.seen.end_type.shape, "unknown")
+        mapper.update(seen)
+    mapper.finish()
+    mapper.refine()
+    said = mapper.history.corner >= 0
+    static = np.concatenate([scan.seen.end_type == "corner" for scan in building.scans])
+    assert (said & static).sum() >= 0.95 * said.sum()
+    assert (said & static).sum() >= 0.4 * static.sum()
+    truth = truth_of(building)
+    matched = match_corners(mapper.planes, truth, mapper.trajectory, building.trajectory)
+    assert matched is not None
+    off = np.linalg.norm(matched.position @ matched.R.T + matched.t - matched.truth, axis=1)
+    assert np.sqrt(np.mean(off**2)) < 0.02
+    due = np.flatnonzero(truth.corner_scans.ravel() >= 10)
+    assert np.isin(due, 2 * matched.wall + matched.end).mean() >= 0.55
+
+
+def test_an_end_that_is_typed_a_corner_but_moves_is_left_out() -> None:
+    """A passing shadow ends the middle wall; its type says corner."""
+    mapper = PlaneMapper()
+    for k in range(40):
+        walls = WALLS.copy()
+        walls[1, 1, 0] += 0.11 * k
+        c, s = np.cos(0.01 * k), np.sin(0.01 * k)
+        ends = (walls - [0.03 * k, 0.0]) @ np.array([[c, -s], [s, c]])
+        mapper.update(SimpleNamespace(ends=ends, end_type=np.full((3, 2), "corner")))
+    shadow = mapper.history.corner[mapper.history.plane == mapper.history.plane[1], 1]
+    assert (shadow[-12:] < 0).all()
+    mapper.finish()
+    mapper.refine()
+    corners = mapper.map.positions[:, :2]
+    apart = np.linalg.norm(corners[:, None] - WALLS.reshape(-1, 2), axis=2).min(axis=1)
+    assert len(corners) >= 5
+    assert apart.max() < 0.01

@@ -1,0 +1,62 @@
+"""What the groups mean to a map of walls: without them there is none, and what they found stays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from relmap import PlaneMapper
+from relmap.core import turns
+from relmap.core.mapper import RelativeMapper
+from relmap.simulation import simulate_building
+
+
+def after_a_building() -> PlaneMapper:
+    building = simulate_building(points=10, sigma=0.0, seed=0)
+    mapper = PlaneMapper()
+    for scan in building.scans:
+        mapper.update(scan.seen)
+    mapper.finish()
+    mapper.refine()
+    return mapper
+
+
+def test_without_groups_no_wall_is_mapped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A motion from scan to scan bridges what groups placed; by itself it maps nothing."""
+    nothing: Any = lambda *_: np.empty(0, dtype=np.int64)  # noqa: E731
+    monkeypatch.setattr(RelativeMapper, "group", nothing)
+    monkeypatch.setattr(turns, "found_submap", nothing)
+    mapper = after_a_building()
+    assert len(mapper.history.iteration) > 1000
+    assert len(mapper.map.positions) == 0
+    assert not (mapper.planes.status == "static").any()
+    assert mapper.refined == []
+
+
+def test_where_only_the_first_scans_are_grouped_the_map_still_begins_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A scan that no group placed is bridged to by the motion, as along a wall without corners."""
+    group = RelativeMapper.group
+
+    def early(engine: RelativeMapper, seed: int, level: int) -> Any:
+        late = engine.store.n_iterations > 30
+        return np.empty(0, dtype=np.int64) if late else group(engine, seed, level)
+
+    monkeypatch.setattr(RelativeMapper, "group", early)
+    mapper = after_a_building()
+    assert np.isfinite(mapper.trajectory).all()
+    assert len(mapper.map.positions) > 10
+
+
+def test_walls_that_the_groups_merged_stay_one_in_the_refined_map() -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=0, loops=2)
+    mapper = PlaneMapper()
+    labels = np.unique(np.concatenate([mapper.update(scan.seen) for scan in building.scans]))
+    mapper.finish()
+    merged = mapper.landmarks_of(labels)
+    assert (merged != labels).sum() > 10
+    mapper.refine()
+    np.testing.assert_array_equal(mapper.landmarks_of(labels), mapper.landmarks_of(merged))
