@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid_each, place_each
 
-OUTLIER = 5.0
+OUTLIER = 7.0
 """Standard deviations beyond which a residual counts less: it is no noise."""
 CHI_MEDIAN = {2: 1.177, 3: 1.538}
 """Median length of a standard normal vector."""
