@@ -83,7 +83,7 @@ def test_the_sum_of_powers_is_least(d: int) -> None:
     at, of = np.repeat(np.arange(60), 12), np.tile(np.arange(12), 60)
     solution = PowerSolution.of(Observations(points, of, at, np.arange(60)), landmarks)
     for power in (2, 4, 4, 4, 4, 8, 8, 8, 8, 8, 8):
-        solution = solution.towards(power, 1)
+        solution = solution.towards(power)
 
     def total(positions: NDArray[np.float64]) -> float:
         left = solution.state.R[at].transpose(0, 2, 1) @ (

@@ -159,8 +159,9 @@ def _solved(
     problem = segment_problem(joint, size_of(start.positions), anchor)
     settled = settle(problem, start)
     (refined, placed), weight = settled.state, settled.weight
-    cost = problem.equations(settled.state, weight, with_matrix=False, damping=0.0).cost
-    noise_m = _noise(rows, joint, cost, weight)
+    explained = (weight == 1).astype(np.float64)
+    cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
+    noise_m = _noise(rows, joint, cost, explained)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
     R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
@@ -173,7 +174,14 @@ def _solved(
         iteration,
         noise_m,
         segment_residuals(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m),
-        merge_residuals(rows, joint, placed, refined, noise_m),
+        merge_residuals(
+            joint.landmarks,
+            joint.landmark,
+            rows.landmark[joint.rows],
+            placed - refined[joint.landmark],
+            joint.n_seen,
+            np.full(len(placed), noise_m**2),
+        ),
         Spread(problem, settled, mapped, noise_m * R),
         converged=settled.converged,
     )
@@ -257,7 +265,8 @@ def _noise(rows: SegmentRows, joint: JointRows, cost: float, weight: NDArray[np.
     """Return the standard deviation of an observed coordinate that explains what is left.
 
     Within segments and between them alike; but where segments surely agree less with one
-    another than within, what is between them counts.  A row of no weight is not there.
+    another than within, what is between them counts.  Only rows that noise explains, of weights
+    (n,) of 1, take part.
     """
     d = joint.points.shape[1]
     q = 3 * d - 3

@@ -36,6 +36,8 @@ LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
 BODIES = 64
 """Bodies at most; of more, each two in a row are laid together."""
+WHOLE = 400
+"""Segments up to which each is a body of its own in the last step, which need not be quick."""
 
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -71,14 +73,19 @@ class LiveRefinement:
         self._note()
         if self._back <= BACK or GROWTH * self._begun >= self._noted:
             return False
-        self._step()
+        self._begun, self._back = self._noted, 0
+        self._step(*self._bodies())
         return True
 
     def complete(self) -> None:
         """Take a step over all there is, as no more is to come."""
         self._note()
-        if self._noted > LEAST:
-            self._step()
+        rows = self._segments.rows
+        if LEAST < self._noted <= WHOLE:
+            landmark = self._table.landmark_of[rows.landmark]
+            self._step(landmark, rows.points, rows.n_seen.astype(np.float64), rows.segment)
+        elif self._noted > LEAST:
+            self._step(*self._bodies())
 
     def _note(self) -> None:
         """Note which landmarks came back into view after a long time; add to the bodies."""
@@ -138,32 +145,41 @@ class LiveRefinement:
                 kept += 1
         self._length *= 2
 
-    def _step(self) -> None:
-        """Take a Gauss-Newton step for the submap that is in view, if there is one."""
-        self._begun, self._back = self._noted, 0
+    def _bodies(self) -> tuple[Indices, Points, Points, Indices]:
         landmark = self._table.landmark_of[self._landmark]
+        return landmark, self._points, self._weight, self._body
+
+    def _step(self, landmark: Indices, points: Points, seen: Points, body: Indices) -> None:
+        """Take a Gauss-Newton step for the submap that is in view, if there is one.
+
+        Parameters
+        ----------
+        landmark : (n,) int64
+        points : (n, d) float64, frame of the body, metres
+        seen : (n,) float64
+            Observations behind each.
+        body : (n,) int64, ascending
+        """
         submaps = self._table.submap[landmark]
         mapped = submaps[submaps != NONE]
         if not len(mapped):
             return
         submap = int(mapped[-1])
-        there = self._table.position
         rows = np.flatnonzero(submaps == submap)
-        at, n = self._body[rows], int(self._body[-1]) + 1
-        R, t, fixed, weight = fit_robust_each(
-            self._points[rows], there[landmark[rows]], self._weight[rows], at, n
-        )
-        placed = place_each(R, t, at, self._points[rows])
+        there, at = self._table.position[landmark[rows]], body[rows]
+        n = int(at[-1]) + 1
+        R, t, fixed, weight = fit_robust_each(points[rows], there, seen[rows], at, n)
+        placed = place_each(R, t, at, points[rows])
         on = np.flatnonzero(fixed[at])
-        bodies, body = numbered(at[on])
+        bodies, place = numbered(at[on])
         if len(bodies) < 2:
             return
         rows, members = rows[on], numbered(landmark[rows[on]])
         joint = JointRows(
-            self._points[rows],
+            points[rows],
             np.zeros(len(rows), dtype=np.uint8),
-            self._weight[rows],
-            body,
+            seen[rows],
+            place,
             members[1],
             members[0],
             bodies,

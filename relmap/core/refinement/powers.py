@@ -28,6 +28,8 @@ FIRST, LAST = 4, 16
 """Powers of use: below, least squares is as good; above, the steps get too rough."""
 STEPS = 2
 """Newton steps for each power on the way."""
+SHARES = (1.0, 0.5, 0.25)
+"""Parts of Newton's step that are tried: where little is seen the whole of it is too long."""
 FAINT = 1e-4
 """Least weight, as a share of the largest: what was seen a few times leaves no residual."""
 LOOSE, LOOSE_POSE = 1e-9, 1e-12
@@ -104,7 +106,7 @@ class PowerProblem:
 
     def __init__(self, seen: Observations, n_landmarks: int, power: int = 2) -> None:
         d = seen.points.shape[1]
-        self.seen, self.power = seen, power
+        self.seen, self.power, self._unit = seen, power, 1.0
         self.freedoms = max(seen.points.size - d * n_landmarks, 1)
         level = levels_of(seen.begin, seen.landmark, n_landmarks)[0]
         self.pattern = Pattern.of_levels(level, d)
@@ -113,10 +115,10 @@ class PowerProblem:
         rows, every = np.arange(seen.points.size), np.arange(len(seen.iterations))
         self._eliminated = Elimination(self.pattern, kept, d * seen.begin, rows, every)
 
-    def of_power(self, power: int) -> PowerProblem:
-        """Return the same for another power."""
+    def of_power(self, power: int, unit: float) -> PowerProblem:
+        """Return the same for another power, of residuals in units of about their size."""
         found = copy(self)
-        found.power = power
+        found.power, found._unit = power, unit
         return found
 
     def of_points(self, points: NDArray[np.float64]) -> PowerProblem:
@@ -162,9 +164,26 @@ class PowerProblem:
         step: NDArray[np.float64],
         weight: NDArray[np.float64],
     ) -> Placed:
-        """Return the state after a step."""
-        share, d = 1 / (self.power - 1), self.seen.points.shape[1]
-        turn, shift = np.split(share * equations.eliminated_steps(step), [-d], axis=1)
+        """Return the state after a step, or the better part of it."""
+        placements = equations.eliminated_steps(step)
+        tried = [self._moved(state, share, step, placements) for share in SHARES]
+        return min(tried, key=lambda each: self.sum_of_powers(self.residuals(each)))
+
+    def sum_of_powers(
+        self, residual: NDArray[np.float64], _: NDArray[np.float64] | None = None
+    ) -> float:
+        """Return what is made least."""
+        return float(np.sum(np.abs(residual / self._unit) ** self.power))
+
+    def _moved(
+        self,
+        state: Placed,
+        share: float,
+        step: NDArray[np.float64],
+        placements: NDArray[np.float64],
+    ) -> Placed:
+        share /= self.power - 1
+        turn, shift = np.split(share * placements, [-self.seen.points.shape[1]], axis=1)
         positions = state.positions + share * step[self._unknown]
         return Placed(positions, rotations(turn) @ state.R, state.t + shift)
 
@@ -196,19 +215,16 @@ class PowerSolution:
         """Return the solution of the highest power that suits, found by doubling it."""
         solution, power = self, FIRST
         while power <= min(shape_of(solution.left), LAST):
-            solution = solution.towards(power, STEPS)
+            for _ in range(STEPS):
+                solution = solution.towards(power)
             power *= 2
         return solution
 
-    def towards(self, power: int, steps: int) -> PowerSolution:
-        """Return the solution after some of Newton's steps towards a power's."""
-        problem = self.problem.of_power(power)
-        unit = float(np.abs(self.left).max())
-
-        def cost(residual: NDArray[np.float64], _: NDArray[np.float64]) -> float:
-            return float(np.sum(np.abs(residual / unit) ** power))
-
-        found = gauss_newton(problem, self.state, problem.weights, steps, cost_of=cost)
+    def towards(self, power: int) -> PowerSolution:
+        """Return the solution after one of Newton's steps towards a power's."""
+        problem = self.problem.of_power(power, float(np.abs(self.left).max()))
+        cost_of = problem.sum_of_powers
+        found = gauss_newton(problem, self.state, problem.weights, 1, cost_of=cost_of)
         return PowerSolution(problem, found.state)
 
     def gain(self) -> float:
@@ -224,7 +240,7 @@ class PowerSolution:
         for _ in range(REPEATS):
             sign, share = rng.choice([-1.0, 1.0], left.shape), 1 / self.power
             noise = scale * sign * rng.gamma(share, size=left.shape) ** share
-            drawn = replace(self, problem=self.problem.of_points(exact + noise)).towards(2, 1)
+            drawn = replace(self, problem=self.problem.of_points(exact + noise)).towards(2)
             squares += _apart(drawn.state, self.state), _apart(drawn.by_powers().state, self.state)
         return float(squares[1] / squares[0])
 

@@ -91,20 +91,16 @@ class Elimination:
         free: NDArray[np.float64] | None = None,
         free_in_matrix: NDArray[np.float64] | None = None,
     ) -> None:
+        from relmap.core.refinement.schur_kernels import numbered
+
         self._pattern, self._kept = pattern, kept
         times = np.ones(len(stretch)) if times is None else times
         free = times if free is None else free
         free_in_matrix = free if free_in_matrix is None else free_in_matrix
         self._bodies = begin, seen, times, free, free_in_matrix
-        _, compact = np.unique(stretch, return_inverse=True)
-        of = np.zeros(len(kept), dtype=np.int64)
-        of[seen] = np.repeat(compact, np.diff(begin))
-        base = int(kept.max(initial=0)) + 1
-        key, number = np.unique(of[:, None] * base + kept, return_inverse=True)
-        every = np.arange(compact[-1] + 2)
-        starts = np.searchsorted(key // base, every)
-        self._number = number.reshape(kept.shape) - starts[of][:, None]
-        self._stretches = np.searchsorted(compact, every), starts, key % base
+        first = np.append(np.flatnonzero(np.diff(stretch, prepend=-1)), len(stretch))
+        self._number, starts, unknowns = numbered(first, begin, seen, kept, pattern.n_unknowns)
+        self._stretches = first, starts, unknowns
 
     def equations(
         self,

@@ -29,6 +29,36 @@ otherwise."""
 
 
 @compiled
+def numbered(
+    first: Index, begin: Index, seen: Index, kept: Index, n_unknowns: int
+) -> tuple[Index, Index, Index]:
+    """Return the numbers (r, k) of what is kept within its stretch, and the unknowns of stretches.
+
+    Where those of each begin, and which they are, ascending.
+    """
+    number, starts = np.zeros_like(kept), np.zeros_like(first)
+    unknowns, place = np.empty(kept.size, dtype=np.int64), np.empty(n_unknowns, dtype=np.int64)
+    stamp = np.full(n_unknowns, -1)
+    for g in range(len(first) - 1):
+        rows, end = seen[begin[first[g]] : begin[first[g + 1]]], starts[g]
+        for row in rows:
+            for u in kept[row]:
+                if stamp[u] != g:
+                    stamp[u] = g
+                    unknowns[end] = u
+                    end += 1
+        own = np.sort(unknowns[starts[g] : end])
+        for k in range(len(own)):
+            unknowns[starts[g] + k] = own[k]
+            place[own[k]] = k
+        for row in rows:
+            for k in range(kept.shape[1]):
+                number[row, k] = place[kept[row, k]]
+        starts[g + 1] = end
+    return number, starts, unknowns[: starts[-1]]
+
+
+@compiled
 def _hold(matrix: Array, along: Array, share: float) -> None:
     """Hold a body (q, q), turn and shift, in a direction, and a little in all."""
     q = len(matrix)
