@@ -33,12 +33,16 @@ LOOSE_POSE, LOOSE, LEAST = 1e-10, 1e-12, 1e-9
 otherwise, and in weights of an observation."""
 FARTHEST, FARTHEST_RAD = 1.0, np.pi / 2
 """No step moves a pose farther than so many sizes of the map, nor turns it by more."""
+UNSURE = 1e-2
+"""Gain, in squared standard deviations of the whole map, that no further step is taken for."""
 REST = 0.03
 """Steps longer than this, metres and radians, are those of a solution that does not settle."""
 USUAL = 3.0
 """No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Seen = tuple[Array, Indices, Indices, Indices]
 
 
 class WallSystem:
@@ -58,19 +62,16 @@ class WallSystem:
     def __init__(self, given: WallEquations) -> None:
         self.settled = False
         self.rounding = 0.0
+        self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
         self._open_along = open_along(given)
-        n, k = len(given.iteration), len(given.corner)
-        row = np.concatenate([np.arange(n), np.arange(n), given.corner_row])
-        self._wall, self._iteration = given.wall[row], given.iteration[row]
-        self._is_corner = np.arange(len(row)) >= 2 * n
-        self._points = _points(given)
-        self._scan = np.unique(self._iteration, return_inverse=True)[1]
-        self._prepare(given, n, k)
+        self._rows = _seen(given)
+        self._scan = np.unique(self._rows[1], return_inverse=True)[1]
+        self._prepare(given)
 
     def _set(self, given: WallEquations) -> None:
         sd = np.sqrt(2) * given.sd
-        self._corner, self._sd = given.corner, np.concatenate([sd, sd, given.corner_sd])
+        self._sd = np.concatenate([sd, sd, given.corner_sd])
 
     def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
         """Return the state on which all observations agree best, by damped Gauss-Newton.
@@ -94,7 +95,7 @@ class WallSystem:
         def weigh(residual: Array) -> Array:
             return self._weights(residual, doubtful, by_scan)
 
-        found = gauss_newton(self, state, weigh, rounds)
+        found = gauss_newton(self, state, weigh, rounds, unsure=UNSURE, same=np.inf)
         self.settled = False
         if found.last is not None:
             step = np.abs(_unknowns(found.state) - _unknowns(found.last))
@@ -155,8 +156,8 @@ class WallSystem:
         """
         weight = self._weights(self.residuals(state), doubtful, by_scan=False)
         values = self.equations(state, weight, with_matrix=True, damping=0.0).matrix
-        wall = np.zeros(len(state.along), dtype=np.int64)
-        wall[self._corner] = self._wall[self._is_corner]
+        wall, (_, _, of, corner) = np.zeros(len(state.along), dtype=np.int64), self._rows
+        wall[corner] = of[len(of) - len(corner) :]
         line = self._line[wall]
         self.pattern.factorise(values)
         chosen = np.column_stack([line, line + 1, self._place])
@@ -173,11 +174,12 @@ class WallSystem:
         return np.asarray((1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** -2)
 
     def _linearised(self, state: Walls) -> Linearised:
-        return _linearised(
-            state, self._points, self._iteration, self._wall, self._corner, self._is_corner
-        )
+        """Return residuals and Jacobians; those of the last state are remembered."""
+        if self._latest is None or self._latest[0] is not state:
+            self._latest = state, _linearised(state, self._rows)
+        return self._latest[1]
 
-    def _prepare(self, given: WallEquations, n: int, k: int) -> None:
+    def _prepare(self, given: WallEquations) -> None:
         """Find out which unknowns stand together in the equations, and where.
 
         Those of a wall and its corners are a block; what was seen in a stretch is a clique.
@@ -193,14 +195,15 @@ class WallSystem:
         first = self.pattern.first
         self._line, self._place = first[:n_walls], first[block] + place
         other = np.concatenate([self._line[given.wall] + 1] * 2 + [self._place[given.corner]])
-        unknown = np.column_stack([self._line[self._wall], other])
+        _, iteration, wall, _ = self._rows
+        unknown = np.column_stack([self._line[wall], other])
         poses = np.arange(given.iteration[-1] + 1)
-        rows = np.argsort(self._iteration, kind="stable")
-        starts = np.searchsorted(self._iteration[rows], np.append(poses, len(poses)))
+        rows = np.argsort(iteration, kind="stable")
+        starts = np.searchsorted(iteration[rows], np.append(poses, len(poses)))
         free = (poses > 0).astype(np.float64)
         self._poses = Elimination(self.pattern, unknown, starts, rows, poses // STRETCH, free=free)
         unknowns = self.pattern.n_unknowns + 3 * (len(poses) - 1)
-        self.freedoms = max(len(self._iteration) - unknowns, 1)
+        self.freedoms = max(len(iteration) - unknowns, 1)
 
 
 def _unknowns(state: Walls) -> Array:
@@ -210,45 +213,27 @@ def _unknowns(state: Walls) -> Array:
 def wall_residuals(given: WallEquations, state: Walls) -> tuple[Array, Array]:
     """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
     n = len(given.iteration)
-    row = np.concatenate([np.arange(n), np.arange(n), given.corner_row])
-    is_corner = np.arange(len(row)) >= 2 * n
-    off = _linearised(
-        state, _points(given), given.iteration[row], given.wall[row], given.corner, is_corner
-    ).off
+    off = _linearised(state, _seen(given)).off
     return off[: 2 * n].reshape(2, n).T, off[2 * n :]
 
 
-def _points(given: WallEquations) -> Array:
-    """Return the points that are observed: two of each wall, and the corners; robot frame."""
+def _seen(given: WallEquations) -> Seen:
+    """Return points (r, 2), robot frame: two of each wall, and the corners; and whose these are."""
+    n = len(given.iteration)
+    row = np.concatenate([np.arange(n), np.arange(n), given.corner_row])
     middle = given.ends.mean(axis=1)
     reach = SPREAD * (given.ends[:, 1] - given.ends[:, 0])
     corners = given.ends[given.corner_row, given.corner_end]
-    return np.concatenate([middle - reach, middle + reach, corners])
+    points = np.concatenate([middle - reach, middle + reach, corners])
+    return points, given.iteration[row], given.wall[row], given.corner
 
 
-def _linearised(
-    state: Walls,
-    points: Array,
-    iteration: NDArray[np.int64],
-    wall: NDArray[np.int64],
-    corner: NDArray[np.int64],
-    is_corner: NDArray[np.bool_],
-) -> Linearised:
-    """Return how far points (r, 2) are from their lines, and corners along theirs.
+def _linearised(state: Walls, seen: Seen) -> Linearised:
+    """Return the residuals, and their derivatives by the pose and by walls and corners."""
+    from relmap.planes.refinement_kernels import linearised
 
-    The other unknowns are the angle of the wall, and its distance across or the corner's place.
-    """
-    normal = np.column_stack([np.cos(state.angle), np.sin(state.angle)])[wall]
-    normal[is_corner] = np.column_stack([normal[is_corner, 1], -normal[is_corner, 0]])
-    vx, vy = normal.T
-    c, s = np.cos(state.yaw)[iteration], np.sin(state.yaw)[iteration]
-    x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
-    far_x, far_y = (state.t[iteration] - state.centre[wall]).T + np.stack([x, y])
-    place = np.where(is_corner, 0.0, state.across[wall])
-    place[is_corner] = state.along[corner]
-    by_pose = np.column_stack([vy * x - vx * y, vx, vy])
-    by_unknown = np.column_stack([vx * far_y - vy * far_x, -np.ones(len(x))])
-    return Linearised(vx * far_x + vy * far_y - place, by_pose, by_unknown)
+    walls = state.centre, state.angle, state.across, state.along
+    return Linearised(*linearised(seen, (state.yaw, state.t), walls))
 
 
 def _blocks(

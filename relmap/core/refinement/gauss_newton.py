@@ -22,13 +22,12 @@ WORSE = 1.001
 DAMPED, MORE, MOST = 1e-4, 10.0, 1.0
 """What is added to the matrix's diagonal then, as a share of it, how many times more each time
 (Levenberg, 1944; Marquardt, 1963), and when the search ends."""
-UNSURE = 1e-7
-"""Gain that no further step is taken for, in squared standard deviations of the whole map."""
 SLOW = 0.1
 """A step that gains a larger share of what the one before did asks for a new factor."""
+UNSURE = 1e-7
+"""Gain that no further step is taken for, in squared standard deviations of the whole map."""
 SAME, ALIKE = 0.05, 0.01
-"""Largest change of a weight that makes no difference, and mean change that asks for no new
-factor."""
+"""Change of a weight that makes no difference, and mean change that asks for no new factor."""
 
 
 class Problem(Protocol[State]):
@@ -106,6 +105,8 @@ def gauss_newton(
     rounds: int,
     factor: Array | None = None,
     cost_of: Callable[[Array, Array], float] = weighted_squares,
+    unsure: float = UNSURE,
+    same: float = SAME,
 ) -> Solution[State]:
     """Return a state of the least cost, found by steps that do not raise it.
 
@@ -123,6 +124,9 @@ def gauss_newton(
         Of a matrix that is nearly the same.
     cost_of : callable
         What is made least, of residuals and weights.
+    unsure, same : float
+        Gain that no further step is taken for, in squared standard deviations of the whole map, and
+        largest change of a weight.
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
@@ -145,10 +149,10 @@ def gauss_newton(
         gain, unit, old = float(np.sum(equations.right * step)), cost / problem.freedoms, weight
         last, state, residual, weight = state, after, left, weigh(left)
         change, gained = np.abs(weight - old), gain / unit if unit > 0 else 0.0
-        enough = max(UNSURE * unit, problem.rounding)
+        enough = max(unsure * unit, problem.rounding)
         shrinks = min(1.0, gain / before) if np.isfinite(before) else 1.0
         converged = not damping and shrinks * gain <= enough
-        if converged and change.max() < SAME:
+        if converged and change.max() < same:
             break
         is_slow = damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)
