@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Generator
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,14 +9,15 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.core.linalg.cholesky import level_flops
 from relmap.core.map.globalmap import GlobalMap
-from relmap.core.refinement import joint_kernels as joint
-from relmap.core.refinement import live, slices
+from relmap.core.refinement import live
 from relmap.core.refinement.condensing import CondensedSegments
+from relmap.core.refinement.equations import FreeLandmarks, Laid
+from relmap.core.refinement.gauss_newton import gauss_newton
+from relmap.core.refinement.rows import JointRows, levels_of
 from relmap.core.state.table import LandmarkState
 from relmap.simulation import FigureEight, simulate_figure_eight
-from tests.worlds import aligned_rmse, mapped, walk
+from tests.worlds import aligned_rmse, mapped, random_rotation, walk
 
 
 def driven(world: FigureEight, end: int) -> PointMapper:
@@ -62,21 +61,18 @@ def test_finishing_spreads_what_has_drifted_since_the_last_step() -> None:
     assert max(ratios) < 1.5
 
 
-def test_what_a_level_costs_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    levels: list[float] = []
-    found = slices.StepInSlices._levels
+def test_a_step_costs_no_more_in_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    bodies: list[int] = []
 
-    def noted(
-        self: slices.StepInSlices, *graph: NDArray[np.int64]
-    ) -> Generator[None, None, NDArray[np.int64]]:
-        of = yield from found(self, *graph)
-        levels.append(level_flops(of, 6).max())
-        return of
+    class Noted(FreeLandmarks):
+        def __init__(self, rows: JointRows, *rest: Any) -> None:
+            bodies.append(len(rows.segments))
+            super().__init__(rows, *rest)
 
-    monkeypatch.setattr(slices.StepInSlices, "_levels", noted)
-    driven(simulate_figure_eight(density=100, iterations=1800, seed=3), 1800)
-    assert len(levels) >= 3
-    assert max(levels) <= slices.MOST_FLOPS
+    monkeypatch.setattr(live, "FreeLandmarks", Noted)
+    driven(simulate_figure_eight(density=12, iterations=3000, seed=3), 3000)
+    assert len(bodies) >= 3
+    assert max(bodies) <= live.BODIES
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -99,44 +95,43 @@ def test_a_sparse_world_is_mapped(density: int, seed: int) -> None:
     assert np.isfinite(mapper.map.positions).all()
 
 
-def test_a_mapper_in_the_middle_of_a_step_can_be_stored() -> None:
+def test_a_mapper_can_be_stored_at_any_time() -> None:
     world = simulate_figure_eight(seed=2)
-    mapper = PointMapper()
-    for scan in world.log.scans():
-        mapper.update(scan.points_robot, scan.ids)
-        if mapper._engine.live._step is not None:
-            break
-    assert mapper._engine.live._step is not None
+    mapper = driven(world, 600)
     again: PointMapper = pickle.loads(pickle.dumps(mapper))
+    for scan in world.log.between(600, 900).scans():
+        for each in (mapper, again):
+            each.update(scan.points_robot, scan.ids)
     np.testing.assert_array_equal(again.map.positions, mapper.map.positions)
     mapper.refine()
     again = pickle.loads(pickle.dumps(mapper))
     np.testing.assert_array_equal(again.map.covariances, mapper.map.covariances)
 
 
-def step(
-    placed: NDArray[np.float64], landmark: NDArray[np.int64], placement: NDArray[np.int64]
-) -> slices.StepInSlices:
-    size = len(landmark), int(landmark.max()) + 1, int(placement.max()) + 1
-    found = slices.StepInSlices(*size, placed.shape[1])
-    for k in range(size[2]):
-        of = placement == k
-        found.add(placed[of], landmark[of], placement[of], np.ones(of.sum()))
-    for _ in found.run():
-        pass
-    return found
+def rows_of(
+    points: NDArray[np.float64], landmark: NDArray[np.int64], body: NDArray[np.int64]
+) -> JointRows:
+    every = np.arange(len(landmark))
+    unseen, once = np.zeros(len(every), dtype=np.uint8), np.ones(len(every))
+    members, bodies = np.arange(landmark.max() + 1), np.arange(body.max() + 1)
+    return JointRows(points, unseen, once, body, landmark, members, bodies, every)
+
+
+def stepped(rows: JointRows) -> NDArray[np.float64]:
+    level = levels_of(rows.begin, rows.landmark, len(rows.landmarks))[1]
+    problem, weight = FreeLandmarks(rows, 5.0, level), np.ones(len(rows.points))
+    start = Laid(problem.means(rows.points, weight), rows.points)
+    return gauss_newton(problem, start, lambda _: weight, 1).state.positions
 
 
 def test_a_step_brings_displaced_bodies_together() -> None:
     rng = np.random.default_rng(0)
     world = rng.uniform(-5, 5, (40, 2))
     landmark = np.concatenate([np.arange(10 * k, 10 * k + 20) % 40 for k in range(4)])
-    placement = np.repeat(np.arange(4), 20)
+    body = np.repeat(np.arange(4), 20)
     shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]])
-    placed = world[landmark] + shift[placement]
-    found = step(placed, landmark, placement)
-    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
-    np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
+    found = stepped(rows_of(world[landmark] + shift[body], landmark, body))
+    np.testing.assert_allclose(found, world, atol=1e-6)
 
 
 def test_bodies_that_share_nothing_are_each_brought_together() -> None:
@@ -144,77 +139,31 @@ def test_bodies_that_share_nothing_are_each_brought_together() -> None:
     world = rng.uniform(-5, 5, (40, 2))
     landmark = np.tile(np.arange(20), 2)
     landmark = np.concatenate([landmark, landmark + 20])
-    placement = np.repeat(np.arange(4), 20)
+    body = np.repeat(np.arange(4), 20)
     shift = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, -0.2]])
-    placed = world[landmark] + shift[placement]
-    found = step(placed, landmark, placement)
-    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
-    assert aligned_rmse((means + found.moves)[:20], world[:20]) < 1e-6
-    assert aligned_rmse((means + found.moves)[20:], world[20:]) < 1e-6
+    found = stepped(rows_of(world[landmark] + shift[body], landmark, body))
+    assert aligned_rmse(found[:20], world[:20]) < 1e-6
+    assert aligned_rmse(found[20:], world[20:]) < 1e-6
 
 
-def test_bodies_are_joined_where_a_step_would_cost_too_much(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(slices, "MOST_FLOPS", 2000.0)
+def test_stretches_that_share_enough_are_laid_together() -> None:
     rng = np.random.default_rng(0)
-    world = rng.uniform(-5, 5, (40, 2))
-    landmark = np.concatenate([np.arange(10 * k, 10 * k + 20) % 40 for k in range(4)])
-    found = step(world[landmark], landmark, np.repeat(np.arange(4), 20))
-    np.testing.assert_allclose(found.moves, 0.0, atol=1e-9)
+    world, R = rng.uniform(-5, 5, (12, 3)), random_rotation(3, 0.5, rng)
+    one = np.arange(8), world[:8], np.full(8, 2.0)
+    landmark = np.append(np.arange(4, 12), 5)
+    other = landmark, (world[landmark] + 3.0) @ R, np.ones(9)
+    together = live.laid_together(one, other)
+    assert together is not None
+    np.testing.assert_array_equal(together[0], np.arange(12))
+    np.testing.assert_allclose(together[1], world, atol=1e-9)
+    np.testing.assert_array_equal(together[2], [2, 2, 2, 2, 3, 4, 3, 3, 1, 1, 1, 1])
+    assert live.laid_together(one, (np.arange(7, 12), world[7:] @ R, np.ones(5))) is None
 
 
-def test_of_a_long_run_neighbouring_placements_are_one_body(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(("apart", "moved"), [(5.0, 0.0), (0.5, 1.0)])
+def test_a_step_that_leaves_the_neighbourhood_it_holds_in_is_not_taken(
+    apart: float, moved: float
 ) -> None:
-    monkeypatch.setattr(slices, "BODIES", 4)
-    rng = np.random.default_rng(0)
-    world = rng.uniform(-5, 5, (40, 2))
-    landmark = np.concatenate([np.arange(5 * k, 5 * k + 20) % 40 for k in range(8)])
-    placement = np.repeat(np.arange(8), 20)
-    shift = np.repeat([[0.0, 0.0], [0.1, 0.0], [0.0, -0.2], [0.1, 0.1]], 2, axis=0)
-    placed = world[landmark] + shift[placement]
-    found = step(placed, landmark, placement)
-    assert len(found._bodies) == 4
-    means = np.stack([placed[landmark == i].mean(axis=0) for i in found.members])
-    np.testing.assert_allclose(means + found.moves, world[found.members], atol=1e-6)
-
-
-def test_slices_do_not_grow_with_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows: list[int] = []
-    equations = joint.placement_equations
-
-    def noted(begin: NDArray[np.int64], *rest: Any) -> None:
-        rows.append(int(begin[-1] - begin[0]))
-        equations(begin, *rest)
-
-    monkeypatch.setattr(joint, "placement_equations", noted)
-    world = simulate_figure_eight(density=100, iterations=2500, seed=3)
-    mapper = driven(world, 2500)
-    seen = np.bincount(mapper._engine.rows.landmark).max()
-    assert len(rows) > 50
-    assert max(rows) <= slices.SLICE + seen
-
-
-def test_what_merges_into_one_first_seen_later_takes_no_part_in_the_step_under_way() -> None:
-    mapper = driven(simulate_figure_eight(seed=3), 300)
-    engine = mapper._engine
-    refinement, table = engine.live, engine.table
-    refinement._back = live.BACK + 1
-    refinement._step = step = refinement._begin()
-    assert step is not None
-    n = step.step.n_landmarks
-    table.resize(n + 1, engine.store.n_iterations, 3)
-    engine.map.place(step.submap, np.array([n]), np.array([[1.0, 2.0, 3.0]]), np.array([10.0]))
-    merged = int(engine.segments.rows.landmark[0])
-    table.landmark_of[merged] = n
-    while not step.go_on(engine.segments, table):
-        pass
-    assert len(step.step.members) > 50
-    assert not np.isin([merged, n], step.step.members).any()
-
-
-def test_a_step_that_leaves_the_neighbourhood_it_holds_in_is_not_taken() -> None:
     """Wrong matches make such steps; a sound one moves what was mapped since along."""
     rng = np.random.default_rng(0)
     places = rng.uniform(0, 10, (12, 2))
@@ -223,13 +172,10 @@ def test_a_step_that_leaves_the_neighbourhood_it_holds_in_is_not_taken() -> None
     global_map = GlobalMap(table)
     submap = global_map.new_submap()
     global_map.place(submap, np.arange(12), places.copy(), np.ones(12))
+    body, shift = np.repeat(np.arange(2), 10), np.array([apart, 0.0])
+    points = np.concatenate([places[:10], places[:10] + shift])
     refinement = live.LiveRefinement(CondensedSegments(), global_map)
-    moves = np.zeros((10, 2))
-    for size, shift in ((2.0, 0.0), (0.5, 1.0)):
-        moves[3, 0] = size
-        latest = np.eye(2), np.array([0.0, shift]), np.zeros(2)
-        step: Any = SimpleNamespace(members=members, moves=moves, latest=latest)
-        refinement._apply(live.StepUnderWay(submap, 0, 0, step))
-        moved = table.position - places
-        np.testing.assert_allclose(moved[:10], shift * moves, atol=1e-12)
-        np.testing.assert_allclose(moved[10:], [[0.0, shift]] * 2, atol=1e-12)
+    refinement.move(submap, rows_of(points, np.tile(members, 2), body), points, np.ones(20))
+    moves = table.position - places
+    np.testing.assert_allclose(moves[:10], np.tile(-moved * shift / 2, (10, 1)), atol=1e-6)
+    np.testing.assert_allclose(moves[10:], np.tile(-moved * shift, (2, 1)), atol=1e-6)

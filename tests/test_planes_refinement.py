@@ -14,11 +14,11 @@ from relmap.planes.closing import Loop, votes
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
 
-Cliques = tuple[Pattern, list[NDArray[np.int64]], NDArray[np.int64]]
+Cliques = tuple[Pattern, list[NDArray[np.int64]]]
 
 
 def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
-    """Return a pattern of random cliques, the unknowns of each, and where their entries are."""
+    """Return a pattern of random cliques, and the unknowns of each."""
     width = rng.integers(1, 5, blocks)
     cliques = [np.unique(rng.integers(0, blocks, 4)) for _ in range(blocks)]
     cliques += [np.array([block]) for block in range(blocks)]
@@ -28,24 +28,21 @@ def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
         np.sort(np.concatenate([pattern.first[b] + np.arange(width[b]) for b in clique]))
         for clique in cliques
     ]
-    begin = np.cumsum([0] + [len(part) for part in unknowns])
-    return pattern, unknowns, pattern.entries(begin, np.concatenate(unknowns))
+    return pattern, unknowns
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 def test_sums_of_cliques_are_solved_as_dense_matrices_are(seed: int, blocks: int) -> None:
     rng = np.random.default_rng(seed)
-    pattern, unknowns, entry = cliques_of(rng, blocks)
+    pattern, unknowns = cliques_of(rng, blocks)
     n = 1 + max(int(part.max()) for part in unknowns)
-    dense, values, at = np.zeros((n, n)), np.zeros(pattern.size), 0
+    dense, values = np.zeros((n, n)), np.zeros(pattern.size)
     for part in unknowns:
         root = rng.normal(size=(len(part), len(part)))
         own = root @ root.T + 0.1 * np.eye(len(part))
         dense[np.ix_(part, part)] += own
-        lower = own[np.tril_indices(len(part))]
-        np.add.at(values, entry[at : at + len(lower)], lower)
-        at += len(lower)
+        pattern.add(values, part, own)
     pattern.hold(values, 0.5, 0.25)
     dense[np.diag_indices(n)] *= 1.5
     dense[np.diag_indices(n)] += 0.25
@@ -68,7 +65,7 @@ def test_a_path_is_eliminated_without_filling() -> None:
 def test_what_rounding_leaves_nothing_of_stays() -> None:
     pattern = Pattern.of_cliques(np.array([2]), np.array([0, 1]), np.array([0]))
     values = np.zeros(pattern.size)
-    values[pattern.entries(np.array([0, 2]), np.arange(2))] = [1.0, 1.0, 1.0]
+    pattern.add(values, np.arange(2), np.ones((2, 2)))
     pattern.factorise(values)
     np.testing.assert_allclose(pattern.solve(values, np.array([3.0, 3.0])), [3.0, 0.0], atol=1e-12)
 

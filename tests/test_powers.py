@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from relmap import MapperConfig, PointMapper, RelmapError
 from relmap.core.refinement.observations import Observations
-from relmap.core.refinement.powers import _Solution, shape_of
+from relmap.core.refinement.powers import PowerSolution, shape_of
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse
 
@@ -81,18 +81,18 @@ def test_the_sum_of_powers_is_least(d: int) -> None:
     landmarks = rng.uniform(-5, 5, (12, d))
     points = np.concatenate([landmarks + rng.uniform(-0.1, 0.1, (12, d)) for _ in range(60)])
     at, of = np.repeat(np.arange(60), 12), np.tile(np.arange(12), 60)
-    solution = _Solution.of(Observations(points, of, at, np.arange(60)), landmarks)
+    solution = PowerSolution.of(Observations(points, of, at, np.arange(60)), landmarks)
     for power in (2, 4, 4, 4, 4, 8, 8, 8, 8, 8, 8):
-        solution = solution.step(power)
+        solution = solution.towards(power)
 
     def total(positions: NDArray[np.float64]) -> float:
-        left = solution.R[at].transpose(0, 2, 1) @ (
-            positions.reshape(-1, d)[of] - solution.t[at]
+        left = solution.state.R[at].transpose(0, 2, 1) @ (
+            positions.reshape(-1, d)[of] - solution.state.t[at]
         ).reshape(-1, d, 1)
         return float(np.sum((10 * (points - left[:, :, 0])) ** 8))
 
-    best = minimize(total, solution.positions.ravel(), tol=1e-12)
-    assert total(solution.positions.ravel()) <= best.fun * (1 + 1e-4)
+    best = minimize(total, solution.state.positions.ravel(), tol=1e-12)
+    assert total(solution.state.positions.ravel()) <= best.fun * (1 + 1e-4)
 
 
 def test_the_shape_of_known_densities() -> None:

@@ -15,6 +15,8 @@ from relmap import PointMapper
 from relmap.cli import app
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.core.refinement import settling
+from relmap.core.refinement.equations import Laid
+from relmap.core.refinement.gauss_newton import Solution
 from relmap.datasets import ObservationLog
 from relmap.simulation import FigureEight, simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, walk
@@ -108,14 +110,17 @@ def test_wrong_ids_do_not_move_the_robot() -> None:
     assert apart.max() < 0.3
 
 
-def ruined(system: object, rows: object, positions: NDArray[np.float64], *_: object) -> object:
-    return positions + np.random.default_rng(0).normal(0, 5.0, positions.shape), None, False
+def ruined(problem: object, state: Laid, *_: object) -> Solution[Laid]:
+    positions = state.positions
+    positions = positions + np.random.default_rng(0).normal(0, 5.0, positions.shape)
+    weight = np.ones(len(state.placed))
+    return Solution(Laid(positions, state.placed), weight, state, np.inf, False, None)
 
 
 def test_a_map_that_least_squares_would_ruin_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     mapper = mapped(walk(3, 5, sigma=0.05).scans)
     before = mapper.map.positions
-    monkeypatch.setattr(settling, "_settled", ruined)
+    monkeypatch.setattr(settling, "gauss_newton", ruined)
     mapper.refine()
     assert aligned_rmse(mapper.map.positions, before) < 1e-9
     assert not mapper.refined[0].converged
@@ -131,6 +136,6 @@ def test_the_command_line_says_that_refinement_did_not_converge(
     mapping += ["--association", "known"]
     assert "converge" not in run.invoke(app, mapping).output
     assert json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]
-    monkeypatch.setattr(settling, "_settled", ruined)
+    monkeypatch.setattr(settling, "gauss_newton", ruined)
     assert "WARNING: the refinement did not converge" in run.invoke(app, mapping).stdout
     assert not json.loads((tmp_path / "r/summary.json").read_text())["refinement"]["converged"]

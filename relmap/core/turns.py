@@ -56,15 +56,16 @@ def _forget(engine: RelativeMapper) -> bool:
 
 
 def _refine_next(engine: RelativeMapper) -> bool:
-    """Do a slice of refining the live map; tell whether there was any to do.
+    """Refine the live map; tell whether there was anything to do.
 
     Not in every iteration, so that a typical one takes no longer.
     """
     if not engine.config.refine_live or engine.store.n_iterations % SLICE_EVERY:
         return False
-    if engine.live.advance():
+    refined = engine.live.advance()
+    if refined:
         engine.merger.look_again()
-    return engine.live.is_busy
+    return refined
 
 
 def group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:

@@ -2,27 +2,23 @@
 
 A wall seen in part says nothing along itself, however often it is seen, but all the more about the
 turn and the distance across.  Points of equal weight in all directions cannot say this, so walls
-have equations of their own: each observation of a wall tells how far from the wall's line two of
-its points are, and each static corner how far along the line it is.  Where the robot was is a
-nuisance, as in `relmap.core.refinement.joint`.
+have residuals of their own: each observation of a wall tells how far from the wall's line two of
+its points are, and each static corner how far along the line it is.
 """
 
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.cholesky import Pattern
+from relmap.core.refinement.gauss_newton import gauss_newton
+from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 from relmap.planes.equations import WallEquations, Walls, between_neighbours, open_along
 
-SETTLED = 0.01
-"""Step, in typical standard deviations, of a settled solution: most unknowns do no more."""
 MOST = 0.9
-NEAR = 0.005
-"""Step, metres and radians, of a solution that is good enough to go on from with other weights."""
 SPREAD = 1 / np.sqrt(12)
 """Where the two points are that stand for a wall: so many sizes from its middle, either way.
 
@@ -32,21 +28,25 @@ STRETCH = 8
 """Scans whose equations are added up before they go to the sparse matrix; most see the same."""
 MUCH = 0.25
 """A corner seen in a smaller share of the stretches in which its wall was is a block by itself."""
-LOOSE, LEAST = 1e-12, 1e-9
-"""What holds an unknown that hangs by too little, as a share of what holds it otherwise, and in
-weights of an observation."""
-FIRMER, FIRMEST = 1e3, 1.0
-"""By how much it is held more firmly where a step is not taken, and when no more."""
+LOOSE_POSE, LOOSE, LEAST = 1e-10, 1e-12, 1e-9
+"""What holds a pose and another unknown that hang by too little, as a share of what holds them
+otherwise, and in weights of an observation."""
 FARTHEST, FARTHEST_RAD = 1.0, np.pi / 2
 """No step moves a pose farther than so many sizes of the map, nor turns it by more."""
+UNSURE = 1e-2
+"""Gain, in squared standard deviations of the whole map, that no further step is taken for."""
 REST = 0.03
 """Steps longer than this, metres and radians, are those of a solution that does not settle."""
+USUAL = 3.0
+"""No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
 
-Weights = tuple[NDArray[np.float64], NDArray[np.float64]]
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Seen = tuple[Array, Indices, Indices, Indices]
 
 
 class WallSystem:
-    """The equations of the walls of one set of observations, poses eliminated.
+    """The residuals of the walls of one set of observations, poses eliminated; a `Problem`.
 
     Parameters
     ----------
@@ -56,27 +56,24 @@ class WallSystem:
     Attributes
     ----------
     settled : bool
-        Whether the last steps that `refine` took were short.
+        Whether the last step that `refine` took was short.
     """
 
     def __init__(self, given: WallEquations) -> None:
-        self._given = given
         self.settled = False
-        self._seen = _seen(given)
+        self.rounding = 0.0
+        self._latest: tuple[Walls, Linearised] | None = None
+        self._set(given)
         self._open_along = open_along(given)
-        every = np.arange(given.iteration[-1] + 2)
-        self._begin = np.searchsorted(given.iteration, every)
-        self._corner_begin = np.searchsorted(given.iteration[given.corner_row], every)
-        self._prepare()
+        self._rows = _seen(given)
+        self._scan = np.unique(self._rows[1], return_inverse=True)[1]
+        self._prepare(given)
 
-    def refine(
-        self,
-        state: Walls,
-        rounds: int,
-        doubtful: float,
-        by_scan: bool = True,
-        settled: bool = True,
-    ) -> Walls:
+    def _set(self, given: WallEquations) -> None:
+        sd = np.sqrt(2) * given.sd
+        self._sd = np.concatenate([sd, sd, given.corner_sd])
+
+    def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
         """Return the state on which all observations agree best, by damped Gauss-Newton.
 
         The first iteration stays where it is.
@@ -92,148 +89,151 @@ class WallSystem:
             McClure, 1987): a wall taken for another one should not count at all.
         by_scan : bool
             Whether a scan that is off as a whole is taken for misplaced as yet, rather than wrong.
-        settled : bool
-            Whether it should settle, rather than come near only.
         """
         from relmap.core.linalg.order_kernels import smallest
 
-        enough = SETTLED * float(np.median(self._given.sd)) if settled else NEAR
+        def weigh(residual: Array) -> Array:
+            return self._weights(residual, doubtful, by_scan)
+
+        found = gauss_newton(self, state, weigh, rounds, unsure=UNSURE, same=np.inf)
         self.settled = False
-        for _ in range(rounds):
-            stepped = self._stepped(state, doubtful, by_scan)
-            if stepped is None:
-                break
-            state, step = stepped
-            typical = smallest(step, int(MOST * len(step)))
-            self.settled = typical < REST
-            if typical < enough:
-                break
-        return between_neighbours(state, self._open_along)
+        if found.last is not None:
+            step = np.abs(_unknowns(found.state) - _unknowns(found.last))
+            self.settled = smallest(step, int(MOST * len(step))) < REST
+        return between_neighbours(found.state, self._open_along)
 
     def reweighted(self, given: WallEquations) -> WallSystem:
         """Return the system of the same observations with other standard deviations."""
         system = copy(self)
-        system._given = given
+        system._set(given)
         return system
 
-    def residuals(self, state: Walls) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
-        from relmap.planes.refinement_kernels import residuals
+    def residuals(self, state: Walls) -> Array:
+        """Return how far points and corners are from their places, in standard deviations."""
+        return np.asarray(self._linearised(state).off / self._sd)
 
-        return residuals(self._seen, _arrays(state))
+    def equations(
+        self, state: Walls, weight: Array, with_matrix: bool, damping: float
+    ) -> NormalEquations:
+        """Return the normal equations of walls and corners."""
+        (x, y), c, s = self._open_along.T, np.cos(state.yaw), np.sin(state.yaw)
+        along = np.column_stack([np.zeros(len(c)), c * x - s * y, s * x + c * y])
+        equations = self._poses.equations(
+            self._linearised(state),
+            weight / self._sd**2,
+            LOOSE_POSE + damping,
+            with_matrix,
+            along,
+        )
+        if with_matrix:
+            self.pattern.hold(equations.matrix, LOOSE + damping, LEAST)
+        return equations
 
-    def _stepped(
-        self, state: Walls, doubtful: float, by_scan: bool
-    ) -> tuple[Walls, NDArray[np.float64]] | None:
-        """Return the next state and the step to it; None where none is short enough.
-
-        All unknowns are held the more firmly until one is (Levenberg-Marquardt).
-        """
-        weights = self._weights(state, doubtful, by_scan)
+    def stepped(
+        self, state: Walls, equations: NormalEquations, step: Array, weight: Array
+    ) -> Walls | None:
+        """Return the state after a step; None where that leaves the neighbourhood it holds in."""
+        poses = equations.eliminated_steps(step)
         everywhere = np.concatenate([state.t, state.centre])
-        farthest_m, firmer = FARTHEST * float(np.ptp(everywhere, axis=0).max()), 1.0
-        while LOOSE * firmer <= FIRMEST:
-            poses, lines, corners = self._step(state, weights, firmer)
-            after = Walls(
-                state.yaw + poses[:, 0],
-                state.t + poses[:, 1:],
-                state.centre,
-                state.angle + lines[:, 0],
-                state.across + lines[:, 1],
-                state.along + corners,
-            )
-            step = np.abs(np.concatenate([poses.ravel(), lines.ravel(), corners]))
-            if (
-                np.abs(poses[:, 1:]).max() <= farthest_m
-                and np.abs(poses[:, 0]).max() <= FARTHEST_RAD
-            ):
-                return after, step
-            firmer *= FIRMER
-        return None
+        farthest_m = FARTHEST * float(np.ptp(everywhere, axis=0).max())
+        too_far = np.abs(poses[:, 1:]).max() > farthest_m
+        if too_far or np.abs(poses[:, 0]).max() > FARTHEST_RAD:
+            return None
+        return Walls(
+            state.yaw + poses[:, 0],
+            state.t + poses[:, 1:],
+            state.centre,
+            state.angle + step[self._line],
+            state.across + step[self._line + 1],
+            state.along + step[self._place],
+        )
 
-    def corner_covariances(self, state: Walls, doubtful: float) -> NDArray[np.float64]:
+    def corner_covariances(self, state: Walls, doubtful: float) -> Array:
         """Return how sure each corner's wall and place are; (c, 3, 3).
 
         Of the direction of the normal, radians, the distance across and the place along, metres,
         with the first iteration where it is.
         """
-        values = self._equations(state, self._weights(state, doubtful, by_scan=False), 1.0)[0]
-        wall = np.zeros(len(state.along), dtype=np.int64)
-        wall[self._given.corner] = self._given.wall[self._given.corner_row]
+        weight = self._weights(self.residuals(state), doubtful, by_scan=False)
+        values = self.equations(state, weight, with_matrix=True, damping=0.0).matrix
+        wall, (_, _, of, corner) = np.zeros(len(state.along), dtype=np.int64), self._rows
+        wall[corner] = of[len(of) - len(corner) :]
         line = self._line[wall]
-        self._pattern.factorise(values)
-        chosen = np.column_stack([line, line + 1, self._corner])
-        return self._pattern.parts(self._pattern.inverse(values), chosen)
+        self.pattern.factorise(values)
+        chosen = np.column_stack([line, line + 1, self._place])
+        return self.pattern.parts(self.pattern.inverse(values), chosen)
 
-    def _weights(self, state: Walls, doubtful: float, by_scan: bool) -> Weights:
-        """Return the weights of walls and corners where their residuals put them in doubt."""
-        from relmap.planes.refinement_kernels import observation_weights
+    def _weights(self, residual: Array, doubtful: float, by_scan: bool) -> Array:
+        """Return the weights of residuals where they put their observations in doubt."""
+        from relmap.core.linalg.order_kernels import medians
 
-        sd = np.sqrt(2) * self._given.sd, self._given.corner_sd
-        begins = self._begin, self._corner_begin
-        return observation_weights(self.residuals(state), sd, begins, doubtful, by_scan)
+        size = np.abs(residual)
+        typical = np.median(size)
+        if by_scan:
+            typical = np.maximum(typical, medians(self._scan, size))[self._scan]
+        return np.asarray((1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** -2)
 
-    def _step(
-        self, state: Walls, weights: Weights, firmer: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the step of poses (i, 3), lines (w, 2) and corners (c,), held so much firmer."""
-        from relmap.planes.refinement_kernels import pose_steps
+    def _linearised(self, state: Walls) -> Linearised:
+        """Return residuals and Jacobians; those of the last state are remembered."""
+        if self._latest is None or self._latest[0] is not state:
+            self._latest = state, _linearised(state, self._rows)
+        return self._latest[1]
 
-        values, right, away, alone = self._equations(state, weights, firmer)
-        self._pattern.factorise(values)
-        step = self._pattern.solve(values, right)
-        poses = pose_steps(self._stretches, away, alone, step)
-        return poses, step[self._line[:, None] + [0, 1]], step[self._corner]
-
-    def _equations(
-        self, state: Walls, weights: Weights, firmer: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return the matrix and what else `wall_equations` gives."""
-        from relmap.planes.refinement_kernels import wall_equations
-
-        begins, values = (self._begin, self._corner_begin), np.zeros(self._pattern.size)
-        right, away, alone = wall_equations(
-            self._seen,
-            _arrays(state),
-            weights,
-            begins,
-            self._open_along,
-            self._stretches,
-            values,
-            firmer,
-        )
-        self._pattern.hold(values, LOOSE * firmer, LEAST)
-        return values, right, away, alone
-
-    def _prepare(self) -> None:
+    def _prepare(self, given: WallEquations) -> None:
         """Find out which unknowns stand together in the equations, and where.
 
         Those of a wall and its corners are a block; what was seen in a stretch is a clique.
         """
-        given = self._given
         n_walls, stretch = int(given.wall.max()) + 1, given.iteration // STRETCH
         width, block, place = _blocks(given, stretch, n_walls)
         seen = np.concatenate([given.wall, block[given.corner]])
         at = np.concatenate([stretch, stretch[given.corner_row]])
-        key, row = np.unique(at * len(width) + seen, return_inverse=True)
+        key = np.unique(at * len(width) + seen)
         clique, member = key // len(width), key % len(width)
         begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
-        self._pattern = Pattern.of_cliques(width, begin, member)
-        first = self._pattern.first
-        self._line, self._corner = first[:n_walls], first[block] + place
-        # The same within each stretch, whose unknowns are in the order of elimination too.
-        order = np.lexsort((first[member], clique))
-        size = width[member[order]]
-        ends = np.cumsum(size)
-        unknowns = np.repeat(first[member[order]] - (ends - size), size) + np.arange(ends[-1])
-        begin = np.concatenate([[0], ends])[begin]
-        local = np.empty_like(order)
-        local[order] = ends - size - begin[clique[order]]
-        line = local[row[: len(stretch)]]
-        corner = local[row[len(stretch) :]] + place[given.corner]
-        last = np.minimum(STRETCH * np.arange(len(begin)), len(self._begin) - 1)
-        entry = self._pattern.entries(begin, unknowns)
-        self._stretches = last, begin, unknowns, entry, line, corner
+        self.pattern = Pattern.of_cliques(width, begin, member)
+        first = self.pattern.first
+        self._line, self._place = first[:n_walls], first[block] + place
+        other = np.concatenate([self._line[given.wall] + 1] * 2 + [self._place[given.corner]])
+        _, iteration, wall, _ = self._rows
+        unknown = np.column_stack([self._line[wall], other])
+        poses = np.arange(given.iteration[-1] + 1)
+        rows = np.argsort(iteration, kind="stable")
+        starts = np.searchsorted(iteration[rows], np.append(poses, len(poses)))
+        free = (poses > 0).astype(np.float64)
+        self._poses = Elimination(self.pattern, unknown, starts, rows, poses // STRETCH, free=free)
+        unknowns = self.pattern.n_unknowns + 3 * (len(poses) - 1)
+        self.freedoms = max(len(iteration) - unknowns, 1)
+
+
+def _unknowns(state: Walls) -> Array:
+    return np.concatenate([state.yaw, state.t.ravel(), state.angle, state.across, state.along])
+
+
+def wall_residuals(given: WallEquations, state: Walls) -> tuple[Array, Array]:
+    """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
+    n = len(given.iteration)
+    off = _linearised(state, _seen(given)).off
+    return off[: 2 * n].reshape(2, n).T, off[2 * n :]
+
+
+def _seen(given: WallEquations) -> Seen:
+    """Return points (r, 2), robot frame: two of each wall, and the corners; and whose these are."""
+    n = len(given.iteration)
+    row = np.concatenate([np.arange(n), np.arange(n), given.corner_row])
+    middle = given.ends.mean(axis=1)
+    reach = SPREAD * (given.ends[:, 1] - given.ends[:, 0])
+    corners = given.ends[given.corner_row, given.corner_end]
+    points = np.concatenate([middle - reach, middle + reach, corners])
+    return points, given.iteration[row], given.wall[row], given.corner
+
+
+def _linearised(state: Walls, seen: Seen) -> Linearised:
+    """Return the residuals, and their derivatives by the pose and by walls and corners."""
+    from relmap.planes.refinement_kernels import linearised
+
+    walls = state.centre, state.angle, state.across, state.along
+    return Linearised(*linearised(seen, (state.yaw, state.t), walls))
 
 
 def _blocks(
@@ -257,28 +257,3 @@ def _blocks(
     rows = rows[np.argsort(wall[rows], kind="stable")]
     place[rows] = 2 + np.arange(len(rows)) - (np.cumsum(with_wall) - with_wall)[wall[rows]]
     return np.append(2 + with_wall, np.ones(alone.sum(), dtype=np.int64)), block, place
-
-
-def wall_residuals(
-    given: WallEquations, state: Walls
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
-    from relmap.planes.refinement_kernels import residuals
-
-    return residuals(_seen(given), _arrays(state))
-
-
-def _seen(given: WallEquations) -> Any:
-    """Return what the kernels know of observations."""
-    middle = given.ends.mean(axis=1, keepdims=True)
-    reach = SPREAD * (given.ends[:, 1:] - given.ends[:, :1])
-    points = middle + np.array([[-1.0], [1.0]]) * reach
-    corner_at = given.ends[given.corner_row, given.corner_end]
-    return given.iteration, given.wall, points, given.corner_row, corner_at, given.corner
-
-
-def _arrays(state: Walls) -> Any:
-    """Return what the kernels know of a state."""
-    turn = np.column_stack([np.cos(state.yaw), np.sin(state.yaw)])
-    normal = np.column_stack([np.cos(state.angle), np.sin(state.angle)])
-    return turn, state.t, state.centre, normal, state.across, state.along

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.refinement.joint import Refined
-from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals
+from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, merge_residuals
 from relmap.planes.assembly import Assembled, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import WallSystem, wall_residuals
@@ -84,16 +84,11 @@ def _joined(
     """Compare where corners were seen under each number that was joined to another."""
     given = assembled.given
     rows = assembled.rows[given.corner_row]
-    number = history.corner[rows, given.corner_end]
-    tracks, own = np.unique(number, return_inverse=True)
-    of = np.zeros(len(tracks), dtype=np.int64)
-    of[own] = given.corner
-    seen, off = np.bincount(own), np.bincount(own, along)
-    variance = np.bincount(own, given.corner_sd**2) / np.maximum(seen, 1)
-    others = np.bincount(given.corner, minlength=len(assembled.corners))[of] - seen
-    others_off = np.bincount(given.corner, along, minlength=len(assembled.corners))[of] - off
-    merged = (tracks != assembled.corners[of]) & (others > 0)
-    seen, off, others, others_off = (v[merged] for v in (seen, off, others, others_off))
-    apart_m = np.abs(off / seen - others_off / others)
-    usual_m = np.sqrt(variance[merged] * (1 / seen + 1 / others))
-    return MergeResiduals(assembled.corners[of[merged]], tracks[merged], apart_m, apart_m / usual_m)
+    return merge_residuals(
+        assembled.corners,
+        given.corner,
+        history.corner[rows, given.corner_end],
+        along[:, None],
+        np.ones(len(along)),
+        given.corner_sd**2,
+    )

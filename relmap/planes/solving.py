@@ -72,11 +72,10 @@ def _solved(
 ) -> Assembled:
     """Solve in rounds, with a system of the same observations; see `WallSystem.refine`."""
     given, state, settled = assembled.given, assembled.state, True
-    for k, (most, doubtful) in enumerate(rounds):
-        last = k == len(rounds) - 1
+    for most, doubtful in rounds:
         own = system.reweighted(given)
-        state = own.refine(state, most, doubtful, by_scan, settled=last)
-        given, settled = _reweighted(assembled.given, *system.residuals(state)), own.settled
+        state = own.refine(state, most, doubtful, by_scan)
+        given, settled = _reweighted(assembled.given, *wall_residuals(given, state)), own.settled
     return replace(assembled, given=given, state=state, settled=settled)
 
 

@@ -100,15 +100,26 @@ def fit_rigid_each(
     fixed : (n,) bool
         Whether the points of a set fix its rotation; R and t mean nothing where they do not.
     """
-    total = np.bincount(at, weights=weights, minlength=n)
-    share = weights / np.where(total > 0, total, 1)[at]
-    source_mean = sums_each(source * share[:, None], at, n)
-    target_mean = sums_each(target * share[:, None], at, n)
-    here, there = source - source_mean[at], target - target_mean[at]
-    weighted = (here * share[:, None])[:, :, None]
-    R = rotation_of_moment(sums_each(weighted * there[:, None, :], at, n))
-    fixed = scatter_fixes_rotation(sums_each(weighted * here[:, None, :], at, n))
+    from relmap.core.geometry.fitting_kernels import moments_each
+
+    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    found = moments_each(source, target, weights.astype(np.float64), at, n)
+    source_mean, target_mean, moment, scatter = found
+    R = rotation_of_moment(moment)
+    fixed = scatter_fixes_rotation(scatter)
     return R, target_mean - np.einsum("nij,nj->ni", R, source_mean), fixed
+
+
+def place_each(
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    at: NDArray[np.int64],
+    points: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return points (k, d), each turned and shifted by placement at (k,) of R and t."""
+    from relmap.core.geometry.fitting_kernels import placed_each
+
+    return placed_each(R, t, at, np.ascontiguousarray(points))
 
 
 def sums_each(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:

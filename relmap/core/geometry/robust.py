@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.geometry.alignment import fit_rigid_each, place_each
 
-OUTLIER = 5.0
+OUTLIER = 7.0
 """Standard deviations beyond which a residual counts less: it is no noise."""
 CHI_MEDIAN = {2: 1.177, 3: 1.538}
 """Median length of a standard normal vector."""
@@ -85,8 +85,7 @@ def fit_robust_each(
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)
 
     def apart() -> NDArray[np.float64]:
-        there = np.einsum("nij,nj->ni", R[at], source) + t[at]
-        return np.asarray(np.linalg.norm(there - target, axis=1))
+        return np.asarray(np.linalg.norm(place_each(R, t, at, source) - target, axis=1))
 
     def weights() -> NDArray[np.float64]:
         residual = root * apart()

@@ -5,12 +5,11 @@ two ways, however often the numbers change (T. A. Davis, "Direct Methods for Spa
 2006).  What a scan says of walls is a clique: a set of unknowns all tied to one another; an order
 of least degree leaves the factor of a sum of cliques sparse.  Landmarks and placements are ordered
 by breadth-first search instead, in levels that touch only their neighbours (Cuthill and McKee,
-1969): that takes no more time than looking at all rows once, and can be done in slices.
+1969): that takes no more time than looking at all rows once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,13 +22,6 @@ WIDE = 48
 """Unknowns of a panel of a level at most: what is wider is better multiplied."""
 STIFF = 1e9
 """What holds an unknown that is not free, as a multiple of what holds others."""
-
-
-def level_flops(level: NDArray[np.int64], q: int) -> NDArray[np.float64]:
-    """Return about how many operations each level (l,) of nodes of q unknowns takes."""
-    w = q * np.bincount(level).astype(np.float64)
-    below = np.append(w[1:], 0)
-    return np.asarray(w**3 / 3 + w**2 * below + w * below**2)
 
 
 class Pattern:
@@ -55,6 +47,11 @@ class Pattern:
         self._flops = np.diff(start) * heights.astype(np.float64) ** 2
         within, width = np.arange(len(column_of)) - start[column_of], np.diff(start)[column_of]
         self._diagonal = offset[column_of] + within * (width + 1)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of unknowns."""
+        return len(self.layout[1])
 
     @property
     def flops(self) -> float:
@@ -106,23 +103,13 @@ class Pattern:
         first[np.argsort(level, kind="stable")] = q * np.arange(len(level))
         return cls(first, (start, column_of, row_begin, np.concatenate(rows), offset))
 
-    @property
-    def blocks(self) -> tuple[NDArray[np.int64], Layout]:
-        """First unknown of each block, and the layout."""
-        return self.first, self.layout
+    def add(
+        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], part: NDArray[np.float64]
+    ) -> None:
+        """Add a symmetric part (n, n) over unknowns (n,), ascending and all tied, to a matrix."""
+        from relmap.core.linalg.cholesky_kernels import add_part
 
-    def entries(self, begin: NDArray[np.int64], unknowns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return where the lower triangles of dense parts are, row after row, part after part.
-
-        Parameters
-        ----------
-        begin : (g + 1,) int64
-        unknowns : (begin[-1],) int64
-            The unknowns of each part, ascending; all tied to one another.
-        """
-        from relmap.core.linalg.cholesky_kernels import entries
-
-        return entries(self.layout, begin, unknowns)
+        add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))
 
     def hold(self, values: NDArray[np.float64], share: float, least: float) -> None:
         """Hold every unknown where it is a little: a share of what holds it, and at least so much.
@@ -144,41 +131,18 @@ class Pattern:
     def factorise(self, values: NDArray[np.float64]) -> None:
         """Put its Cholesky factor in place of a matrix.
 
-        `values` (size,) is the matrix, positive definite, its lower triangle where `entries` tells.
+        `values` (size,) is the matrix, positive definite, its lower triangle as `add` puts it.
         An unknown of which rounding leaves nothing stays where it is.
         """
-        for _ in self.factorised(values):
-            pass
+        from relmap.core.linalg.cholesky_kernels import factorise
 
-    def factorised(self, values: NDArray[np.float64], flops: float = np.inf) -> Iterator[None]:
-        """Factorise about so many operations' worth of panels at a time; see `factorise`."""
-        from relmap.core.linalg.cholesky_kernels import begun, factorise
-
-        progress, done = begun(self.layout), np.append(0.0, np.cumsum(self._flops))
-        first = 0
-        while first < len(self._flops):
-            end = int(np.searchsorted(done, done[first] + flops, side="right")) - 1
-            end = max(end, first + 1)
-            factorise(self.layout, values, progress, first, end)
-            first = end
-            yield
+        factorise(self.layout, values)
 
     def solve(self, values: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the solution for a right side; `values` (size,) is the factor.
-
-        Both are (u,) in the order of elimination, or (b, q) of blocks of q unknowns each.
-        """
+        """Return the solution (u,) for a right side; `values` (size,) is the factor."""
         from relmap.core.linalg.cholesky_kernels import solve
 
-        if right.ndim == 1:
-            return solve(self.layout, values, right)
-        ordered = np.empty(right.size)
-        ordered[self._unknowns(right.shape[1])] = right
-        return solve(self.layout, values, ordered)[self._unknowns(right.shape[1])]
-
-    def _unknowns(self, q: int) -> NDArray[np.int64]:
-        """Return the unknowns (b, q) of blocks of q each."""
-        return self.first[:, None] + np.arange(q)
+        return solve(self.layout, values, right)
 
     def inverse(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the inverse (size,) where the factor, `values` (size,), has entries."""
@@ -186,18 +150,8 @@ class Pattern:
 
         return inverse(self.layout, values)
 
-    def diagonal(self, inverse: NDArray[np.float64], q: int) -> NDArray[np.float64]:
-        """Return the part (b, q, q) of the inverse of each block of q unknowns."""
-        return self.parts(inverse, self._unknowns(q))
-
     def parts(self, inverse: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
-        k, m = chosen.shape
-        order = np.argsort(chosen, axis=1)
-        ascending = np.take_along_axis(chosen, order, axis=1)
-        at = self.entries(m * np.arange(k + 1), ascending.ravel()).reshape(k, -1)
-        row, column = np.tril_indices(m)
-        row, column = order[:, row], order[:, column]
-        found, own = np.empty((k, m, m)), np.arange(k)[:, None]
-        found[own, row, column] = found[own, column, row] = inverse[at]
-        return found
+        from relmap.core.linalg.cholesky_kernels import parts
+
+        return parts(self.layout, inverse, chosen)

@@ -17,9 +17,6 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Layout = tuple[Index, Index, Index, Index, Index]
 """start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and offset (p + 1,) of each panel."""
-Progress = tuple[Index, Index, Index, Array]
-"""Panels that are waited for, how many of their rows are done with, and room to work in."""
-
 WIDE = 48
 """Unknowns of a panel at most, but for those of one block: what is wider is better multiplied."""
 MUCH = 2000
@@ -81,43 +78,59 @@ def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index
 
 
 @compiled
-def located(layout: Layout, own: Index, place: Index, found: Index) -> None:
-    """Find where the lower triangle of a dense part over ascending unknowns is, row after row.
-
-    `place` (u,) is room to work in, `found` what is filled.
-    """
-    start, column_of, row_begin, rows, offset = layout
-    last = -1
-    for b in range(len(own)):
-        p = column_of[own[b]]
-        if p != last:
-            for r in range(row_begin[p], row_begin[p + 1]):
-                place[rows[r]] = r - row_begin[p]
-            last = p
-        column, width = offset[p] + own[b] - start[p], start[p + 1] - start[p]
-        for a in range(b, len(own)):
-            found[a * (a + 1) // 2 + b] = column + place[own[a]] * width
+def _place(layout: Layout, p: int, place: Index) -> None:
+    """Enter into `place` (u,) which row of panel p each of its unknowns is."""
+    row_begin, rows = layout[2], layout[3]
+    for r in range(row_begin[p], row_begin[p + 1]):
+        place[rows[r]] = r - row_begin[p]
 
 
 @compiled
-def entries(layout: Layout, begin: Index, unknowns: Index) -> Index:
-    """Return where in the panels the lower triangle of each dense part is, row after row.
+def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place: Index) -> None:
+    """Add the lower triangle of a dense part over unknowns (n,), ascending, to a matrix.
 
-    Parameters
-    ----------
-    layout : as from `panels`
-    begin, unknowns : int64
-        The unknowns of each part, ascending, one part after another.
+    `place` (u,) is room to work in.
     """
-    total, at = 0, 0
-    for g in range(len(begin) - 1):
-        n = begin[g + 1] - begin[g]
-        total += n * (n + 1) // 2
-    found, place = np.empty(total, dtype=np.int64), np.zeros(len(layout[1]), dtype=np.int64)
-    for g in range(len(begin) - 1):
-        n = begin[g + 1] - begin[g]
-        located(layout, unknowns[begin[g] : begin[g + 1]], place, found[at:])
-        at += n * (n + 1) // 2
+    start, column_of, _, _, offset = layout
+    first, n = 0, len(unknowns)
+    while first < n:
+        p, end = column_of[unknowns[first]], first + 1
+        while end < n and column_of[unknowns[end]] == p:
+            end += 1
+        _place(layout, p, place)
+        for a in range(first, n):
+            row = offset[p] + place[unknowns[a]] * (start[p + 1] - start[p]) - start[p]
+            for b in range(first, min(a + 1, end)):
+                values[row + unknowns[b]] += part[a, b]
+        first = end
+
+
+@compiled
+def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place: Index) -> None:
+    """Enter a symmetric part (n, n) over unknowns (n,), ascending, of what is laid out."""
+    start, column_of, _, _, offset = layout
+    last = -1
+    for b in range(len(unknowns)):
+        p = column_of[unknowns[b]]
+        if p != last:
+            _place(layout, p, place)
+            last = p
+        column, width = offset[p] + unknowns[b] - start[p], start[p + 1] - start[p]
+        for a in range(b, len(unknowns)):
+            part[a, b] = part[b, a] = values[column + place[unknowns[a]] * width]
+
+
+@compiled
+def parts(layout: Layout, values: Array, chosen: Index) -> Array:
+    """Return symmetric parts (k, m, m) over unknowns (k, m) of what is laid out."""
+    k, m = chosen.shape
+    found, ordered, place = np.empty((k, m, m)), np.empty((m, m)), np.empty_like(layout[1])
+    for i in range(k):
+        order = np.argsort(chosen[i])
+        take_part(layout, chosen[i][order], values, ordered, place)
+        for a in range(m):
+            for b in range(m):
+                found[i, order[a], order[b]] = ordered[a, b]
     return found
 
 
@@ -186,27 +199,18 @@ def _factorise_panel(panel: Array, least: Array) -> None:
 
 
 @compiled
-def begun(layout: Layout) -> Progress:
-    """Return what `factorise` keeps track of, before its first panel."""
-    start, column_of, row_begin, _, _ = layout
-    n = len(start) - 1
-    most = np.diff(row_begin).max() * np.diff(start).max() if n else 0
-    queues, done = np.full((2, n), -1), np.zeros(n, dtype=np.int64)
-    return queues, done, np.empty_like(column_of), np.empty(most)
+def factorise(layout: Layout, values: Array) -> None:
+    """Put the columns of the Cholesky factor in place of those of the matrix.
 
-
-@compiled
-def factorise(layout: Layout, values: Array, progress: Progress, first: int, end: int) -> None:
-    """Put the columns of the Cholesky factor in place of those of the matrix, of some panels.
-
-    Each less what those before it leave (left-looking; Ng and Peyton, 1993).
+    Each panel less what those before it leave (left-looking; Ng and Peyton, 1993).
     """
     start, column_of, row_begin, rows, offset = layout
-    (head, following), done, place, work = progress
-    for p in range(first, end):
+    n, place = len(start) - 1, np.empty_like(column_of)
+    head, following, done = np.full(n, -1), np.full(n, -1), np.zeros(n, dtype=np.int64)
+    work = np.empty(np.diff(row_begin).max() * np.diff(start).max() if n else 0)
+    for p in range(n):
         width, height = start[p + 1] - start[p], row_begin[p + 1] - row_begin[p]
-        for r in range(height):
-            place[rows[row_begin[p] + r]] = r
+        _place(layout, p, place)
         panel = values[offset[p] : offset[p + 1]].reshape(height, width)
         least = np.empty(width)
         for c in range(width):
@@ -255,16 +259,6 @@ def solve(layout: Layout, values: Array, right: Array) -> Array:
 
 
 @compiled
-def gather(values: Array, at: Index, part: Array) -> None:
-    """Fill a symmetric part (n, n) with its entries, which are where `located` tells."""
-    i = 0
-    for a in range(len(part)):
-        for b in range(a + 1):
-            part[a, b] = part[b, a] = values[at[i]]
-            i += 1
-
-
-@compiled
 def _inverse_of_triangle(L: Array) -> Array:
     """Return the inverse of a lower triangle (k, k)."""
     found = np.zeros((len(L), len(L)))
@@ -289,9 +283,8 @@ def inverse(layout: Layout, values: Array) -> Array:
         np.dot(root.T, root, target[:k])
         if len(below):
             n = len(below)
-            at, later = np.empty(n * (n + 1) // 2, dtype=np.int64), np.empty((n, n))
-            located(layout, below, place, at)
-            gather(found, at, later)
+            later = np.empty((n, n))
+            take_part(layout, below, found, later, place)
             pull = np.dot(panel[k:], root)
             target[k:] = -np.dot(later, pull)
             target[:k] -= np.dot(pull.T, target[k:])

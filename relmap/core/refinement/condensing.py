@@ -225,12 +225,11 @@ def _laid_together(
     seed = int(np.argmax(seen.sum(axis=0)))
     joined, R, t = join(block, seen, free, seed)
     seen &= joined
-    slots = np.flatnonzero(joined & (np.arange(len(free)) != seed))
-    places, counts, deviation = settle(block, seen, slots, R, t)
+    places, counts, deviation = settle(block, seen, joined, R, t)
     for _ in range(TRIMS):
         if not trim(deviation, places, counts, seen):
             break
-        places, counts, deviation = settle(block, seen, slots, R, t)
+        places, counts, deviation = settle(block, seen, joined, R, t)
     return joined, R, t, places, _visibility(seen), float(np.sum(deviation**2))
 
 

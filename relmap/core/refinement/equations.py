@@ -1,299 +1,339 @@
-"""The normal equations of the joint least squares, with one side eliminated or the other.
+"""The joint least squares over segments of points, with one side eliminated or the other.
 
-Two sets of unknowns are coupled, landmarks and placements, and one of them is eliminated (Schur
-complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000).  Landmarks that stay
-make equations that grow with the map, but not with the time spent in it; placements that stay make
-equations that do not mind how many landmarks are seen at once. Both are needed: of
-the figure eight at density 100, 900 iterations take 0.25 s the first way and 0.07 s the second, for
-0.9 % of error; after 9000 the second takes 4 times as many operations as the first (4e10), and at
-density 400 the first takes 2000 times as many as the second (1e11).
+Placements eliminated leave equations that grow with the map, but not with the time spent in it;
+landmarks eliminated leave equations that do not mind how many landmarks are seen at once.  Both are
+needed: of the figure eight at density 100, 900 iterations, refining takes 0.18 s the first way and
+0.05 s the second, for 0.7 % of error; at density 200 0.93 and 0.09 s.  The live steps are of the
+second kind.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections import Counter
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap.core.geometry.alignment import sums_each
+from relmap.core.geometry.alignment import fit_rigid_each, place_each, sums_each
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
-from relmap.core.refinement.elimination import FreePlacements
-from relmap.core.refinement.rows import JointRows, at_once, rows_of_each, searched
+from relmap.core.refinement.rows import JointRows, levels_of, rows_of_each
+from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
-ALL = 2**62
-"""More rows than there are."""
 FLOPS_PER_OBSERVATION = 2e4
 """What may be spent to have one placement for each iteration: half a microsecond or so."""
+HOLD = 1e-9, 1e-6
+"""What holds an unknown in a step, as a share of what holds others and in observations: none moves
+far that hangs by nothing."""
+BARELY = 1e-13
+"""What keeps rounding from making a matrix indefinite, as a share of its entries.  More belongs in
+no covariance: many weak holds along a chain add up to a strong one."""
+ROUNDING = 1e-13
+"""Residual that is taken for rounding, as a share of the map's size."""
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
-class Equations(Protocol):
-    """Normal equations with one side eliminated.
+class Laid(NamedTuple):
+    """Landmarks (m, d), and the rows (n, d) of each segment where it was laid on them, metres."""
 
-    Attributes
-    ----------
-    pattern : Pattern
-        Where the unknowns that stay stand.
-    cost : (s,) float64
-        Weighted sum of squares that each segment left, when the equations were last made.
-    """
-
-    pattern: Pattern
-    cost: NDArray[np.float64]
-
-    def normal(
-        self,
-        positions: NDArray[np.float64],
-        placed: NDArray[np.float64],
-        weight: NDArray[np.float64],
-        hold: tuple[float, float] | None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return right side and matrix; an empty one where it is not asked for.
-
-        Parameters
-        ----------
-        positions : (m, d) float64, map frame, metres
-        placed : (n, d) float64, map frame, metres
-            The rows, each segment where it fits the positions best.
-        weight : (n,) float64
-            Of one observation in a row.
-        hold : (share, least), optional
-            What holds unknowns that nothing else does, see `hold`; no matrix without it.
-        """
-        ...
-
-    def moved(
-        self,
-        positions: NDArray[np.float64],
-        placed: NDArray[np.float64],
-        weight: NDArray[np.float64],
-        step: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return the positions after a step, the solution of the equations."""
-        ...
-
-    def covariances(
-        self, inverse: NDArray[np.float64], placed: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the covariances (m, d, d) of the landmarks under noise of variance 1.
-
-        From the inverse of the matrix, where `pattern` has entries.
-        """
-        ...
+    positions: Array
+    placed: Array
 
 
-def equations(rows: JointRows, anchor: tuple[int, int]) -> Equations:
-    """Return the exact equations, or where these take too long those of segments as a whole.
+class SegmentProblem:
+    """The residuals of the rows of segments; a `Problem`.
 
     Parameters
     ----------
     rows : JointRows
-    anchor : (segment, bit)
-        The iteration whose placement makes the frame.
+    size : float
+        Of the map, metres.
     """
-    levels = levels_of(rows.begin, rows.landmark, len(rows.landmarks))
-    exact = LandmarkEquations(rows, anchor, levels[0])
-    coarse = PlacementEquations(rows, anchor, levels[1])
-    affordable = FLOPS_PER_OBSERVATION * rows.n_seen.sum()
-    return exact if exact.flops <= max(affordable, coarse.pattern.flops) else coarse
+
+    pattern: Pattern
+
+    def __init__(self, rows: JointRows, size: float) -> None:
+        self.rows = rows
+        n, d = rows.points.shape
+        unknowns = d * len(rows.landmarks) + (3 * d - 3) * (len(rows.segments) - 1)
+        self.freedoms = max(d * n - unknowns, 1)
+        self.rounding = n * (ROUNDING * size) ** 2
+
+    def laid(self, positions: Array, weight: Array) -> Laid:
+        """Lay each segment on positions as it fits best, by observations of weights (n,)."""
+        rows, there = self.rows, positions[self.rows.landmark]
+        R, t, _ = fit_rigid_each(
+            rows.points, there, weight * rows.n_seen, rows.segment, len(rows.segments)
+        )
+        return Laid(positions, place_each(R, t, rows.segment, rows.points))
+
+    def residuals(self, state: Laid) -> Array:
+        """Return the lengths (n,) of what is left, in units of an observation."""
+        off = state.placed - state.positions[self.rows.landmark]
+        return np.asarray(np.sqrt(np.sum(off**2, axis=1) * self.rows.n_seen))
+
+    def equations(
+        self,
+        state: Laid,
+        weight: Array,
+        with_matrix: bool,
+        damping: float,
+        hold: tuple[float, float] = HOLD,
+    ) -> NormalEquations:
+        """Return the normal equations of what is kept."""
+        raise NotImplementedError
+
+    def stepped(self, state: Laid, equations: NormalEquations, step: Array, weight: Array) -> Laid:
+        """Return where landmarks and segments lie after a step."""
+        return self.laid(self._moved(state, step, weight), weight)
+
+    def covariances(self, state: Laid, weight: Array) -> Array:
+        """Return the covariances (m, d, d) of the landmarks under noise of variance 1."""
+        matrix = self.equations(state, weight, True, 0.0, (BARELY, 0.0)).matrix
+        self.pattern.factorise(matrix)
+        return self._covariances(state, weight, self.pattern.inverse(matrix))
+
+    def _moved(self, state: Laid, step: Array, weight: Array) -> Array:
+        raise NotImplementedError
+
+    def _covariances(self, state: Laid, weight: Array, inverse: Array) -> Array:
+        raise NotImplementedError
+
+    def _held(self, equations: NormalEquations, damping: float, hold: tuple[float, float]) -> None:
+        share, least = hold
+        if len(equations.matrix):
+            least += share * self.pattern.largest(equations.matrix)
+            self.pattern.hold(equations.matrix, share + damping, least)
+
+    def _centre(self, placed: Array) -> Array:
+        """Return the middle (s, d) of each segment."""
+        total = sums_each(placed, self.rows.segment, len(self.rows.segments))
+        return np.asarray(total / np.diff(self.rows.begin)[:, None])
 
 
-def held(pattern: Pattern, matrix: NDArray[np.float64], share: float, least: float) -> None:
-    """Give unknowns that hang by too little, or by nothing, a little hold where they are.
-
-    It damps a step, and belongs in no covariance but for `BARELY`: many weak holds along a chain
-    add up to a strong one.
-    """
-    pattern.hold(matrix, share, least + share * pattern.largest(matrix))
-
-
-def levels_of(
-    begin: NDArray[np.int64], landmark: NDArray[np.int64], n_landmarks: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return levels of landmarks and of what saw them, beginning at an outer landmark.
+class FreePlacements(SegmentProblem):
+    """The landmarks are kept; each iteration has a placement of its own, and is eliminated.
 
     Parameters
     ----------
-    begin : (s + 1,) int64
-        Where the rows of each segment, or iteration, begin.
-    landmark : (n,) int64
-        Of each row, 0 to `n_landmarks` - 1.
-    n_landmarks : int
+    rows : JointRows
+    size : float
+    pattern : Pattern
+        Of the landmarks.
+    anchor : (segment, bit)
+        The iteration whose placement is not free.
     """
-    by_landmark = rows_of_each(landmark, n_landmarks)
-    segment = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
-    outer = 0
-    for _ in range(2):
-        levels = at_once(searched(outer, begin, landmark, by_landmark, segment, ALL))
-        outer = int(np.argmax(levels[0]))
-    return levels
 
-
-class LandmarkEquations:
-    """The landmarks stay; each iteration has a placement of its own, and is eliminated."""
-
-    def __init__(self, rows: JointRows, anchor: tuple[int, int], level: NDArray[np.int64]) -> None:
+    def __init__(
+        self, rows: JointRows, size: float, pattern: Pattern, anchor: tuple[int, int]
+    ) -> None:
+        super().__init__(rows, size)
         d = self._d = rows.points.shape[1]
-        self._sizes = d * np.diff(rows.begin).astype(np.float64)
-        self._free = FreePlacements(rows, anchor)
-        self.cost = np.zeros(len(rows.segments))
-        self.pattern = Pattern.of_levels(level, d)
-
-    @property
-    def flops(self) -> float:
-        """About how many operations the equations and their solution take."""
-        d = self._d
-        return float(self.pattern.flops + 2 * LENGTH * (3 * d - 3) * np.sum(self._sizes**2))
-
-    def normal(
-        self,
-        positions: NDArray[np.float64],
-        placed: NDArray[np.float64],
-        weight: NDArray[np.float64],
-        hold: tuple[float, float] | None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return right side and matrix; see `Equations`."""
-        buffer = np.zeros(self.pattern.size if hold else 0)
-        right, self.cost = self._free.equations(positions, placed, weight, self.pattern, buffer)
-        if hold:
-            held(self.pattern, buffer, *hold)
-        return right, buffer
-
-    def moved(
-        self,
-        positions: NDArray[np.float64],
-        placed: NDArray[np.float64],
-        weight: NDArray[np.float64],
-        step: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return the positions after a step; see `Equations`."""
-        return positions + step
-
-    def covariances(
-        self, inverse: NDArray[np.float64], placed: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the covariances of the landmarks; see `Equations`."""
-        return self.pattern.diagonal(inverse, self._d)
-
-
-class PlacementEquations:
-    """One placement for each segment stays, and one for the anchor; landmarks are eliminated."""
-
-    def __init__(self, rows: JointRows, anchor: tuple[int, int], level: NDArray[np.int64]) -> None:
-        d = rows.points.shape[1]
-        self._rows = rows
-        self._anchor = anchor
-        self.cost = np.zeros(len(rows.segments))
-        # The rows that the anchor saw come twice: what it saw itself, and what the others did.
-        self._own = np.flatnonzero(
-            (rows.segment == anchor[0]) & ((rows.visible >> anchor[1]) & 1 > 0)
+        self.pattern = pattern
+        self._unknown = pattern.first[:, None] + np.arange(d)
+        seen, sizes, times, segment, fixed = self._placements(anchor)
+        begin = np.append(0, np.cumsum(d * sizes))
+        scalar = (d * seen[:, None] + np.arange(d)).ravel()
+        kept = self._unknown[rows.landmark].reshape(-1, 1)
+        self._eliminated = Elimination(
+            pattern, kept, begin, scalar, segment, times, free_in_matrix=times - fixed
         )
-        n = len(rows.points)
-        self._row = np.concatenate([np.arange(n), self._own])
-        self._seen = np.concatenate([rows.n_seen, np.ones(len(self._own), dtype=np.int64)])
-        self._seen[self._own] -= 1
-        self._placement = np.concatenate(
-            [rows.segment, np.full(len(self._own), len(rows.segments))]
-        )
-        landmark = rows.landmark[self._row]
-        self._entry_begin, self._entry = rows_of_each(landmark, len(rows.landmarks))
-        self.pattern = Pattern.of_levels(np.append(level, level[anchor[0]]), 3 * d - 3)
 
-    def normal(
+    def _placements(
+        self, anchor: tuple[int, int]
+    ) -> tuple[Indices, Indices, Array, Indices, Array]:
+        """Return the rows that placements saw, each set once.
+
+        How many rows each saw, how many placements saw them, in which segment, and how many of them
+        are the anchor.
+        """
+        bits = (self.rows.visible >> np.arange(LENGTH)[:, None]) & 1 > 0
+        begin, seen, times, segment, fixed = self.rows.begin, [], [], [], []
+        for s, (first, end) in enumerate(pairwise(begin)):
+            own = bits[:, first:end]
+            for saw, count in Counter(row.tobytes() for row in own if row.any()).items():
+                seen.append(first + np.flatnonzero(np.frombuffer(saw, dtype=bool)))
+                times.append(float(count))
+                segment.append(s)
+                fixed.append(s == anchor[0] and saw == own[anchor[1]].tobytes())
+        sizes = np.array([len(rows) for rows in seen])
+        counts = np.array(times), np.array(segment), np.array(fixed, dtype=np.float64)
+        return np.concatenate(seen), sizes, *counts
+
+    def equations(
         self,
-        positions: NDArray[np.float64],
-        placed: NDArray[np.float64],
-        weight: NDArray[np.float64],
-        hold: tuple[float, float] | None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return right side and matrix; see `Equations`."""
-        from relmap.core.refinement.joint_kernels import placement_equations
+        state: Laid,
+        weight: Array,
+        with_matrix: bool,
+        damping: float,
+        hold: tuple[float, float] = HOLD,
+    ) -> NormalEquations:
+        """Return the normal equations of the landmarks."""
+        rows, d = self.rows, self._d
+        there = state.positions[rows.landmark]
+        turns = derivatives(there - self._centre(there)[rows.segment])
+        off, ones = (state.placed - there).ravel(), np.ones((d * len(there), 1))
+        linear = Linearised(off, turns.reshape(len(off), -1), -ones)
+        equations = self._eliminated.equations(linear, np.repeat(weight, d), BARELY, with_matrix)
+        self._held(equations, damping, hold)
+        return equations
 
-        pattern, omega = self.pattern, self._seen * weight[self._row]
-        gradient = np.zeros((len(pattern.first), 3 * placed.shape[1] - 3))
-        buffer = np.zeros(pattern.size if hold else 0)
-        residual = (placed - self._means(placed, weight)[self._rows.landmark])[self._row]
-        squares = omega * np.sum(residual**2, axis=1)
-        self.cost = np.bincount(self._rows.segment[self._row], weights=squares).astype(np.float64)
-        placement_equations(
-            self._entry_begin,
-            self._entry,
-            self._placement,
-            self._centred(placed),
-            residual,
-            omega,
-            gradient,
-            buffer,
-            pattern.blocks,
-        )
-        fixed = len(pattern.first) - 1
+    def _moved(self, state: Laid, step: Array, weight: Array) -> Array:
+        return np.asarray(state.positions + step[self._unknown])
+
+    def _covariances(self, state: Laid, weight: Array, inverse: Array) -> Array:
+        return self.pattern.parts(inverse, self._unknown)
+
+
+class FreeLandmarks(SegmentProblem):
+    """Each segment has one placement and is kept; the landmarks are eliminated.
+
+    The iteration that makes the frame has a placement of its own, that is not free.
+
+    Parameters
+    ----------
+    rows : JointRows
+    size : float
+    level : (s,) int64
+        Of each segment.
+    anchor : (segment, bit), optional
+        The first segment as a whole, where left out.
+    """
+
+    def __init__(
+        self,
+        rows: JointRows,
+        size: float,
+        level: Indices,
+        anchor: tuple[int, int] | None = None,
+    ) -> None:
+        super().__init__(rows, size)
+        d = self._d = rows.points.shape[1]
+        segment, bit = (0, None) if anchor is None else anchor
+        self._anchor = segment
+        own = np.flatnonzero(rows.segment == segment)
+        own = own[:0] if bit is None else own[(rows.visible[own] >> bit) & 1 > 0]
+        self._row = np.concatenate([np.arange(len(rows.points)), own])
+        self._seen = np.concatenate([rows.n_seen, np.ones(len(own))])
+        self._seen[own] -= 1
+        own_segment = np.full(len(own), len(rows.segments))
+        self._placement = np.concatenate([rows.segment, own_segment])
+        levels = level if bit is None else np.append(level, level[segment])
+        self._fixed = len(levels) - 1 if bit is not None else segment
+        self.pattern = Pattern.of_levels(levels, 3 * d - 3)
+        self._unknown = self.pattern.first[:, None] + np.arange(3 * d - 3)
+        begin, entry = rows_of_each(rows.landmark[self._row], len(rows.landmarks))
+        scalar = (d * entry[:, None] + np.arange(d)).ravel()
+        kept = np.repeat(self._unknown[self._placement], d, axis=0)
+        every = np.arange(len(rows.landmarks))
+        self._eliminated = Elimination(self.pattern, kept, d * begin, scalar, every)
+
+    def equations(
+        self,
+        state: Laid,
+        weight: Array,
+        with_matrix: bool,
+        damping: float,
+        hold: tuple[float, float] = HOLD,
+    ) -> NormalEquations:
+        """Return the normal equations of the placements."""
+        linear, each = self._linearised(state, weight)
+        equations = self._eliminated.equations(linear, each, BARELY, with_matrix)
+        right, fixed = equations.right, self._unknown[self._fixed]
         # The anchor only makes the frame: what pulls at it pulls at its segment.
-        gradient[self._anchor[0]] += gradient[fixed]
-        gradient[fixed] = 0.0
-        if hold:
-            held(pattern, buffer, *hold)
-            pattern.fix(buffer, fixed, gradient.shape[1])
-        return -gradient, buffer
+        if self._fixed != self._anchor:
+            right[self._unknown[self._anchor]] += right[fixed]
+        right[fixed] = 0.0
+        self._held(equations, damping, hold)
+        if with_matrix:
+            self.pattern.fix(equations.matrix, self._fixed, len(fixed))
+        return equations
 
-    def moved(
-        self,
-        positions: NDArray[np.float64],
-        placed: NDArray[np.float64],
-        weight: NDArray[np.float64],
-        step: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Return the positions after a step; see `Equations`."""
-        d = placed.shape[1]
-        step[-1] = step[self._anchor[0]]
-        turn, shift = rotations(step[:, :-d]), step[:, -d:]
-        centred, centre = self._centred(placed), self._centres(placed)[self._placement]
-        moved = np.einsum("nij,nj->ni", turn[self._placement], centred) + centre
-        return self._weighted_means(moved + shift[self._placement], weight)
-
-    def covariances(
-        self, inverse: NDArray[np.float64], placed: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the covariances of the landmarks; see `Equations`."""
-        from relmap.core.refinement.joint_kernels import spread_of_landmarks
-
-        return spread_of_landmarks(
-            self._entry_begin,
-            self._entry,
-            self._placement,
-            self._centred(placed),
-            self._seen * weight[self._row],
-            inverse,
-            self.pattern.blocks,
+    def _linearised(self, state: Laid, weight: Array) -> tuple[Linearised, Array]:
+        """Return the residuals of the rows, some of them twice, and their weights."""
+        rows, d = self.rows, self._d
+        off = (state.placed - state.positions[rows.landmark])[self._row]
+        away = state.placed - self._centre(state.placed)[rows.segment]
+        turns = derivatives(away[self._row]).reshape(off.size, -1)
+        by_landmark = np.tile(-np.eye(d), (len(off), 1))
+        return (
+            Linearised(off.ravel(), by_landmark, turns),
+            np.repeat(self._seen * weight[self._row], d),
         )
 
-    def _means(
-        self, placed: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        return self._weighted_means(placed[self._row], weight)
+    def _moved(self, state: Laid, step: Array, weight: Array) -> Array:
+        """Return the means of the rows, their segments turned and shifted."""
+        steps, d = step[self._unknown], self._d
+        if self._fixed != self._anchor:
+            steps[self._fixed] = steps[self._anchor]
+        turn, shift = rotations(steps[:, :-d]), steps[:, -d:]
+        centre = self._centre(state.placed)[self.rows.segment][self._row]
+        away = state.placed[self._row] - centre
+        moved = place_each(turn, shift, self._placement, away) + centre
+        return self.means(moved, weight)
 
-    def _weighted_means(
-        self, values: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the mean (m, d) of values (k, d) for each landmark."""
-        omega, of = self._seen * weight[self._row], self._rows.landmark[self._row]
-        m = len(self._rows.landmarks)
+    def means(self, placed: Array, weight: Array) -> Array:
+        """Return the weighted mean (m, d) for each landmark of what was laid somewhere (k, d)."""
+        omega, of = self._seen * weight[self._row], self.rows.landmark[self._row]
+        m = len(self.rows.landmarks)
         total = np.bincount(of, weights=omega, minlength=m)
-        return np.asarray(sums_each(values * omega[:, None], of, m) / total[:, None])
+        return np.asarray(sums_each(placed * omega[:, None], of, m) / total[:, None])
 
-    def _centres(self, placed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the middle (p, d) of each placement's segment."""
-        s = len(self._rows.segments)
-        counts = np.bincount(self._rows.segment, minlength=s)
-        middle = sums_each(placed, self._rows.segment, s) / counts[:, None]
-        return np.vstack([middle, middle[self._anchor[0]]])
-
-    def _centred(self, placed: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(placed[self._row] - self._centres(placed)[self._placement])
+    def _covariances(self, state: Laid, weight: Array, inverse: Array) -> Array:
+        linear, each = self._linearised(state, weight)
+        return self._eliminated.covariances(linear, each, BARELY, inverse)
 
 
-def rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def segment_problem(
+    rows: JointRows, size: float, anchor: tuple[int, int]
+) -> FreePlacements | FreeLandmarks:
+    """Return the exact problem, or where that takes too long that of segments as a whole.
+
+    Parameters
+    ----------
+    rows : JointRows
+    size : float
+        Of the map, metres.
+    anchor : (segment, bit)
+        The iteration whose placement makes the frame.
+    """
+    d = rows.points.shape[1]
+    levels = levels_of(rows.begin, rows.landmark, len(rows.landmarks))
+    pattern = Pattern.of_levels(levels[0], d)
+    flops = exact_flops(rows, pattern)
+    if flops > FLOPS_PER_OBSERVATION * rows.n_seen.sum():
+        coarse = FreeLandmarks(rows, size, levels[1], anchor)
+        if flops > coarse.pattern.flops:
+            return coarse
+    return FreePlacements(rows, size, pattern, anchor)
+
+
+def exact_flops(rows: JointRows, pattern: Pattern) -> float:
+    """Return about how many operations it takes to eliminate all placements, and to solve."""
+    d = rows.points.shape[1]
+    sizes = d * np.diff(rows.begin).astype(np.float64)
+    return float(pattern.flops + 2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
+
+
+def derivatives(away: Array) -> Array:
+    """Return the derivatives (n, d, q) of points by a turn and a shift; (n, d) from the centre."""
+    n, d = away.shape
+    J = np.zeros((n, d, 3 * d - 3))
+    J[:, :, -d:] = np.eye(d)
+    if d == 2:
+        J[:, 0, 0], J[:, 1, 0] = -away[:, 1], away[:, 0]
+    else:
+        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            J[:, a, b], J[:, a, c] = away[:, c], -away[:, b]
+    return J
+
+
+def rotations(turns: Array) -> Array:
     """Return the rotations (n, d, d) by angles (n, 1) or rotation vectors (n, 3)."""
     if turns.shape[1] == 3:
         return np.asarray(Rotation.from_rotvec(turns).as_matrix())

@@ -13,11 +13,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.elimination import BARELY
-from relmap.core.refinement.equations import Equations, equations
+from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
 from relmap.core.refinement.residuals import (
     MergeResiduals,
     SegmentResiduals,
@@ -25,7 +24,7 @@ from relmap.core.refinement.residuals import (
     segment_residuals,
 )
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.settling import lay_on, norm, settle
+from relmap.core.refinement.settling import Settled, settle, size_of
 
 STEADY = 3.0
 """Median deviation up to which a landmark keeps its place, in units of what is usual."""
@@ -37,22 +36,18 @@ SURELY = 3.0
 class Spread:
     """Works out the covariances of some landmarks, turned and scaled (d, d)."""
 
-    system: Equations
-    positions: NDArray[np.float64]
-    placed: NDArray[np.float64]
-    weight: NDArray[np.float64]
+    problem: SegmentProblem
+    settled: Settled
     chosen: NDArray[np.bool_]
     scale: NDArray[np.float64]
 
     def __call__(self) -> NDArray[np.float64]:
         """Return the covariances, square metres; NaN of what the observations do not fix."""
-        at, pattern = (self.positions, self.placed, self.weight), self.system.pattern
-        matrix = self.system.normal(*at, (BARELY, 0.0))[1]
-        pattern.factorise(matrix)
-        found = self.system.covariances(pattern.inverse(matrix), self.placed, self.weight)
+        state = self.settled.state
+        found = self.problem.covariances(state, self.settled.weight)
         found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
         # No linear theory tells of errors as large as the map.
-        extent = np.ptp(self.positions[self.chosen], axis=0).max()
+        extent = np.ptp(state.positions[self.chosen], axis=0).max()
         found[np.trace(found, axis1=1, axis2=2) > found.shape[1] * extent**2] = np.nan
         return found
 
@@ -161,25 +156,34 @@ def _solved(
     anchor = _anchor(joint)
     if anchor is None:
         return None
-    system = equations(joint, anchor)
-    settled = settle(system, joint, start[joint.landmarks])
-    refined, weight = settled.positions, settled.weight
-    placed = lay_on(joint, refined, weight)
-    system.normal(refined, placed, weight, None)
-    noise_m = _noise(rows, joint, system.cost, weight)
+    problem = segment_problem(joint, size_of(start.positions), anchor)
+    settled = settle(problem, start)
+    (refined, placed), weight = settled.state, settled.weight
+    explained = (weight == 1).astype(np.float64)
+    cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost
+    noise_m = _noise(rows, joint, cost, explained)
     iteration = int(rows.first_iteration[joint.segments[anchor[0]]]) + anchor[1]
     seen = (joint.segment == anchor[0]) & ((joint.visible >> anchor[1]) & 1 > 0)
     R, t = fit_rigid(joint.points[seen], refined[joint.landmark[seen]])
     R, t = R @ rows.R[iteration], R @ rows.t[iteration] + t
     mapped = chosen[joint.landmarks]
 
-    spread = Spread(system, refined, placed, weight, mapped, noise_m * R)
-    segments = segment_residuals(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m)
-    merges = merge_residuals(rows, joint, placed, refined, noise_m)
-    landmarks, refined = joint.landmarks[mapped], (refined[mapped] - t) @ R
-    residuals = segments, merges
     return Refined(
-        landmarks, refined, iteration, noise_m, *residuals, spread, converged=settled.converged
+        joint.landmarks[mapped],
+        (refined[mapped] - t) @ R,
+        iteration,
+        noise_m,
+        segment_residuals(rows, joint, (placed - t) @ R, (refined - t) @ R, noise_m),
+        merge_residuals(
+            joint.landmarks,
+            joint.landmark,
+            rows.landmark[joint.rows],
+            placed - refined[joint.landmark],
+            joint.n_seen,
+            np.full(len(placed), noise_m**2),
+        ),
+        Spread(problem, settled, mapped, noise_m * R),
+        converged=settled.converged,
     )
 
 
@@ -193,14 +197,18 @@ def _cleared(
     """Tell which suspects (m,) keep their place, from segment to segment, as others do."""
     placed, fixed = _laid_on(rows, positions, chosen[landmark], landmark)
     kept = np.flatnonzero(fixed & chosen[landmark])
-    usual = np.median(norm(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
+    usual = np.median(_lengths(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
     cleared = np.zeros(len(positions), dtype=bool)
     rows_of_suspects = np.flatnonzero(fixed & suspects[landmark])
     for suspect in np.unique(landmark[rows_of_suspects]):
         places = placed[rows_of_suspects[landmark[rows_of_suspects] == suspect]]
-        apart = np.median(norm(places - np.median(places, axis=0)))
+        apart = np.median(_lengths(places - np.median(places, axis=0)))
         cleared[suspect] = len(places) > 1 and apart <= STEADY * usual
     return cleared
+
+
+def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def _laid_on(
@@ -213,7 +221,7 @@ def _laid_on(
     at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
     there = positions[landmark[kept]]
     R, t, fixed, _ = fit_robust_each(rows.points[kept], there, n_seen, at, rows.n_segments)
-    placed = np.einsum("nij,nj->ni", R[rows.segment], rows.points) + t[rows.segment]
+    placed = place_each(R, t, rows.segment, rows.points)
     return placed, fixed[rows.segment]
 
 
@@ -223,7 +231,7 @@ def _joint_rows(
     chosen: NDArray[np.bool_],
     landmark: NDArray[np.int64],
     others: NDArray[np.bool_],
-) -> tuple[JointRows, NDArray[np.float64]]:
+) -> tuple[JointRows, Laid]:
     """Return the rows of a submap, and of others seen with it; and where all of these may be.
 
     Segments that are not fixed by the submap are left out.
@@ -239,7 +247,8 @@ def _joint_rows(
     numbers, first = np.unique(landmark[loose], return_index=True)
     for number, of in zip(numbers, np.split(loose, first[1:]), strict=False):
         start[number] = np.median(placed[of], axis=0)
-    return JointRows.of_landmarks(rows, landmark, np.flatnonzero(known)), start
+    joint = JointRows.of_landmarks(rows, landmark, np.flatnonzero(known))
+    return joint, Laid(start[joint.landmarks], placed[known])
 
 
 def _anchor(rows: JointRows) -> tuple[int, int] | None:
@@ -252,19 +261,18 @@ def _anchor(rows: JointRows) -> tuple[int, int] | None:
     return None
 
 
-def _noise(
-    rows: SegmentRows, joint: JointRows, costs: NDArray[np.float64], weight: NDArray[np.float64]
-) -> float:
+def _noise(rows: SegmentRows, joint: JointRows, cost: float, weight: NDArray[np.float64]) -> float:
     """Return the standard deviation of an observed coordinate that explains what is left.
 
-    Within segments and between them (s,) alike; but where segments surely agree less with one
-    another than within, what is between them counts.  A row of no weight is not there.
+    Within segments and between them alike; but where segments surely agree less with one
+    another than within, what is between them counts.  Only rows that noise explains, of weights
+    (n,) of 1, take part.
     """
     d = joint.points.shape[1]
     q = 3 * d - 3
     within = rows.freedoms[joint.segments].sum()
     between = d * (weight.sum() - len(joint.landmarks)) - q * (len(joint.segments) - 1)
-    squares, cost = rows.squares[joint.segments].sum(), costs.sum()
+    squares = rows.squares[joint.segments].sum()
     variance = (squares + cost) / max(within + between, 1)
     if between > 0 and cost / between > (1 + SURELY * np.sqrt(2 / between)) * variance:
         variance = cost / between

@@ -1,104 +1,48 @@
-"""Refinement while the map is being built, in small slices at a constant amortised cost.
+"""Refinement while the map is being built, at a bounded cost.
 
 A chain of groups is nearly as good as can be until landmarks are seen again after a long time; then
 the map has drifted on the way, and the drift must be spread over all of it.  So when enough of them
-came back one Gauss-Newton step is taken for the whole map, with one placement for each segment; see
-`refinement`.  Each update does a slice of it.  As a step costs the more the longer the run, the
-next is taken the later: when the run has become longer by a share.
+came back one Gauss-Newton step is taken for the whole map.  What was condensed is laid together to
+a bounded number of rigid bodies, the longer the longer the run, so that a step costs no more in a
+long run than in a short one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
-from relmap.core.refinement.condensing import SEEN, CondensedSegments, SegmentRows
-from relmap.core.refinement.slices import SLICE, StepInSlices
-from relmap.core.state.table import NONE, LandmarkState
+from relmap.core.refinement.condensing import SEEN, CondensedSegments
+from relmap.core.refinement.equations import FreeLandmarks, Laid
+from relmap.core.refinement.gauss_newton import gauss_newton
+from relmap.core.refinement.rows import JointRows, levels_of, numbered
+from relmap.core.refinement.settling import size_of
+from relmap.core.state.table import NONE
 
 SLICE_EVERY = 8
-"""Iterations for each slice."""
+"""Iterations from one time that there may be something to do to the next."""
 GROWTH = 1.15
-"""How many times as long a run must be as when the last step was begun."""
+"""How many times as long a run must be as when the last step was taken."""
 SOUND = 0.1
 """How far a step may move a landmark, as a share of the extent of the map."""
 BACK = 16
 """Landmarks that must have come back into view before a step is worth while."""
 LEAST = 16
 """Segments before the first step, and for which a landmark that closes a loop was out of sight."""
-SMALL, MOST = 45000, 6
-"""Rows of all segments up to which more slices than one are done at a time, and how many."""
+BODIES = 64
+"""Bodies at most; of more, each two in a row are laid together."""
+WHOLE = 400
+"""Segments up to which each is a body of its own in the last step, which need not be quick."""
+
 Points = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-
-class StepUnderWay:
-    """A step, slice by slice: segments are laid on the map as it is, then the step is solved for.
-
-    How much of the solution is done is known as a number of slices, so that a copy can do them
-    again.
-
-    Parameters
-    ----------
-    submap : int
-        That is refined.
-    member : int
-        A landmark of it: where that has come to another submap, the step is of no use.
-    n_rows : int
-        Rows of segments that take part.
-    step : StepInSlices
-    """
-
-    STATE = "submap member step _n_rows _first _n_solved"
-
-    def __init__(self, submap: int, member: int, n_rows: int, step: StepInSlices) -> None:
-        self.submap = submap
-        self.member = member
-        self.step = step
-        self._n_rows = n_rows
-        self._first = 0
-        self._n_solved = 0
-        self._solving: Iterator[None] | None = None
-
-    def __getstate__(self) -> dict[str, object]:
-        """Leave out the solution so far: a copy does its slices again."""
-        return self.__dict__ | {"_solving": None}
-
-    def go_on(self, segments: CondensedSegments, table: LandmarkState) -> bool:
-        """Do a slice; tell whether it was the last."""
-        if self._first < self._n_rows:
-            self._lay_on(segments.rows, table)
-            return False
-        if self._solving is None:
-            self._solving = self.step.run()
-            for _ in range(self._n_solved):
-                next(self._solving)
-        self._n_solved += 1
-        return bool(next(self._solving, True))
-
-    def _lay_on(self, rows: SegmentRows, table: LandmarkState) -> None:
-        """Lay some segments on the map."""
-        first, segments = self._first, rows.segment[: self._n_rows]
-        last = segments[min(first + SLICE, self._n_rows) - 1]
-        end = int(np.searchsorted(segments, last, side="right"))
-        landmark = table.landmark_of[rows.landmark[first:end]]
-        kept = table.submap[landmark] == self.submap
-        kept &= landmark < self.step.n_landmarks  # what merged into one first seen since then waits
-        landmark, segment = landmark[kept], segments[first:end][kept]
-        points = rows.points[first:end][kept]
-        seen = SEEN[rows.visible[first:end][kept]].astype(np.float64)
-        base = segments[first]
-        there = table.position[landmark]
-        at, n = segment - base, int(last - base) + 1
-        R, t, fixed, weight = fit_robust_each(points, there, seen, at, n)
-        placed = np.einsum("nij,nj->ni", R[at], points) + t[at]
-        on = fixed[at]
-        self.step.add(placed[on], landmark[on], segment[on], (weight * seen)[on])
-        self._first = end
+Seen = tuple[Indices, Points, Points]
+"""Landmarks (n,), where they are, (n, d), and how much was seen of them, (n,)."""
 
 
 class LiveRefinement:
@@ -110,104 +54,176 @@ class LiveRefinement:
     global_map : GlobalMap
     """
 
-    _step: StepUnderWay | None
-    STATE = "_step _begun _noted _back"
+    STATE = "_landmark _points _weight _body _length _in_last _begun _noted _back"
 
     def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
         self._table = global_map.table
         self._map = global_map
-        self._step = None
+        self._landmark = self._body = np.zeros(0, dtype=np.int64)
+        self._points, self._weight = np.zeros((0, 3)), np.zeros(0)
+        self._length = 1
+        self._in_last = 0
         self._begun = LEAST
         self._noted = 0
         self._back = 0
 
-    def blank(self) -> StepUnderWay:
-        """Return a step to be restored."""
-        return StepUnderWay(NONE, NONE, 0, StepInSlices(0, 0, 0, self._table.dimension))
-
     def advance(self) -> bool:
-        """Do a slice of work, if there is any; tell whether it has moved the map."""
+        """Take a step, if it is worth while; tell whether it was taken."""
         self._note()
-        if self._step is None:
-            n = self._segments.rows.n_segments
-            if self._back <= BACK or GROWTH * self._begun >= n:
-                return False
-            self._step = self._begin()
-            if self._step is None:
-                return True
-        # The slices of a short run are small.
-        for _ in range(np.clip(SMALL // len(self._segments.rows.segment), 1, MOST)):
-            if self._go_on():
-                return True
-        return False
-
-    def complete(self) -> None:
-        """Take a whole step over all there is, as no more is to come."""
-        self._note()
-        if self._segments.rows.n_segments > LEAST:
-            self._step = self._begin()
-        while self._step is not None:
-            self._go_on()
-
-    def _go_on(self) -> bool:
-        """Do a slice of the step under way; tell whether it was the last and has moved the map."""
-        if self._step is None or not self._step.go_on(self._segments, self._table):
+        if self._back <= BACK or GROWTH * self._begun >= self._noted:
             return False
-        self._apply(self._step)
-        self._step = None
+        self._begun, self._back = self._noted, 0
+        self._step(*self._bodies())
         return True
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether a step is under way."""
-        return self._step is not None
+    def complete(self) -> None:
+        """Take a step over all there is, as no more is to come."""
+        self._note()
+        rows = self._segments.rows
+        if LEAST < self._noted <= WHOLE:
+            landmark = self._table.landmark_of[rows.landmark]
+            self._step(landmark, rows.points, rows.n_seen.astype(np.float64), rows.segment)
+        elif self._noted > LEAST:
+            self._step(*self._bodies())
 
     def _note(self) -> None:
-        """Note which landmarks came back into view after a long time."""
+        """Note which landmarks came back into view after a long time; add to the bodies."""
         rows = self._segments.rows
-        if rows.n_segments == self._noted:
-            return
         first = int(np.searchsorted(rows.segment, self._noted))
+        for segment in range(self._noted, rows.n_segments):
+            end = int(np.searchsorted(rows.segment, segment, side="right"))
+            landmark = self._table.landmark_of[rows.landmark[first:end]]
+            last = self._table.last_segment[landmark]
+            self._back += int(((last != NONE) & (last < segment - LEAST)).sum())
+            self._table.last_segment[landmark] = segment
+            weight = SEEN[rows.visible[first:end]].astype(np.float64)
+            self._add((landmark, rows.points[first:end], weight))
+            first = end
         self._noted = rows.n_segments
-        landmark, at = self._table.landmark_of[rows.landmark[first:]], rows.segment[first:]
-        last = self._table.last_segment[landmark]
-        self._back += int(((last != NONE) & (last < at - LEAST)).sum())
-        self._table.last_segment[landmark] = at
 
-    def _begin(self) -> StepUnderWay | None:
-        """Begin a Gauss-Newton step for the submap that is in view, if there is one."""
-        rows = self._segments.rows
-        self._begun, self._back = rows.n_segments, 0
-        submap = self._submap_in_view(rows)
-        if submap == NONE:
-            return None
-        n_rows = len(rows.segment)
-        size = n_rows, len(self._table), rows.n_segments
-        step = StepInSlices(*size, rows.points.shape[1])
-        return StepUnderWay(submap, int(np.argmax(self._table.submap == submap)), n_rows, step)
+    def _add(self, seen: Seen) -> None:
+        """Lay a segment on the last body, or let it be a body, where that is full or far off."""
+        n_bodies = int(self._body[-1]) + 1 if len(self._body) else 0
+        together = None
+        if n_bodies and self._in_last < self._length:
+            last = self._body == n_bodies - 1
+            own = self._landmark[last], self._points[last], self._weight[last]
+            together = laid_together(own, seen)
+        if together is None:
+            self._extend(len(self._body), n_bodies, seen)
+            self._in_last = 1
+        else:
+            self._extend(len(self._body) - int(last.sum()), n_bodies - 1, together)
+            self._in_last += 1
+        if n_bodies >= BODIES:
+            self._join()
 
-    def _submap_in_view(self, rows: SegmentRows) -> int:
-        submaps = self._table.submap[self._table.landmark_of[rows.landmark[-SLICE:]]]
+    def _extend(self, kept: int, body: int, seen: Seen) -> None:
+        """Put a body behind so many rows."""
+        landmark, points, weight = seen
+        before = self._points[:kept] if kept else points[:0]
+        self._landmark = np.append(self._landmark[:kept], landmark)
+        self._points = np.concatenate([before, points])
+        self._weight = np.append(self._weight[:kept], weight)
+        self._body = np.append(self._body[:kept], np.full(len(landmark), body))
+
+    def _join(self) -> None:
+        """Lay each two bodies in a row together, where they share enough."""
+        begin = np.searchsorted(self._body, np.arange(self._body[-1] + 2))
+        whole = self._landmark, self._points, self._weight
+        bodies = [
+            (whole[0][at], whole[1][at], whole[2][at])
+            for at in (slice(*of) for of in pairwise(begin))
+        ]
+        kept = 0
+        self._extend(0, 0, (whole[0][:0], whole[1][:0], whole[2][:0]))
+        for k in range(0, len(bodies), 2):
+            together = laid_together(*bodies[k : k + 2]) if k + 1 < len(bodies) else None
+            for seen in bodies[k : k + 2] if together is None else [together]:
+                self._extend(len(self._body), kept, seen)
+                kept += 1
+        self._length *= 2
+
+    def _bodies(self) -> tuple[Indices, Points, Points, Indices]:
+        landmark = self._table.landmark_of[self._landmark]
+        return landmark, self._points, self._weight, self._body
+
+    def _step(self, landmark: Indices, points: Points, seen: Points, body: Indices) -> None:
+        """Take a Gauss-Newton step for the submap that is in view, if there is one.
+
+        Parameters
+        ----------
+        landmark : (n,) int64
+        points : (n, d) float64, frame of the body, metres
+        seen : (n,) float64
+            Observations behind each.
+        body : (n,) int64, ascending
+        """
+        submaps = self._table.submap[landmark]
         mapped = submaps[submaps != NONE]
-        return int(mapped[-1]) if len(mapped) else NONE
+        if not len(mapped):
+            return
+        submap = int(mapped[-1])
+        rows = np.flatnonzero(submaps == submap)
+        there, at = self._table.position[landmark[rows]], body[rows]
+        n = int(at[-1]) + 1
+        R, t, fixed, weight = fit_robust_each(points[rows], there, seen[rows], at, n)
+        placed = place_each(R, t, at, points[rows])
+        on = np.flatnonzero(fixed[at])
+        bodies, place = numbered(at[on])
+        if len(bodies) < 2:
+            return
+        rows, members = rows[on], numbered(landmark[rows[on]])
+        joint = JointRows(
+            points[rows],
+            np.zeros(len(rows), dtype=np.uint8),
+            seen[rows],
+            place,
+            members[1],
+            members[0],
+            bodies,
+            rows,
+        )
+        self.move(submap, joint, placed[on], weight[on])
 
-    def _apply(self, done: StepUnderWay) -> None:
-        """Move the landmarks, and what was mapped meanwhile along with the latest segment.
+    def move(self, submap: int, rows: JointRows, placed: Points, weight: Points) -> None:
+        """Move the landmarks, and what was mapped meanwhile along with the latest body.
 
         A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not
         taken.
         """
-        submap, step = done.submap, done.step
-        positions, members = self._table.position, step.members
-        if self._table.submap[done.member] != submap or not len(members):
-            return
+        positions, members = self._table.position, rows.landmarks
+        level = levels_of(rows.begin, rows.landmark, len(members))[1]
+        problem = FreeLandmarks(rows, size_of(positions[members]), level)
+        start = Laid(problem.means(placed, weight), placed)
+        found = gauss_newton(problem, start, lambda _: weight, 1).state
+        moves = found.positions - start.positions
         extent = np.ptp(positions[members], axis=0).max()
-        if not np.abs(step.moves).max() <= SOUND * extent:
+        if not np.abs(moves).max() <= SOUND * extent:
             return
         is_other = self._table.submap == submap
         is_other[members] = False
         others = np.flatnonzero(is_other)
-        turn, shift, centre = step.latest
-        self._map.move(others, (positions[others] - centre) @ turn.T + centre + shift)
-        self._map.move(members, positions[members] + step.moves)
+        latest = rows.segment == rows.segment[-1]
+        R, t = fit_rigid(placed[latest], found.placed[latest])
+        self._map.move(others, positions[others] @ R.T + t)
+        self._map.move(members, positions[members] + moves)
+
+
+def laid_together(one: Seen, other: Seen) -> Seen | None:
+    """Lay what was seen in one stretch on that of another; None where they share too little."""
+    _, mine, its = np.intersect1d(one[0], other[0], return_indices=True)
+    if not len(mine):
+        return None
+    counts = np.minimum(one[2][mine], other[2][its])
+    at = np.zeros(len(mine), dtype=np.int64)
+    R, t, fixed, _ = fit_robust_each(other[1][its], one[1][mine], counts, at, 1)
+    if not fixed[0]:
+        return None
+    landmark, of = np.unique(np.append(one[0], other[0]), return_inverse=True)
+    weight = np.append(one[2], other[2])
+    placed = np.concatenate([one[1], other[1] @ R[0].T + t[0]])
+    total = np.bincount(of, weights=weight).astype(np.float64)
+    means = sums_each(weight[:, None] * placed, of, len(landmark)) / total[:, None]
+    return landmark, means, total

@@ -8,16 +8,21 @@ of the residuals, axis by axis in the robot's frame.  Every single observation i
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.equations import held, levels_of, rotations
+from relmap.core.refinement.equations import derivatives, rotations
+from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.observations import Observations
+from relmap.core.refinement.rows import levels_of
+from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FIRST, LAST = 4, 16
 """Powers of use: below, least squares is as good; above, the steps get too rough."""
@@ -27,8 +32,8 @@ SHARES = (1.0, 0.5, 0.25)
 """Parts of Newton's step that are tried: where little is seen the whole of it is too long."""
 FAINT = 1e-4
 """Least weight, as a share of the largest: what was seen a few times leaves no residual."""
-LOOSE = 1e-9
-"""What holds a landmark that hangs by too little, as a share of what holds others."""
+LOOSE, LOOSE_POSE = 1e-9, 1e-12
+"""What holds a landmark and a placement that hang by too little, as a share of others."""
 EXACT = 1e-9
 """Residual, as a share of the map's size, that is taken for rounding."""
 SPARSE = 20
@@ -52,7 +57,7 @@ def refine_by_powers(refined: Refined, seen: Observations) -> Refined:
     Refined
         As it came where no higher power suits.
     """
-    solution = _Solution.of(seen, refined.positions)
+    solution = PowerSolution.of(seen, refined.positions)
     size = np.ptp(refined.positions, axis=0).max()
     anchor = int(np.searchsorted(seen.iterations, refined.anchor_iteration))
     if not np.abs(solution.left).max() > EXACT * size or anchor == len(seen.iterations):
@@ -60,10 +65,10 @@ def refine_by_powers(refined: Refined, seen: Observations) -> Refined:
     powered = solution.by_powers()
     if powered.power == solution.power:
         return refined
-    R, t = powered.R[anchor], powered.t[anchor]
+    R, t = powered.state.R[anchor], powered.state.t[anchor]
     spread = refined.spread.scaled(np.sqrt(powered.gain()))
     return replace(
-        refined, positions=(powered.positions - t) @ R, power=powered.power, spread=spread
+        refined, positions=(powered.state.positions - t) @ R, power=powered.power, spread=spread
     )
 
 
@@ -76,65 +81,151 @@ def shape_of(residuals: NDArray[np.float64]) -> float:
     return float(powers[np.argmin(np.abs(kurtoses - kurtosis))])
 
 
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """Landmarks and placements of the least sum of powers of what is left."""
+class Placed(NamedTuple):
+    """Landmarks (m, d), and the placements of iterations, R (k, d, d) and t (k, d)."""
 
-    seen: Observations
-    pattern: Pattern
     positions: NDArray[np.float64]
     R: NDArray[np.float64]
     t: NDArray[np.float64]
-    power: int = 2
+
+
+class PowerProblem:
+    """The residuals of single observations, axis by axis of the robot; a `Problem`.
+
+    Newton's step towards the least sum of powers is that of least squares with weights, divided by
+    the power less one.
+
+    Parameters
+    ----------
+    seen : Observations
+    n_landmarks : int
+    power : int
+    """
+
+    rounding = 0.0
+
+    def __init__(self, seen: Observations, n_landmarks: int, power: int = 2) -> None:
+        d = seen.points.shape[1]
+        self.seen, self.power, self._unit = seen, power, 1.0
+        self.freedoms = max(seen.points.size - d * n_landmarks, 1)
+        level = levels_of(seen.begin, seen.landmark, n_landmarks)[0]
+        self.pattern = Pattern.of_levels(level, d)
+        self._unknown = self.pattern.first[:, None] + np.arange(d)
+        kept = np.repeat(self._unknown[seen.landmark], d, axis=0)
+        rows, every = np.arange(seen.points.size), np.arange(len(seen.iterations))
+        self._eliminated = Elimination(self.pattern, kept, d * seen.begin, rows, every)
+
+    def of_power(self, power: int, unit: float) -> PowerProblem:
+        """Return the same for another power, of residuals in units of about their size."""
+        found = copy(self)
+        found.power, found._unit = power, unit
+        return found
+
+    def of_points(self, points: NDArray[np.float64]) -> PowerProblem:
+        """Return the same for other observations (n, d) of the same landmarks."""
+        found = copy(self)
+        found.seen = replace(self.seen, points=points)
+        return found
+
+    def left(self, state: Placed) -> NDArray[np.float64]:
+        """Return what is left of each observation (n, d), robot frame, metres."""
+        at = self.seen.iteration
+        away = state.positions[self.seen.landmark] - state.t[at]
+        return np.asarray(self.seen.points - np.einsum("nji,nj->ni", state.R[at], away))
+
+    def residuals(self, state: Placed) -> NDArray[np.float64]:
+        """Return what is left (n d,), axis by axis."""
+        return self.left(state).ravel()
+
+    def weights(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the weights of least squares that make the sum of powers least."""
+        size = np.abs(residual)
+        return np.asarray(np.maximum((size / size.max()) ** (self.power - 2), FAINT))
+
+    def equations(
+        self, state: Placed, weight: NDArray[np.float64], with_matrix: bool, damping: float
+    ) -> NormalEquations:
+        """Return the normal equations of the landmarks."""
+        at, d = self.seen.iteration, self.seen.points.shape[1]
+        back = np.swapaxes(state.R[at], 1, 2)
+        turned = np.einsum("nij,nj->ni", state.R[at], self.seen.points)
+        by_placement = (back @ derivatives(turned)).reshape(len(weight), -1)
+        linear = Linearised(self.residuals(state), by_placement, -back.reshape(-1, d))
+        equations = self._eliminated.equations(linear, weight, LOOSE_POSE, with_matrix)
+        if with_matrix:
+            least = LOOSE * self.pattern.largest(equations.matrix)
+            self.pattern.hold(equations.matrix, damping, least)
+        return equations
+
+    def stepped(
+        self,
+        state: Placed,
+        equations: NormalEquations,
+        step: NDArray[np.float64],
+        weight: NDArray[np.float64],
+    ) -> Placed:
+        """Return the state after a step, or the better part of it."""
+        placements = equations.eliminated_steps(step)
+        tried = [self._moved(state, share, step, placements) for share in SHARES]
+        return min(tried, key=lambda each: self.sum_of_powers(self.residuals(each)))
+
+    def sum_of_powers(
+        self, residual: NDArray[np.float64], _: NDArray[np.float64] | None = None
+    ) -> float:
+        """Return what is made least."""
+        return float(np.sum(np.abs(residual / self._unit) ** self.power))
+
+    def _moved(
+        self,
+        state: Placed,
+        share: float,
+        step: NDArray[np.float64],
+        placements: NDArray[np.float64],
+    ) -> Placed:
+        share /= self.power - 1
+        turn, shift = np.split(share * placements, [-self.seen.points.shape[1]], axis=1)
+        positions = state.positions + share * step[self._unknown]
+        return Placed(positions, rotations(turn) @ state.R, state.t + shift)
+
+
+@dataclass(frozen=True, eq=False)
+class PowerSolution:
+    """Landmarks and placements of the least sum of powers of what is left."""
+
+    problem: PowerProblem
+    state: Placed
 
     @classmethod
-    def of(cls, seen: Observations, positions: NDArray[np.float64]) -> _Solution:
+    def of(cls, seen: Observations, positions: NDArray[np.float64]) -> PowerSolution:
         """Return the solution of least squares."""
-        level = levels_of(seen.begin, seen.landmark, len(positions))[0]
         R, t, _ = seen.placed_on(positions)
-        return cls(seen, Pattern.of_levels(level, positions.shape[1]), positions, R, t)
+        return cls(PowerProblem(seen, len(positions)), Placed(positions, R, t))
+
+    @property
+    def power(self) -> int:
+        """The power whose sum is least."""
+        return self.problem.power
 
     @property
     def left(self) -> NDArray[np.float64]:
         """What is left of each observation (n, d), robot frame, metres."""
-        away = self.positions[self.seen.landmark] - self.t[self.seen.iteration]
-        there = np.einsum("nji,nj->ni", self.R[self.seen.iteration], away)
-        return np.asarray(self.seen.points - there)
+        return self.problem.left(self.state)
 
-    def by_powers(self) -> _Solution:
+    def by_powers(self) -> PowerSolution:
         """Return the solution of the highest power that suits, found by doubling it."""
         solution, power = self, FIRST
         while power <= min(shape_of(solution.left), LAST):
             for _ in range(STEPS):
-                solution = solution.step(power)
+                solution = solution.towards(power)
             power *= 2
         return solution
 
-    def step(self, power: int) -> _Solution:
-        """Return the solution after a step towards a power's: Newton's, or better part of it."""
-        from relmap.core.refinement.power_kernels import placement_steps, power_equations
-
-        at, of = self.seen.iteration, self.seen.landmark
-        left = np.abs(self.left)
-        weight = np.maximum((left / left.max()) ** (power - 2), FAINT)
-        turned = np.einsum("nij,nj->ni", self.R[at], self.seen.points)
-        residual = turned + self.t[at] - self.positions[of]
-        right, buffer = np.zeros_like(self.positions), np.zeros(self.pattern.size)
-        rows = self.seen.begin, of, turned, residual, weight, self.R
-        power_equations(*rows, right, buffer, self.pattern.blocks)
-        held(self.pattern, buffer, LOOSE, 0.0)
-        self.pattern.factorise(buffer)
-        move = self.pattern.solve(buffer, right)
-        steps = placement_steps(self.seen.begin, turned, residual - move[of], weight, self.R)
-        tried = [self._moved(share / (power - 1), move, steps, power) for share in SHARES]
-        return min(tried, key=lambda each: float(np.sum((each.left / left.max()) ** power)))
-
-    def _moved(
-        self, share: float, move: NDArray[np.float64], steps: NDArray[np.float64], power: int
-    ) -> _Solution:
-        d = self.positions.shape[1]
-        R, t = rotations(share * steps[:, :-d]) @ self.R, self.t + share * steps[:, -d:]
-        return replace(self, positions=self.positions + share * move, R=R, t=t, power=power)
+    def towards(self, power: int) -> PowerSolution:
+        """Return the solution after one of Newton's steps towards a power's."""
+        problem = self.problem.of_power(power, float(np.abs(self.left).max()))
+        cost_of = problem.sum_of_powers
+        found = gauss_newton(problem, self.state, problem.weights, 1, cost_of=cost_of)
+        return PowerSolution(problem, found.state)
 
     def gain(self) -> float:
         """Return the mean squared error as a share of that of least squares.
@@ -144,18 +235,17 @@ class _Solution:
         """
         rng = np.random.default_rng(0)
         left = self.left
-        exact, scale = self.seen.points - left, np.sqrt(np.mean(left**2))
+        exact, scale = self.problem.seen.points - left, np.sqrt(np.mean(left**2))
         squares = np.zeros(2)
         for _ in range(REPEATS):
             sign, share = rng.choice([-1.0, 1.0], left.shape), 1 / self.power
             noise = scale * sign * rng.gamma(share, size=left.shape) ** share
-            seen = replace(self.seen, points=exact + noise)
-            drawn = replace(self, seen=seen).step(2)
-            squares += _apart(drawn, self), _apart(drawn.by_powers(), self)
+            drawn = replace(self, problem=self.problem.of_points(exact + noise)).towards(2)
+            squares += _apart(drawn.state, self.state), _apart(drawn.by_powers().state, self.state)
         return float(squares[1] / squares[0])
 
 
-def _apart(one: _Solution, other: _Solution) -> float:
+def _apart(one: Placed, other: Placed) -> float:
     """Return the mean square distance of the landmarks of two solutions, as robots see them."""
     here, there = (
         np.einsum("kji,kmj->kmi", each.R[::SPARSE], each.positions - each.t[::SPARSE, None])

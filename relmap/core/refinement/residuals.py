@@ -80,30 +80,41 @@ def segment_residuals(
 
 
 def merge_residuals(
-    rows: SegmentRows,
-    joint: JointRows,
-    placed: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    noise_m: float,
+    landmarks: NDArray[np.int64],
+    of: NDArray[np.int64],
+    number: NDArray[np.int64],
+    off: NDArray[np.float64],
+    seen: NDArray[np.float64],
+    variance: NDArray[np.float64],
 ) -> MergeResiduals:
-    """Compare where landmarks (m, d) were seen under each number that was merged into another."""
-    track = rows.landmark[joint.rows]
-    merged = np.flatnonzero(track != joint.landmarks[joint.landmark])
-    tracks, compact = np.unique(track[merged], return_inverse=True)
-    k, seen = len(tracks), joint.n_seen.astype(np.float64)
-    landmark = np.zeros(k, dtype=np.int64)
-    landmark[compact] = joint.landmark[merged]
-    off = (placed - positions[joint.landmark]) * seen[:, None]
-    all_seen = np.bincount(joint.landmark, weights=seen, minlength=len(positions))[landmark]
-    all_off = sums_each(off, joint.landmark, len(positions))[landmark]
-    own_seen = np.bincount(compact, weights=seen[merged], minlength=k)
-    own_off = sums_each(off[merged], compact, k)
-    others = all_seen > own_seen
-    landmark, tracks = landmark[others], tracks[others]
-    own_seen, own_off = own_seen[others], own_off[others]
-    other_seen = all_seen[others] - own_seen
-    other_off = all_off[others] - own_off
-    apart = np.linalg.norm(own_off / own_seen[:, None] - other_off / other_seen[:, None], axis=1)
-    expected = noise_m * np.sqrt(placed.shape[1] * (1 / own_seen + 1 / other_seen))
-    residual = np.divide(apart, expected, out=np.zeros(len(apart)), where=expected > 0)
-    return MergeResiduals(joint.landmarks[landmark], tracks, apart, residual)
+    """Compare where landmarks were seen under each number that was merged into another.
+
+    Parameters
+    ----------
+    landmarks : (m,) int64
+    of : (n,) int64
+        Which of these each row is.
+    number : (n,) int64
+        Under which number it was seen.
+    off : (n, d) float64, metres
+        How far from where the landmark is.
+    seen : (n,) float64
+        How often.
+    variance : (n,) float64, square metres
+        Of a coordinate of one observation.
+    """
+    tracks, own = np.unique(number, return_inverse=True)
+    landmark = np.zeros(len(tracks), dtype=np.int64)
+    landmark[own] = of
+    weighted = off * seen[:, None]
+    own_seen, own_off = np.bincount(own, seen), sums_each(weighted, own, len(tracks))
+    usual = np.bincount(own, seen * variance) / own_seen
+    other_seen = np.bincount(of, seen, minlength=len(landmarks))[landmark] - own_seen
+    other_off = sums_each(weighted, of, len(landmarks))[landmark] - own_off
+    merged = np.flatnonzero((tracks != landmarks[landmark]) & (other_seen > 0))
+    own_seen, other_seen = own_seen[merged], other_seen[merged]
+    apart = own_off[merged] / own_seen[:, None] - other_off[merged] / other_seen[:, None]
+    apart_m = np.linalg.norm(apart, axis=1)
+    expected = np.sqrt(off.shape[1] * usual[merged] * (1 / own_seen + 1 / other_seen))
+    residual = np.divide(apart_m, expected, out=np.zeros(len(apart)), where=expected > 0)
+    return MergeResiduals(landmarks[landmark[merged]], tracks[merged], apart_m, residual)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.refinement.condensing import SegmentRows
-
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +18,8 @@ class JointRows:
     ----------
     points : (n, d) float64, segment frame, metres
     visible : (n,) uint8
-    n_seen : (n,) int64
+    n_seen : (n,) float64
+        Observations behind each row.
     segment : (n,) int64, ascending
         0 to s - 1.
     landmark : (n,) int64
@@ -37,7 +34,7 @@ class JointRows:
 
     points: NDArray[np.float64]
     visible: NDArray[np.uint8]
-    n_seen: NDArray[np.int64]
+    n_seen: NDArray[np.float64]
     segment: NDArray[np.int64]
     landmark: NDArray[np.int64]
     landmarks: NDArray[np.int64]
@@ -57,7 +54,7 @@ class JointRows:
         return cls(
             rows.points[kept],
             rows.visible[kept],
-            rows.n_seen[kept],
+            rows.n_seen[kept].astype(np.float64),
             segment,
             compact,
             landmarks,
@@ -79,49 +76,29 @@ def rows_of_each(
     return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
 
 
-def searched(
-    start: int,
-    begin: NDArray[np.int64],
-    landmark: NDArray[np.int64],
-    by_landmark: tuple[NDArray[np.int64], NDArray[np.int64]],
-    segment: NDArray[np.int64],
-    budget: int,
-) -> Generator[None, None, tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Return levels of landmarks (m,) and segments (s,), breadth-first from one landmark.
+def levels_of(
+    begin: NDArray[np.int64], landmark: NDArray[np.int64], n_landmarks: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return levels of landmarks (m,) and of what saw them (s,), beginning at an outer landmark.
 
-    Neighbours are at most one level apart.  A pause follows each `budget` of rows looked at.
+    Neighbours are at most one level apart.
 
     Parameters
     ----------
-    start : int
     begin : (s + 1,) int64
-        Where the rows of each segment begin.
-    landmark, segment : (n,) int64
-        Of each row.
-    by_landmark : (m + 1,) int64 and (n,) int64
-        See `rows_of_each`.
-    budget : int
+        Where the rows of each segment, or iteration, begin.
+    landmark : (n,) int64
+        Of each row, 0 to `n_landmarks` - 1.
+    n_landmarks : int
     """
-    from relmap.core.refinement.joint_kernels import breadth_first
+    from relmap.core.refinement.levels_kernels import breadth_first
 
-    m = len(by_landmark[0]) - 1
-    found = np.full(m, -1), np.full(len(begin) - 1, -1)
-    queue, state = np.empty(m, dtype=np.int64), np.array([0, 0, 0, start])
-    graph = begin, landmark, *by_landmark, segment
-    while not breadth_first(*graph, *found, queue, state, budget):
-        yield
+    graph = begin, landmark, *rows_of_each(landmark, n_landmarks)
+    segment = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
+    of_landmark, of_segment = breadth_first(0, *graph, segment)
+    of_landmark, of_segment = breadth_first(int(np.argmax(of_landmark)), *graph, segment)
     # Where one component ends, its last landmarks may stand a level beyond its last segments.
-    return found[0], numbered(found[1])[1]
-
-
-def at_once(steps: Generator[None, None, Result]) -> Result:
-    """Run through all steps of a computation; return its result."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as done:
-            found: Result = done.value
-            return found
+    return of_landmark, numbered(of_segment)[1]
 
 
 def numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -6,33 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
-from relmap.core.geometry.rotation_kernels import turned_by
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled
 from relmap.core.linalg.order_kernels import median
-from relmap.core.linalg.small_kernels import diagonalise, factorise, identity, product, solve
+from relmap.core.linalg.small_kernels import diagonalise, identity
 
 LEVERAGE = 20.0
 """How many times as far as what ties an iteration to its segment its other points may lie."""
-ROUNDS = 3
-"""Gauss-Newton steps within a segment; each leaves about a hundredth of the error before it."""
+ROUNDS = 10
+"""Rounds of fits within a segment; each leaves about a fifth of the error before it."""
 OUTLIER = 10.0
 """Deviation of an observation, in medians of its segment, above which it is left out."""
 EXACT = 1e-9
 """Deviation, as a share of the extent, that is taken for rounding."""
-
-
-@compiled
-def derivative(points: NDArray[np.float64], row: int, J: NDArray[np.float64]) -> None:
-    """Enter the derivative (d, q) of a row of points (n, d) by a turn and shift of its frame."""
-    J[:] = 0.0
-    if points.shape[1] == 2:
-        J[0, 0], J[1, 0] = -points[row, 1], points[row, 0]
-        J[0, 1] = J[1, 2] = 1.0
-    else:
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            J[a, b], J[a, c], J[a, a + 3] = points[row, c], -points[row, b], 1.0
 
 
 @compiled
@@ -120,103 +106,32 @@ def _mean_of(
 
 
 @compiled
-def _products(points: NDArray[np.float64], row: int, JJ: NDArray[np.float64]) -> None:
-    """Enter J'J (q, q) of the derivative J of a row of points (n, d)."""
-    d, q = points.shape[1], len(JJ)
-    J = np.empty((d, q))
-    derivative(points, row, J)
-    for a in range(q):
-        for b in range(q):
-            JJ[a, b] = 0.0
-            for c in range(d):
-                JJ[a, b] += J[c, a] * J[c, b]
-
-
-@compiled
-def _normal_matrix(
-    mean: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-    slots: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Return the matrix of the placements of some iterations, with the landmarks eliminated.
-
-    Its lower half is filled.
-    """
-    n, d = mean.shape
-    q = 3 * d - 3
-    H, JJ = np.zeros((q * len(slots), q * len(slots))), np.empty((q, q))
-    for i in range(n):
-        _products(mean, i, JJ)
-        for k in range(len(slots)):
-            for m in range(k + 1):
-                if seen[i, slots[k]] and seen[i, slots[m]] and counts[i] > 1:
-                    share = (1.0 if k == m else 0.0) - 1 / counts[i]
-                    for a in range(q):
-                        for b in range(q):
-                            H[q * k + a, q * m + b] += share * JJ[a, b]
-    for a in range(len(H)):
-        H[a, a] = H[a, a] * (1 + EXACT) + 1e-300
-    return H
-
-
-@compiled
-def _pull(
-    mean: NDArray[np.float64],
-    deviation: NDArray[np.float64],
-    slots: NDArray[np.int64],
-) -> NDArray[np.float64]:
-    """Return the negative gradient of the sum of squares by the placements of some iterations."""
-    n, d = mean.shape
-    q = 3 * d - 3
-    pull, J = np.zeros(q * len(slots)), np.empty((d, q))
-    for i in range(n):
-        derivative(mean, i, J)
-        for k in range(len(slots)):
-            for a in range(d):
-                for b in range(q):
-                    pull[q * k + b] -= J[a, b] * deviation[i, slots[k], a]
-    return pull
-
-
-@compiled
-def _move(
-    R: NDArray[np.float64], t: NDArray[np.float64], i: int, step: NDArray[np.float64]
-) -> None:
-    """Turn and shift the i-th placement by a step (q,)."""
-    d = t.shape[1]
-    by = turned_by(step[: len(step) - d])
-    turn, shift = product(by, R[i]), np.empty(d)
-    for a in range(d):
-        shift[a] = step[len(step) - d + a]
-        for b in range(d):
-            shift[a] += by[a, b] * t[i, b]
-    set_placement(R, t, i, turn, shift)
-
-
-@compiled
 def settle(
     block: NDArray[np.float64],
     seen: NDArray[np.bool_],
-    slots: NDArray[np.int64],
+    joined: NDArray[np.bool_],
     R: NDArray[np.float64],
     t: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Bring some iterations to where all of the segment agree best; R and t are changed."""
-    q = 3 * t.shape[1] - 3
-    H = np.empty((0, 0))
-    for done in range(ROUNDS + 1):
-        mean, counts, deviation = _mean_of(block, seen, R, t)
-        if done == ROUNDS:
-            break
-        if done == 0:
-            H = _normal_matrix(mean, counts, seen, slots)
-            factorise(H)
-        step = _pull(mean, deviation, slots)
-        solve(H, step)
-        for k in range(len(slots)):
-            _move(R, t, slots[k], step[q * k : q * (k + 1)])
-    return mean, counts, deviation
+    """Bring iterations to where all of the segment agree best; R and t are changed.
+
+    Each is fitted to the mean of all, in turns (generalised Procrustes analysis; Gower, 1975).
+    """
+    n, k, d = block.shape
+    here, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
+    for _ in range(ROUNDS):
+        mean, counts, _ = _mean_of(block, seen, R, t)
+        for m in range(k):
+            if not joined[m]:
+                continue
+            for i in range(n):
+                rows[i] = seen[i, m] and counts[i] > 1
+                for a in range(d):
+                    here[i, a] = block[i, m, a]
+            turn, shift, fixed, _ = fit_rows(here, mean, rows, R[m].copy())
+            if fixed:
+                set_placement(R, t, m, turn, shift)
+    return _mean_of(block, seen, R, t)
 
 
 @compiled

@@ -1,0 +1,46 @@
+"""Levels of a breadth-first search, compiled; see `relmap.core.refinement.rows.levels_of`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+Index = NDArray[np.int64]
+
+
+@compiled
+def breadth_first(
+    start: int, begin: Index, landmark: Index, entry_begin: Index, entry: Index, segment: Index
+) -> tuple[Index, Index]:
+    """Return levels of landmarks (m,) and segments (s,), from one landmark on.
+
+    `entry` lists the rows of each landmark, from `entry_begin` (m + 1,) on.  What cannot be reached
+    stands in levels of its own, after the others.
+    """
+    m = len(entry_begin) - 1
+    of_landmark, of_segment = np.full(m, -1), np.full(len(begin) - 1, -1)
+    queue, tail, head, base = np.empty(m, dtype=np.int64), 0, 0, 0
+    while tail < m or head < tail:
+        if head == tail:
+            while of_landmark[start] >= 0:
+                start = (start + 1) % m
+            of_landmark[start] = base
+            queue[tail] = start
+            tail += 1
+        here = queue[head]
+        head += 1
+        level = of_landmark[here]
+        base = level + 1
+        for e in range(entry_begin[here], entry_begin[here + 1]):
+            s = segment[entry[e]]
+            if of_segment[s] >= 0:
+                continue
+            of_segment[s] = level
+            for row in range(begin[s], begin[s + 1]):
+                if of_landmark[landmark[row]] < 0:
+                    of_landmark[landmark[row]] = level + 1
+                    queue[tail] = landmark[row]
+                    tail += 1
+    return of_landmark, of_segment

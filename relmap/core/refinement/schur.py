@@ -1,0 +1,157 @@
+"""Normal equations with some unknowns eliminated, for any kind of landmark.
+
+Each residual depends on one body that is eliminated and on a few unknowns that are kept (Schur
+complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000).  The bodies are poses;
+or points, where so many are seen at once that eliminating the poses takes longer.  Bodies that see
+nearly the same, as poses in a row do, are a stretch: what they leave of the unknowns that are kept
+is added up densely before it goes to the sparse matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.cholesky import Pattern
+
+if TYPE_CHECKING:
+    from relmap.core.refinement.schur_kernels import Bodies, Rows
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """The equations of a Gauss-Newton step.
+
+    Attributes
+    ----------
+    right : (u,) float64
+        In the order of elimination.
+    matrix : (size,) float64
+        As the pattern lays it out; empty where it was not asked for.
+    cost : float
+        Weighted squares that are left where the bodies eliminated fit best.
+    eliminated_steps : callable
+        From a step (u,) to those of the bodies (p, q).
+    """
+
+    right: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+    cost: float
+    eliminated_steps: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residuals near a state, and their Jacobians.
+
+    Attributes
+    ----------
+    off : (r,) float64
+    by_eliminated : (r, q) float64
+        By a step of the body; that of a pose is a turn, and a shift.
+    by_kept : (r, k) float64
+    """
+
+    off: NDArray[np.float64]
+    by_eliminated: NDArray[np.float64]
+    by_kept: NDArray[np.float64]
+
+
+class Elimination:
+    """Which residuals each body has, and where the equations stand in the matrix.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    kept : (r, k) int64
+        The unknowns of each residual that are kept, in the order of elimination.
+    begin, seen : (p + 1,) and (begin[-1],) int64
+        The residuals of each body, one body after another.
+    stretch : (p,) int64, ascending
+        Bodies of one stretch share no residuals with those of others.
+    times : (p,) float64, optional
+        How many bodies that saw the same each stands for; 1.
+    free, free_in_matrix : (p,) float64, optional
+        How many of these are not fixed; all.  Where what is fixed only makes the frame, it may be
+        free in the right side.
+    """
+
+    def __init__(
+        self,
+        pattern: Pattern,
+        kept: NDArray[np.int64],
+        begin: NDArray[np.int64],
+        seen: NDArray[np.int64],
+        stretch: NDArray[np.int64],
+        times: NDArray[np.float64] | None = None,
+        free: NDArray[np.float64] | None = None,
+        free_in_matrix: NDArray[np.float64] | None = None,
+    ) -> None:
+        from relmap.core.refinement.schur_kernels import numbered
+
+        self._pattern, self._kept = pattern, kept
+        times = np.ones(len(stretch)) if times is None else times
+        free = times if free is None else free
+        free_in_matrix = free if free_in_matrix is None else free_in_matrix
+        self._bodies = begin, seen, times, free, free_in_matrix
+        first = np.append(np.flatnonzero(np.diff(stretch, prepend=-1)), len(stretch))
+        self._number, starts, unknowns = numbered(first, begin, seen, kept, pattern.n_unknowns)
+        self._stretches = first, starts, unknowns
+
+    def equations(
+        self,
+        linear: Linearised,
+        weight: NDArray[np.float64],
+        hold: float,
+        with_matrix: bool,
+        along: NDArray[np.float64] | None = None,
+    ) -> NormalEquations:
+        """Return the equations of the unknowns that are kept.
+
+        Parameters
+        ----------
+        linear : Linearised
+        weight : (r,) float64
+        hold : float
+            What holds a body that hangs by too little, as a share of what holds it otherwise.
+        with_matrix : bool
+        along : (p, q) float64, optional
+            A direction in which nothing tells of a body; none.
+        """
+        from relmap.core.refinement.schur_kernels import eliminated_steps, reduced_equations
+
+        rows, bodies = self._seen(linear, weight, along)
+        matrix = np.zeros(self._pattern.size if with_matrix else 0)
+        right, layout = np.zeros(self._pattern.n_unknowns), self._pattern.layout
+        cost, roots = reduced_equations(rows, bodies, self._stretches, hold, layout, matrix, right)
+
+        def steps(step: NDArray[np.float64]) -> NDArray[np.float64]:
+            return eliminated_steps(rows, bodies, self._kept, step, roots)
+
+        return NormalEquations(right, matrix, cost, steps)
+
+    def covariances(
+        self,
+        linear: Linearised,
+        weight: NDArray[np.float64],
+        hold: float,
+        inverse: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Return the covariances (p, q, q) of the bodies, from those of what is kept."""
+        from relmap.core.refinement.schur_kernels import eliminated_covariances
+
+        rows, bodies = self._seen(linear, weight, None)
+        layout = self._pattern.layout
+        return eliminated_covariances(rows, bodies, self._stretches, hold, layout, inverse)
+
+    def _seen(
+        self, linear: Linearised, weight: NDArray[np.float64], along: NDArray[np.float64] | None
+    ) -> tuple[Rows, Bodies]:
+        """Return rows and bodies as the kernels have them."""
+        none = np.zeros((len(self._bodies[2]), linear.by_eliminated.shape[1]))
+        rows = linear.off, linear.by_eliminated, linear.by_kept, weight, self._number
+        return rows, (*self._bodies, none if along is None else along)

@@ -1,0 +1,226 @@
+"""Normal equations with some unknowns eliminated, compiled; see `relmap.core.refinement.schur`.
+
+`rows` are the residuals off (r,), their Jacobians by the body that is eliminated (r, q) and by what
+is kept (r, k), weights (r,), and the numbers (r, k) of what is kept within the stretch.  `bodies`
+are `begin` (p + 1,) and `seen`, the rows of each body; how many bodies that saw the same it stands
+for, how many of them are free in the right side, and in the matrix, (p,) each; and `along` (p, q),
+the direction in which it is held.  `stretches` are bodies in a row: `first` (g + 1,), where each
+begins, `begin` (g + 1,) and `unknowns`, those of each that are kept, ascending.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.cholesky_kernels import Layout, add_part, take_part
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.small_kernels import factorise, identity, solve
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Rows = tuple[Array, Array, Array, Array, Index]
+Bodies = tuple[Index, Index, Array, Array, Array, Array]
+Stretches = tuple[Index, Index, Index]
+
+STIFF = 1e3
+"""What holds a body along a direction in which nothing tells of it, as a share of what holds it
+otherwise."""
+
+
+@compiled
+def numbered(
+    first: Index, begin: Index, seen: Index, kept: Index, n_unknowns: int
+) -> tuple[Index, Index, Index]:
+    """Return the numbers (r, k) of what is kept within its stretch, and the unknowns of stretches.
+
+    Where those of each begin, and which they are, ascending.
+    """
+    number, starts = np.zeros_like(kept), np.zeros_like(first)
+    unknowns, place = np.empty(kept.size, dtype=np.int64), np.empty(n_unknowns, dtype=np.int64)
+    stamp = np.full(n_unknowns, -1)
+    for g in range(len(first) - 1):
+        rows, end = seen[begin[first[g]] : begin[first[g + 1]]], starts[g]
+        for row in rows:
+            for u in kept[row]:
+                if stamp[u] != g:
+                    stamp[u] = g
+                    unknowns[end] = u
+                    end += 1
+        own = np.sort(unknowns[starts[g] : end])
+        for k in range(len(own)):
+            unknowns[starts[g] + k] = own[k]
+            place[own[k]] = k
+        for row in rows:
+            for k in range(kept.shape[1]):
+                number[row, k] = place[kept[row, k]]
+        starts[g + 1] = end
+    return number, starts, unknowns[: starts[-1]]
+
+
+@compiled
+def _hold(matrix: Array, along: Array, share: float) -> None:
+    """Hold a body (q, q), turn and shift, in a direction, and a little in all."""
+    q = len(matrix)
+    d, turn, shift = (q + 3) // 3, 0.0, 0.0
+    for a in range(q):
+        if a < q - d:
+            turn = max(turn, matrix[a, a])
+        else:
+            shift += matrix[a, a]
+    for a in range(q):
+        for b in range(a + 1):
+            matrix[a, b] += STIFF * shift * along[a] * along[b]
+        matrix[a, a] += share * (turn if a < q - d else shift) + 1e-300
+
+
+@compiled
+def _whitened(
+    rows: Rows, bodies: Bodies, i: int, hold: float, root: Array, coupling: Array, pull: Array
+) -> None:
+    """Enter the Cholesky factor (q, q) of a body's matrix.
+
+    And what couples it to the unknowns of its stretch (q, u) and pulls at it (q,), both times the
+    factor's inverse.
+    """
+    off, by_eliminated, by_kept, weight, number = rows
+    begin, seen, _, _, _, along = bodies
+    for row in seen[begin[i] : begin[i + 1]]:
+        for a in range(len(root)):
+            weighted = weight[row] * by_eliminated[row, a]
+            pull[a] -= weighted * off[row]
+            for b in range(a + 1):
+                root[a, b] += weighted * by_eliminated[row, b]
+            for k in range(by_kept.shape[1]):
+                coupling[a, number[row, k]] += weighted * by_kept[row, k]
+    _hold(root, along[i], hold)
+    factorise(root)
+    for a in range(len(root)):
+        for b in range(a):
+            pull[a] -= root[a, b] * pull[b]
+            for u in range(coupling.shape[1]):
+                coupling[a, u] -= root[a, b] * coupling[b, u]
+        pull[a] /= root[a, a]
+        coupling[a] /= root[a, a]
+
+
+@compiled
+def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> float:
+    """Add what the rows of a body say of what is kept; return their weighted squares."""
+    off, _, by_kept, weight, number = rows
+    begin, seen, times, _, _, _ = bodies
+    squares = 0.0
+    for row in seen[begin[i] : begin[i + 1]]:
+        w = weight[row] * times[i]
+        squares += w * off[row] ** 2
+        for k in range(by_kept.shape[1]):
+            right[number[row, k]] -= w * by_kept[row, k] * off[row]
+            if len(part):
+                for m in range(by_kept.shape[1]):
+                    entry = w * by_kept[row, k] * by_kept[row, m]
+                    part[number[row, k], number[row, m]] += entry
+    return squares
+
+
+@compiled
+def reduced_equations(
+    rows: Rows,
+    bodies: Bodies,
+    stretches: Stretches,
+    hold: float,
+    layout: Layout,
+    values: Array,
+    right: Array,
+) -> tuple[float, Array]:
+    """Add the normal equations that are left of what is kept when the bodies are eliminated.
+
+    Parameters
+    ----------
+    hold : float
+        What holds a body that hangs by too little, as a share of what holds it otherwise.
+    layout : as `relmap.core.linalg.cholesky_kernels` has it
+    values : float64
+        The matrix, added to; nothing is where it is empty.
+    right : (u,) float64
+        Added to.
+
+    Returns
+    -------
+    cost : float
+        Weighted squares that are left with the bodies where they fit best.
+    roots : (p, q, q) float64
+        Cholesky factor of the matrix of each body.
+    """
+    first, begin, unknowns = stretches
+    _, _, times, free, free_here, _ = bodies
+    q = rows[1].shape[1]
+    roots, cost = np.zeros((len(times), q, q)), 0.0
+    place = np.empty_like(layout[1])
+    for g in range(len(begin) - 1):
+        own, n = unknowns[begin[g] : begin[g + 1]], first[g + 1] - first[g]
+        coupling, pull = np.zeros((n * q, len(own))), np.zeros(n * q)
+        for i in range(n):
+            at, body = slice(q * i, q * i + q), first[g] + i
+            _whitened(rows, bodies, body, hold, roots[body], coupling[at], pull[at])
+            cost -= free[body] * np.dot(pull[at], pull[at])
+            pull[at] *= free[body]
+        left = -np.dot(coupling.T, pull)
+        part = np.empty((0, 0))
+        if len(values):
+            for i in range(n):
+                coupling[q * i : q * i + q] *= np.sqrt(free_here[first[g] + i])
+            part = -np.dot(coupling.T, coupling)
+        for i in range(first[g], first[g + 1]):
+            cost += _add_rows(rows, bodies, i, left, part)
+        for a in range(len(own)):
+            right[own[a]] += left[a]
+        if len(values):
+            add_part(layout, own, part, values, place)
+    return cost, roots
+
+
+@compiled
+def eliminated_steps(rows: Rows, bodies: Bodies, kept: Index, step: Array, roots: Array) -> Array:
+    """Return the steps (p, q) of the bodies that belong to a step (u,) of what is kept.
+
+    `kept` (r, k) are the unknowns of each row that are kept, `roots` as from `reduced_equations`.
+    """
+    off, by_eliminated, by_kept, weight, _ = rows
+    begin, seen, _, free, _, _ = bodies
+    steps = np.zeros((len(roots), by_eliminated.shape[1]))
+    for i in range(len(steps)):
+        for row in seen[begin[i] : begin[i + 1]]:
+            left = off[row]
+            for k in range(by_kept.shape[1]):
+                left += by_kept[row, k] * step[kept[row, k]]
+            for a in range(steps.shape[1]):
+                steps[i, a] -= weight[row] * by_eliminated[row, a] * left
+        solve(roots[i], steps[i])
+        steps[i] *= free[i] > 0
+    return steps
+
+
+@compiled
+def eliminated_covariances(
+    rows: Rows, bodies: Bodies, stretches: Stretches, hold: float, layout: Layout, inverse: Array
+) -> Array:
+    """Return the covariances (p, q, q) of the bodies, from the inverse over what is kept."""
+    first, begin, unknowns = stretches
+    q, place = rows[1].shape[1], np.empty_like(layout[1])
+    found = np.empty((first[-1], q, q))
+    for g in range(len(begin) - 1):
+        own = unknowns[begin[g] : begin[g + 1]]
+        kept = np.empty((len(own), len(own)))
+        take_part(layout, own, inverse, kept, place)
+        for i in range(first[g], first[g + 1]):
+            root, coupling, pull = np.zeros((q, q)), np.zeros((q, len(own))), np.zeros(q)
+            _whitened(rows, bodies, i, hold, root, coupling, pull)
+            whitened = np.dot(np.dot(coupling, kept), coupling.T) + identity(q)
+            for a in range(q):
+                unit = np.zeros(q)
+                unit[a] = 1.0
+                solve(root, unit)
+                found[i, a] = unit
+            half = np.dot(found[i], np.dot(root, whitened))
+            found[i] = np.dot(half, np.dot(root.T, found[i]))
+    return found
