@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relmap.core.association.base import UNIDENTIFIED, Numbering, middle, nearest, nearest_claim
-from relmap.core.association.placement import Placement, agreeing_pairs, trimmed_fit
+from relmap.core.association.placement import (
+    DISTINCT,
+    Placement,
+    consistent_placements,
+    trimmed_fit,
+)
 from relmap.core.association.tracks import LiveTracks
 
 ENOUGH = 3
@@ -36,8 +41,6 @@ NEARBY = 0.2
 """How far these two may have moved, in spacings."""
 REACH = 1.6
 """How far the wider search goes, in spacings."""
-DISTINCT = 0.8
-"""Share of the matches of the best placement that the next best may have."""
 IDLE_STEP, LONG_IDLE = 10, 20
 """Scans without landmarks after which the search goes as far again, and most that count."""
 CONTINUITY = 0.15
@@ -234,19 +237,11 @@ class Constellation:
         if len(row) < ENOUGH:
             return None
         pairs = np.column_stack([known[row], target[row, column]])
-        tolerance_m = 1.5 * self._tolerance_m
-        agreeing = pairs[agreeing_pairs(tracks.expected, points, pairs, tolerance_m)]
-        if len(agreeing) < ENOUGH:
-            return None
-        placement = trimmed_fit(
-            tracks.expected[agreeing[:, 0]], points[agreeing[:, 1]], self._tolerance_m
-        )
-        if placement is None or placement.n_agreeing < ENOUGH:
-            return None
-        off = placement.apply(tracks.expected[pairs[:, 0]]) - points[pairs[:, 1]]
-        others = pairs[np.linalg.norm(off, axis=1) > self._tolerance_m]
-        rival = len(agreeing_pairs(tracks.expected, points, others, tolerance_m))
-        return placement if rival <= DISTINCT * len(agreeing) else None
+        limits = 1.5 * self._tolerance_m, self._tolerance_m
+        found = consistent_placements(tracks.expected, points, pairs, *limits)
+        placement, matches = next(found, (None, pairs[:0]))
+        _, rival = next(found, (None, pairs[:0]))
+        return placement if len(rival) <= DISTINCT * len(matches) else None
 
     def _links(
         self, carried: LiveTracks, points: NDArray[np.float64]

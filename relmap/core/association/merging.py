@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relmap.core.association.base import middle, nearest
-from relmap.core.association.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.placement import consistent_placements
 from relmap.core.association.tying import neighbourhoods
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
@@ -183,25 +183,19 @@ class Merger:
         return bool(later and self._model.may_be(table, new, old))
 
     def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
-        new, old = self._table.position[pairs[:, 0]], self._table.position[pairs[:, 1]]
-        apart = np.linalg.norm(new - old, axis=1)
+        at = self._table.position
+        apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
         if (apart <= tolerance_m).any():
             return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
-        pairs, new, old = pairs[:CANDIDATES], new[:CANDIDATES], old[:CANDIDATES]
-        rows = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
-        first_new, first_old = (np.unique(column, return_index=True)[1] for column in rows.T)
-        agreeing = agreeing_pairs(new[first_new], old[first_old], rows, tolerance_m)
-        enough = max(ENOUGH + (new.shape[1] == 3), SHARE * len(first_new))
-        shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
+        pairs = pairs[:CANDIDATES]
+        enough = max(ENOUGH + (at.shape[1] == 3), SHARE * len(np.unique(pairs[:, 0])))
+        found = consistent_placements(at, at, pairs, tolerance_m, tolerance_m)
+        shift, pairs = next(found, (None, pairs))
         if shift is None or shift.n_agreeing < enough:
             return np.empty((0, 2), dtype=np.int64)
-        there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
-        pairs = pairs[agreeing[there <= tolerance_m]]
+        off = np.linalg.norm(shift.apply(at[pairs[:, 0]]) - at[pairs[:, 1]], axis=1)
+        pairs = pairs[off <= tolerance_m]
         return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
-
-
-def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.asarray(np.unique(values, return_inverse=True)[1])
 
 
 def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
