@@ -100,62 +100,42 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
 
 
 @compiled
-def _cheapest_path(
-    worth: Array, start: int, column_of: NDArray[np.int64], price_column: Array, price_row: Array
-) -> tuple[int, NDArray[np.int64]]:
-    """Find the shortest path from a column to a free row, and make prices follow (Dijkstra).
-
-    Returns that row, and for each row the column before it on its path.
-    """
-    rows, n = len(price_row), len(worth)
-    least, before = np.full(rows, np.inf), np.full(rows, -1)
-    done = np.zeros(rows, dtype=np.bool_)
-    column, total = start, 0.0
-    while True:
-        best, row = np.inf, -1
-        for r in range(rows):
-            if done[r]:
-                continue
-            if r < n or r == n + column:
-                cost = -worth[r, column] if r < n else 0.0
-                reach = total + cost - price_column[column] - price_row[r]
-                if reach < least[r]:
-                    least[r], before[r] = reach, column
-            if least[r] < best:
-                best, row = least[r], r
-        total = best
-        if column_of[row] < 0:
-            break
-        done[row] = True
-        column = column_of[row]
-    for r in range(rows):
-        if done[r]:
-            price_column[column_of[r]] += total - least[r]
-            price_row[r] -= total - least[r]
-    price_column[start] += total
-    return row, before
-
-
-@compiled
 def assigned(worth: Array) -> NDArray[np.int64]:
     """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
 
     -1 where a column gets none or one that is worth 0.  Shortest augmenting paths (Jonker and
-    Volgenant, 1987); every column could also take a row of its own, n + j, that is worth nothing.
+    Volgenant, 1987), with rows that are worth nothing where there are more columns.
     """
-    n, m = worth.shape
-    row_of, column_of = np.full(m, -1), np.full(n + m, -1)
-    price_column, price_row = np.zeros(m), np.zeros(n + m)
+    (n, m), rows = worth.shape, max(worth.shape)
+    column_of, price_column, price_row = np.full(rows, -1), np.zeros(m), np.zeros(rows)
     for start in range(m):
-        row, before = _cheapest_path(worth, start, column_of, price_column, price_row)
-        column = -1
-        while column != start:
-            column = before[row]
-            column_of[row] = column
-            row, row_of[column] = row_of[column], row
-    for j in range(m):
-        if row_of[j] >= n or worth[row_of[j], j] <= 0:
-            row_of[j] = -1
+        least, before = np.full(rows, np.inf), np.full(rows, -1)
+        done, column, last = np.zeros(rows, dtype=np.bool_), start, -1
+        while column >= 0:
+            best, row = np.inf, -1
+            for r in range(rows):
+                if not done[r]:
+                    cost = -worth[r, column] if r < n else 0.0
+                    reach = cost - price_column[column] - price_row[r]
+                    if reach < least[r]:
+                        least[r], before[r] = reach, last
+                    if least[r] < best:
+                        best, row = least[r], r
+            price_column[start] += best
+            for r in range(rows):
+                if done[r]:
+                    price_column[column_of[r]] += best
+                    price_row[r] -= best
+                else:
+                    least[r] -= best
+            done[row], last, column = True, row, column_of[row]
+        while last >= 0:
+            row, last = last, before[last]
+            column_of[row] = column_of[last] if last >= 0 else start
+    row_of = np.full(m, -1)
+    for r in range(n):
+        if column_of[r] >= 0 and worth[r, column_of[r]] > 0:
+            row_of[column_of[r]] = r
     return row_of
 
 
