@@ -1,4 +1,4 @@
-"""Matching walls, compiled; see `relmap.planes.matching` and `relmap.planes.placement`.
+"""Matching walls by normal, offset and gap along the wall (section II), compiled.
 
 `tracks` are angle (n,), offset (n,), ends (n, 2, 2), sd (n,) and corner_at (n, 2, 2) of tracks;
 `seen` are ends (m, 2, 2), along (m, 2), normal (m, 2), size (m,), sd (m,) and static (m, 2) of the
@@ -13,20 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
-from relmap.planes.matching import (
-    ACROSS_M,
-    BEYOND,
-    CLOSE,
-    GAP_M,
-    SIGMAS,
-    TURN_RAD,
-    WIDEST_TURN_RAD,
-)
 
 Array = NDArray[np.float64]
 Tracks = tuple[Array, Array, Array, Array, Array]
 Seen = tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]
 
+SIGMAS = 4.0
+"""Tolerance, in standard deviations of what two walls differ by."""
+TURN_RAD = np.deg2rad(8.0)
+ACROSS_M = 0.12
+GAP_M = 0.4
+"""How far one wall may be off in two scans, whatever the noise: walls are not quite flat, and their
+ends not quite where they are seen."""
+WIDEST_TURN_RAD = 0.5
+"""What noise may add to the tolerance of the turn at most."""
+CLOSE = 0.3
+BEYOND = 0.3
+"""What a wall at the edge of a tolerance is worth less than one that agrees exactly."""
 NEAR_M = 0.5
 """A corner farther off than this, along its wall, does not pull at a motion."""
 CORNER = 0.3
@@ -100,6 +103,38 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
 
 
 @compiled
+def _cheapest_path(
+    worth: Array, start: int, column_of: NDArray[np.int64], price_column: Array, price_row: Array
+) -> tuple[int, NDArray[np.int64]]:
+    """Find the shortest path from a column to a free row, and make prices follow (Dijkstra).
+
+    Returns that row, and for each row the one before it on its path.
+    """
+    n, rows = len(worth), len(price_row)
+    least, before, done = np.full(rows, np.inf), np.full(rows, -1), np.zeros(rows, dtype=np.bool_)
+    column, last = start, -1
+    while column >= 0:
+        best, row = np.inf, -1
+        for r in range(rows):
+            if not done[r]:
+                cost = -worth[r, column] if r < n else 0.0
+                reach = cost - price_column[column] - price_row[r]
+                if reach < least[r]:
+                    least[r], before[r] = reach, last
+                if least[r] < best:
+                    best, row = least[r], r
+        price_column[start] += best
+        for r in range(rows):
+            if done[r]:
+                price_column[column_of[r]] += best
+                price_row[r] -= best
+            else:
+                least[r] -= best
+        done[row], last, column = True, row, column_of[row]
+    return last, before
+
+
+@compiled
 def assigned(worth: Array) -> NDArray[np.int64]:
     """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
 
@@ -109,26 +144,7 @@ def assigned(worth: Array) -> NDArray[np.int64]:
     (n, m), rows = worth.shape, max(worth.shape)
     column_of, price_column, price_row = np.full(rows, -1), np.zeros(m), np.zeros(rows)
     for start in range(m):
-        least, before = np.full(rows, np.inf), np.full(rows, -1)
-        done, column, last = np.zeros(rows, dtype=np.bool_), start, -1
-        while column >= 0:
-            best, row = np.inf, -1
-            for r in range(rows):
-                if not done[r]:
-                    cost = -worth[r, column] if r < n else 0.0
-                    reach = cost - price_column[column] - price_row[r]
-                    if reach < least[r]:
-                        least[r], before[r] = reach, last
-                    if least[r] < best:
-                        best, row = least[r], r
-            price_column[start] += best
-            for r in range(rows):
-                if done[r]:
-                    price_column[column_of[r]] += best
-                    price_row[r] -= best
-                else:
-                    least[r] -= best
-            done[row], last, column = True, row, column_of[row]
+        last, before = _cheapest_path(worth, start, column_of, price_column, price_row)
         while last >= 0:
             row, last = last, before[last]
             column_of[row] = column_of[last] if last >= 0 else start

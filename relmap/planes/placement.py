@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.planes.matching import Match
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.tracks import PlaneTracks
 
@@ -48,14 +47,24 @@ class PlanarMotion:
     yaw: float
     t: NDArray[np.float64]
 
-    def then(self, other: PlanarMotion) -> PlanarMotion:
-        """Return this motion followed by another."""
-        c, s = np.cos(other.yaw), np.sin(other.yaw)
-        turned = np.array([c * self.t[0] - s * self.t[1], s * self.t[0] + c * self.t[1]])
-        return PlanarMotion(self.yaw + other.yaw, turned + other.t)
-
 
 STILL = PlanarMotion(0.0, np.zeros(2))
+
+
+@dataclass(frozen=True, eq=False)
+class Match:
+    """Walls of a scan and the tracks that they continue, one to one.
+
+    Attributes
+    ----------
+    tracks, walls : (k,) int64
+    score : float
+        How well they agree: each wall counts for 1 at most, each corner too.
+    """
+
+    tracks: NDArray[np.int64]
+    walls: NDArray[np.int64]
+    score: float
 
 
 def place(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association.tracks import Tracks
 from relmap.planes.observation import PlaneObservation
 
 MEMORY = 8
@@ -16,7 +17,7 @@ NO_CORNER = -1
 
 
 @dataclass(eq=False)
-class PlaneTracks:
+class PlaneTracks(Tracks):
     """Walls in the robot frame of one iteration, carried along where they were not seen; n walls.
 
     Attributes
@@ -71,10 +72,6 @@ class PlaneTracks:
             np.ones(n, dtype=np.int64),
         )
 
-    def __len__(self) -> int:
-        """Return the number of walls."""
-        return len(self.plane)
-
     @property
     def normal(self) -> NDArray[np.float64]:
         """Unit vectors (n, 2) towards where the robot was."""
@@ -114,19 +111,6 @@ class PlaneTracks:
         self.offset[rows] = now - (1 - share) * across
         self.ends[rows] = seen.ends[at]
         self.sd[rows] = seen.sd[at]
-
-    def kept(self, rows: NDArray[np.bool_]) -> PlaneTracks:
-        """Return some of the tracks."""
-        return PlaneTracks(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-    def joined(self, other: PlaneTracks) -> PlaneTracks:
-        """Return these tracks and others."""
-        return PlaneTracks(
-            *(
-                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
-                for field in fields(self)
-            )
-        )
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
