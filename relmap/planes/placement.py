@@ -1,6 +1,8 @@
 """Where the frame of the tracks lies in that of a scan: the motion on which most walls agree.
 
-As with points it is a rough one, good for telling who is who, and forgotten afterwards.
+As with points it is a rough one, good for telling who is who, and forgotten afterwards.  It is not
+looked for by the largest consistent set, as with points (`relmap.core.association.placement`): that
+of the corners alone, which hold it, broke csail into 91 submaps, not 58, and fhw into 42, not 35.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.association.base import middle, nearest
 from relmap.core.association.placement import consistent_placements
+from relmap.core.association.scale import spacing_of
 from relmap.core.association.tying import neighbourhoods
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
@@ -157,11 +157,8 @@ class Merger:
     def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
         reach_m = self._model.drift_m
         if reach_m is None:
-            positions = self._table.position[landmarks]
-            if len(positions) < 2:
-                return None
-            reach_m = REACH * middle(nearest(cKDTree(positions), positions, 2)[0][:, 1])
-        return SpatialIndex(self._table, reach_m) if reach_m > 0 else None
+            reach_m = REACH * spacing_of(self._table.position[landmarks])
+        return SpatialIndex(self._table, reach_m) if 0 < reach_m < np.inf else None
 
     def _ask(self, new: int) -> None:
         """Look for old landmarks near a new one."""
