@@ -61,7 +61,6 @@ def test_what_fewer_than_three_scans_vote_for_closes_nothing(
         """Let some later scans match scan 10, each by walls 1 and 7, and by 4 and 4."""
         scans = np.array([[i, 10] for i in later])
         matched = (drift, np.array([[1, 7], [4, 4]]))
-        monkeypatch.setattr(closing, "_observation", lambda *_: None)
         monkeypatch.setattr(closing, "_earlier", lambda _: scans)
         monkeypatch.setattr(closing, "_matched", lambda *_: matched)
         nothing: Any = None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
@@ -27,8 +28,6 @@ VISITS = 4
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """How far apart two scans are at most that are compared, as far as the map knows."""
-AT_ONCE = 1_000_000
-"""So many pairs of scans are looked at at once, to bound memory."""
 ENOUGH = 3
 """Walls that must match."""
 SHARE = 0.5
@@ -48,9 +47,8 @@ Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
-    seen = _observation(assembled, history)
     for i, j in _earlier(assembled).tolist():
-        matched = _matched(assembled, seen, j, i)
+        matched = _matched(assembled, history, j, i)
         if matched is not None:
             found.append((i, j, *matched))
     pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
@@ -76,33 +74,33 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
     nearest visits.
     """
-    n = len(assembled.iterations)
-    later = np.arange(0, n, 1 + n // COMPARED)
-    blocks = np.array_split(later, 1 + len(later) * n // AT_ONCE)
-    return np.concatenate([_earlier_than(block, assembled) for block in blocks])
+    state, iterations = assembled.state, assembled.iterations
+    later = np.arange(0, len(iterations), 1 + len(iterations) // COMPARED)
+    near = cKDTree(state.t[later]).sparse_distance_matrix(
+        cKDTree(state.t), NEAR_M, output_type="ndarray"
+    )
+    i, before = later[near["i"]], near["j"].astype(np.int64)
+    turned = np.abs(wrapped(state.yaw[before] - state.yaw[i]))
+    cost = near["v"] + turned
+    kept = (iterations[i] - iterations[before] > LONG_AGO) & (turned < TURNED_RAD)
+    pairs, cost = np.column_stack([i, before])[kept], cost[kept]
+    # The best scan of each visit, and then the best visits of each later scan.
+    pairs, cost = _best(pairs, cost, pairs[:, 0] * len(iterations) + pairs[:, 1] // VISIT, 1)
+    return _best(pairs, cost, pairs[:, 0], VISITS)[0]
 
 
-def _earlier_than(later: NDArray[np.int64], assembled: Assembled) -> NDArray[np.int64]:
-    """Return the same for some later scans (k,)."""
-    state, n = assembled.state, len(assembled.iterations)
-    (dx, dy) = (axis[later, None] - axis for axis in state.t.T)
-    ago = assembled.iterations[later, None] - assembled.iterations
-    k, before = np.nonzero((dx * dx + dy * dy < NEAR_M**2) & (ago > LONG_AGO))
-    turned = np.abs(wrapped(state.yaw[before] - state.yaw[later[k]]))
-    cost = (np.hypot(dx[k, before], dy[k, before]) + turned)[turned < TURNED_RAD]
-    k, before = k[turned < TURNED_RAD], before[turned < TURNED_RAD]
-    order = np.lexsort((cost, before // VISIT, k))
-    k, before, cost = k[order], before[order], cost[order]
-    nearest = np.diff(k * n + before // VISIT, prepend=-1) > 0
-    k, before, cost = k[nearest], before[nearest], cost[nearest]
-    order = np.lexsort((cost, k))
-    k, before = k[order], before[order]
-    kept = np.arange(len(k)) - np.searchsorted(k, k) < VISITS
-    return np.column_stack([later[k[kept]], before[kept]])
+def _best(
+    pairs: NDArray[np.int64], cost: NDArray[np.float64], group: NDArray[np.int64], most: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the pairs (k, 2) that cost least of each group (k,), so many at most."""
+    order = np.lexsort((pairs[:, 1], cost, group))
+    group = group[order]
+    order = order[np.arange(len(group)) - np.searchsorted(group, group) < most]
+    return pairs[order], cost[order]
 
 
 def _matched(
-    assembled: Assembled, seen: PlaneObservation, j: int, i: int
+    assembled: Assembled, history: PlaneHistory, j: int, i: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
     """Match an earlier scan to a later one.
 
@@ -112,12 +110,11 @@ def _matched(
         yaw, x, y by which the motion found differs from the map's, in the map's axes.
     walls : (k, 2) int64
     """
-    begin, end = np.searchsorted(assembled.given.iteration, [[j, i], [j + 1, i + 1]])
-    if (end - begin).min() < ENOUGH:
-        return None
-    (earlier, earlier_wall), (later, later_wall) = (
-        (seen.only(rows), assembled.given.wall[rows]) for rows in map(slice, begin, end)
+    (earlier_wall, earlier), (later_wall, later) = (
+        _scan(assembled, history, iteration) for iteration in (j, i)
     )
+    if min(len(earlier), len(later)) < ENOUGH:
+        return None
     expected = _motion(assembled, j, i)
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
@@ -134,17 +131,16 @@ def _matched(
     return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
 
 
-def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
-    """Return all that was seen, scan after scan."""
-    rows = assembled.rows
-    ends = history.ends[rows]
-    along = ends[:, 1] - ends[:, 0]
-    size = np.linalg.norm(along, axis=1)
-    along = along / size[:, None]
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    offset = (normal * ends.mean(axis=1)).sum(axis=1)
-    static, sd = history.corner[rows] >= 0, history.sd[rows]
-    return PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
+def _scan(
+    assembled: Assembled, history: PlaneHistory, iteration: int
+) -> tuple[NDArray[np.int64], PlaneObservation]:
+    """Return the compact numbers (m,) of the walls seen in an iteration, and the walls."""
+    given = assembled.given
+    own = slice(*np.searchsorted(given.iteration, [iteration, iteration + 1]))
+    rows = assembled.rows[own]
+    static, z_extent = history.corner[rows] >= 0, history.z_extent[rows]
+    seen = PlaneObservation.of(history.ends[rows], static, history.sd[rows], z_extent)
+    return given.wall[own], seen
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:
