@@ -97,7 +97,7 @@ def place(
     """
     from relmap.planes.matching_kernels import guesses
 
-    arrays = _arrays(tracks), _seen(seen)
+    arrays = tracks.arrays, _seen(seen)
     best, still = (_settled(*arrays, guess) for guess in (before, STILL))
     if still[1].score > best[1].score + HALTED:
         best = still
@@ -134,11 +134,6 @@ def worth(
         float(recent.sum() + np.isfinite(tracks.corner_at[recent, :, 0]).sum()),
         float(len(seen) + seen.static.sum()),
     )
-
-
-def _arrays(tracks: PlaneTracks) -> Any:
-    """Return what the kernels know of tracks."""
-    return tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at
 
 
 def _seen(seen: PlaneObservation) -> Any:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,24 +79,20 @@ class PlaneTracks(Tracks):
         """Unit vectors (n, 2) towards where the robot was."""
         return np.column_stack([np.cos(self.angle), np.sin(self.angle)])
 
+    @property
+    def arrays(self) -> Any:
+        """What the compiled matching knows of the tracks."""
+        return self.angle, self.offset, self.ends, self.sd, self.corner_at
+
     def carried(self, yaw: float, t: NDArray[np.float64]) -> PlaneTracks:
         """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
-        c, s = np.cos(yaw), np.sin(yaw)
-        R_T = np.array([[c, s], [-s, c]])
-        angle = self.angle + yaw
-        offset = self.offset + np.cos(angle) * t[0] + np.sin(angle) * t[1]
-        return PlaneTracks(
-            self.plane,
-            angle,
-            offset,
-            self.ends @ R_T + t,
-            self.sd,
-            self.corner.copy(),
-            self.corner_at @ R_T + t,
-            self.corner_seen.copy(),
-            self.missed.copy(),
-            self.seen.copy(),
+        from relmap.planes.matching_kernels import carried
+
+        there = deepcopy(self)
+        there.angle, there.offset, there.ends, _, there.corner_at = carried(
+            self.arrays, np.array([yaw, *t])
         )
+        return there
 
     def see(self, rows: NDArray[np.int64], seen: PlaneObservation, at: NDArray[np.int64]) -> None:
         """Note that walls `at` (k,) of a scan go on with tracks `rows`, and others were missed."""
