@@ -51,6 +51,11 @@ def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.
         matched = _matched(assembled, history, j, i)
         if matched is not None:
             found.append((i, j, *matched))
+    return voted(found)
+
+
+def voted(found: list[Loop]) -> NDArray[np.int64]:
+    """Return pairs (k, 2) of walls, different ones, of all loops that enough scans vote for."""
     pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])

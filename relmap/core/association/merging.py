@@ -145,7 +145,7 @@ class Merger:
             return np.empty((0, 2), dtype=np.int64)
         spread_m = self._model.position_spread * noise_m
         tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
-        return self._choose(np.array(pairs), tolerance_m)
+        return chosen(self._table.position, np.array(pairs), tolerance_m)
 
     def relabel(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
@@ -179,31 +179,46 @@ class Merger:
         later = same_submap and table.is_later(new, old)
         return bool(later and self._model.may_be(table, new, old))
 
-    def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
-        at = self._table.position
-        apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
-        if (apart <= tolerance_m).any():
-            return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
-        pairs = pairs[:CANDIDATES]
-        enough = max(ENOUGH + (at.shape[1] == 3), SHARE * len(np.unique(pairs[:, 0])))
-        found = consistent_placements(at, at, pairs, tolerance_m, tolerance_m)
-        shift, pairs = next(found, (None, pairs))
-        if shift is None or shift.n_agreeing < enough:
-            return np.empty((0, 2), dtype=np.int64)
-        off = np.linalg.norm(shift.apply(at[pairs[:, 0]]) - at[pairs[:, 1]], axis=1)
-        pairs = pairs[off <= tolerance_m]
-        return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
+
+def chosen(
+    position: NDArray[np.float64], pairs: NDArray[np.int64], tolerance_m: float
+) -> NDArray[np.int64]:
+    """Return which of the pairs (k, 2) of landmarks are one, by where they are mapped.
+
+    Those that lie on one another; where none do, those of the largest set that one rigid motion
+    brings together, for the drift is common to all.
+
+    Parameters
+    ----------
+    position : (n, d) float64, map frame, metres
+        Of all landmarks.
+    pairs : (k, 2) int64
+        Candidates: a new landmark, and an old one that it may be.
+    tolerance_m : float
+    """
+    apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+    if (apart <= tolerance_m).any():
+        return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+    pairs = pairs[:CANDIDATES]
+    enough = max(ENOUGH + (position.shape[1] == 3), SHARE * len(np.unique(pairs[:, 0])))
+    found = consistent_placements(position, position, pairs, tolerance_m, tolerance_m)
+    shift, pairs = next(found, (None, pairs))
+    if shift is None or shift.n_agreeing < enough:
+        return np.empty((0, 2), dtype=np.int64)
+    off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
+    pairs = pairs[off <= tolerance_m]
+    return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
 
 
 def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
-    chosen: list[tuple[int, int]] = []
+    unique: list[tuple[int, int]] = []
     taken: set[int] = set()
     for new, old in pairs[np.argsort(distance, kind="stable")].tolist():
         if new not in taken and old not in taken:
-            chosen.append((new, old))
+            unique.append((new, old))
             taken.update((new, old))
-    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    return np.array(unique, dtype=np.int64).reshape(-1, 2)
 
 
 def merge_doubles(
