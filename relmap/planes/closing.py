@@ -47,8 +47,9 @@ Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
+    seen = _observation(assembled, history)
     for i, j in _earlier(assembled).tolist():
-        matched = _matched(assembled, history, j, i)
+        matched = _matched(assembled, seen, j, i)
         if matched is not None:
             found.append((i, j, *matched))
     return voted(found)
@@ -105,7 +106,7 @@ def _best(
 
 
 def _matched(
-    assembled: Assembled, history: PlaneHistory, j: int, i: int
+    assembled: Assembled, seen: PlaneObservation, j: int, i: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
     """Match an earlier scan to a later one.
 
@@ -115,11 +116,12 @@ def _matched(
         yaw, x, y by which the motion found differs from the map's, in the map's axes.
     walls : (k, 2) int64
     """
-    (earlier_wall, earlier), (later_wall, later) = (
-        _scan(assembled, history, iteration) for iteration in (j, i)
-    )
-    if min(len(earlier), len(later)) < ENOUGH:
+    begin, end = np.searchsorted(assembled.given.iteration, [[j, i], [j + 1, i + 1]])
+    if (end - begin).min() < ENOUGH:
         return None
+    (earlier, earlier_wall), (later, later_wall) = (
+        (seen.only(rows), assembled.given.wall[rows]) for rows in map(slice, begin, end)
+    )
     expected = _motion(assembled, j, i)
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
@@ -136,16 +138,17 @@ def _matched(
     return drift, np.column_stack([earlier_wall[match.tracks], later_wall[match.walls]])
 
 
-def _scan(
-    assembled: Assembled, history: PlaneHistory, iteration: int
-) -> tuple[NDArray[np.int64], PlaneObservation]:
-    """Return the compact numbers (m,) of the walls seen in an iteration, and the walls."""
-    given = assembled.given
-    own = slice(*np.searchsorted(given.iteration, [iteration, iteration + 1]))
-    rows = assembled.rows[own]
-    static, z_extent = history.corner[rows] >= 0, history.z_extent[rows]
-    seen = PlaneObservation.of(history.ends[rows], static, history.sd[rows], z_extent)
-    return given.wall[own], seen
+def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
+    """Return all that was seen, scan after scan."""
+    rows = assembled.rows
+    ends = history.ends[rows]
+    along = ends[:, 1] - ends[:, 0]
+    size = np.linalg.norm(along, axis=1)
+    along = along / size[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    offset = (normal * ends.mean(axis=1)).sum(axis=1)
+    static, sd = history.corner[rows] >= 0, history.sd[rows]
+    return PlaneObservation(ends, static, along, normal, offset, size, sd, history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:

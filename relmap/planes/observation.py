@@ -50,22 +50,6 @@ class PlaneObservation:
     sd: NDArray[np.float64]
     z_extent: NDArray[np.float64]
 
-    @classmethod
-    def of(
-        cls,
-        ends: NDArray[np.float64],
-        static: NDArray[np.bool_],
-        sd: NDArray[np.float64],
-        z_extent: NDArray[np.float64],
-    ) -> PlaneObservation:
-        """Return walls with the ends given, none of them of no length."""
-        across = ends[:, 1] - ends[:, 0]
-        size = np.hypot(across[:, 0], across[:, 1])
-        along = across / size[:, None]
-        normal = np.column_stack([-along[:, 1], along[:, 0]])
-        offset = (normal * ends.mean(axis=1)).sum(axis=1)
-        return cls(ends, static, along, normal, offset, size, sd, z_extent)
-
     def __len__(self) -> int:
         """Return the number of walls."""
         return len(self.ends)
@@ -96,15 +80,21 @@ def checked_planes(planes: Any) -> PlaneObservation:
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
-    kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
-    static = kind.reshape(m, 2)[kept] == "corner"
-    seen = PlaneObservation.of(ends[kept], static, sd[kept], z_extent[kept])
-    if (seen.offset > 0).any():
-        wall = int(np.flatnonzero(kept)[np.argmax(seen.offset > 0)])
+    across = ends[:, 1] - ends[:, 0]
+    size = np.hypot(across[:, 0], across[:, 1])
+    kept = size > SHORTEST_M
+    ends, size, kind = ends[kept], size[kept], kind.reshape(m, 2)[kept]
+    along = across[kept] / size[:, None]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    offset = (normal * ends.mean(axis=1)).sum(axis=1)
+    if (offset > 0).any():
+        wall = int(np.flatnonzero(kept)[np.argmax(offset > 0)])
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
-    return seen
+    return PlaneObservation(
+        ends, kind == "corner", along, normal, offset, size, sd[kept], z_extent[kept]
+    )
 
 
 def checked_ends(ends: Any) -> NDArray[np.float64]:
