@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap.core.association.clique_kernels import agreeing, largest_clique
-from relmap.core.association.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.placement import consistent_set, trimmed_fit
 from tests.worlds import random_rotation
 
 N, SIGMA = 30, 0.05
@@ -54,7 +54,7 @@ def all_to_all(
 def test_views_that_share_little_are_matched_without_any_gate(overlap: float, d: int) -> None:
     for seed in range(20):
         here, there, pairs = all_to_all(seed, overlap, d)
-        chosen = pairs[agreeing_pairs(here, there, pairs, 4 * SIGMA)]
+        chosen = pairs[consistent_set(here, there, pairs, 4 * SIGMA)]
         placement = trimmed_fit(here[chosen[:, 0]], there[chosen[:, 1]], 4 * SIGMA)
         assert placement is not None
         shared = int(N * overlap)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap.core.association.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.placement import consistent_set, trimmed_fit
 from relmap.core.geometry.alignment import fit_rigid
 from tests.worlds import random_rotation
 
@@ -60,7 +60,7 @@ def largest_clique(agree: NDArray[np.bool_]) -> int:
 
 @settings(max_examples=60)
 @given(seeds, dimensions, st.sampled_from([0.1, 1.0]))
-def test_agreeing_pairs_are_the_largest_set_that_agrees(
+def test_the_consistent_set_is_the_largest_set_that_agrees(
     seed: int, d: int, tolerance_m: float
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -69,7 +69,7 @@ def test_agreeing_pairs_are_the_largest_set_that_agrees(
     target = source @ random_rotation(d, 3.0, rng).T + rng.uniform(-9, 9, d)
     candidates = np.vstack([np.column_stack([np.arange(n)] * 2), rng.integers(0, n, (7, 2))])
     pairs = rng.permutation(np.unique(candidates, axis=0))
-    chosen = agreeing_pairs(source, target, pairs, tolerance_m)
+    chosen = consistent_set(source, target, pairs, tolerance_m)
     a, b = pairs.T
     here = np.linalg.norm(source[a][:, None] - source[a], axis=2)
     there = np.linalg.norm(target[b][:, None] - target[b], axis=2)

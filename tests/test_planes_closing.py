@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from relmap import PlaneMapper
-from relmap.planes import closing
+from relmap.planes.closing import voted
 from tests.test_planes import seen_from
 
 STREET = np.array(
@@ -52,20 +51,13 @@ def test_a_loop_is_closed_however_far_the_map_has_drifted() -> None:
     assert gap_m() < 0.02
 
 
-def test_what_fewer_than_three_scans_vote_for_closes_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    drift = np.array([0.0, 2.0, 0.0])
+def test_what_fewer_than_three_scans_vote_for_closes_nothing() -> None:
+    drift, matched = np.array([0.0, 2.0, 0.0]), np.array([[1, 7], [4, 4]])
 
     def seen_again(later: list[int]) -> list[list[int]]:
         """Let some later scans match scan 10, each by walls 1 and 7, and by 4 and 4."""
-        scans = np.array([[i, 10] for i in later])
-        matched = (drift, np.array([[1, 7], [4, 4]]))
-        monkeypatch.setattr(closing, "_observation", lambda *_: None)
-        monkeypatch.setattr(closing, "_earlier", lambda _: scans)
-        monkeypatch.setattr(closing, "_matched", lambda *_: matched)
-        nothing: Any = None
-        return closing.walls_seen_again(nothing, nothing).tolist()  # type: ignore[no-any-return]
+        found: list[list[int]] = voted([(i, 10, drift, matched) for i in later]).tolist()
+        return found
 
     assert seen_again([500]) == []
     assert seen_again([500, 504]) == []

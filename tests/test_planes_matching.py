@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from relmap.planes.matching_kernels import assigned, carried
+from relmap.planes.matching_kernels import assigned
 from relmap.planes.observation import checked_planes
 from relmap.planes.placement import STILL, place
 from relmap.planes.tracks import PlaneTracks
@@ -28,11 +28,16 @@ def test_assignment_is_the_best_one() -> None:
 def test_tracks_are_carried_as_rigid_bodies() -> None:
     tracks, _ = tracks_of_a_room()
     yaw, t = 0.3, np.array([0.5, -0.2])
-    arrays = (tracks.angle, tracks.offset, tracks.ends, tracks.sd, tracks.corner_at)
-    there = carried(arrays, np.array([yaw, *t]))
-    expected = tracks.carried(yaw, t)
-    for got, name in zip(there, ("angle", "offset", "ends", "sd", "corner_at"), strict=True):
-        np.testing.assert_allclose(got, getattr(expected, name), atol=1e-12)
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s], [s, c]])
+    there = tracks.carried(yaw, t)
+    np.testing.assert_allclose(there.ends, tracks.ends @ R.T + t, atol=1e-12)
+    np.testing.assert_allclose(there.corner_at, tracks.corner_at @ R.T + t, atol=1e-12)
+    np.testing.assert_allclose(there.normal, tracks.normal @ R.T, atol=1e-12)
+    middle = there.ends.mean(axis=1)
+    np.testing.assert_allclose((there.normal * middle).sum(axis=1), there.offset, atol=1e-12)
+    there.missed += 1
+    assert not tracks.missed.any()
 
 
 def test_a_wide_jump_is_found() -> None:

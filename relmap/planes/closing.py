@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
@@ -27,8 +28,6 @@ VISITS = 4
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """How far apart two scans are at most that are compared, as far as the map knows."""
-AT_ONCE = 1_000_000
-"""So many pairs of scans are looked at at once, to bound memory."""
 ENOUGH = 3
 """Walls that must match."""
 SHARE = 0.5
@@ -53,6 +52,11 @@ def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.
         matched = _matched(assembled, seen, j, i)
         if matched is not None:
             found.append((i, j, *matched))
+    return voted(found)
+
+
+def voted(found: list[Loop]) -> NDArray[np.int64]:
+    """Return pairs (k, 2) of walls, different ones, of all loops that enough scans vote for."""
     pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
@@ -76,29 +80,29 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
     nearest visits.
     """
-    n = len(assembled.iterations)
-    later = np.arange(0, n, 1 + n // COMPARED)
-    blocks = np.array_split(later, 1 + len(later) * n // AT_ONCE)
-    return np.concatenate([_earlier_than(block, assembled) for block in blocks])
+    state, iterations = assembled.state, assembled.iterations
+    later = np.arange(0, len(iterations), 1 + len(iterations) // COMPARED)
+    near = cKDTree(state.t[later]).sparse_distance_matrix(
+        cKDTree(state.t), NEAR_M, output_type="ndarray"
+    )
+    i, before = later[near["i"]], near["j"].astype(np.int64)
+    turned = np.abs(wrapped(state.yaw[before] - state.yaw[i]))
+    cost = near["v"] + turned
+    kept = (iterations[i] - iterations[before] > LONG_AGO) & (turned < TURNED_RAD)
+    pairs, cost = np.column_stack([i, before])[kept], cost[kept]
+    # The best scan of each visit, and then the best visits of each later scan.
+    pairs, cost = _best(pairs, cost, pairs[:, 0] * len(iterations) + pairs[:, 1] // VISIT, 1)
+    return _best(pairs, cost, pairs[:, 0], VISITS)[0]
 
 
-def _earlier_than(later: NDArray[np.int64], assembled: Assembled) -> NDArray[np.int64]:
-    """Return the same for some later scans (k,)."""
-    state, n = assembled.state, len(assembled.iterations)
-    (dx, dy) = (axis[later, None] - axis for axis in state.t.T)
-    ago = assembled.iterations[later, None] - assembled.iterations
-    k, before = np.nonzero((dx * dx + dy * dy < NEAR_M**2) & (ago > LONG_AGO))
-    turned = np.abs(wrapped(state.yaw[before] - state.yaw[later[k]]))
-    cost = (np.hypot(dx[k, before], dy[k, before]) + turned)[turned < TURNED_RAD]
-    k, before = k[turned < TURNED_RAD], before[turned < TURNED_RAD]
-    order = np.lexsort((cost, before // VISIT, k))
-    k, before, cost = k[order], before[order], cost[order]
-    nearest = np.diff(k * n + before // VISIT, prepend=-1) > 0
-    k, before, cost = k[nearest], before[nearest], cost[nearest]
-    order = np.lexsort((cost, k))
-    k, before = k[order], before[order]
-    kept = np.arange(len(k)) - np.searchsorted(k, k) < VISITS
-    return np.column_stack([later[k[kept]], before[kept]])
+def _best(
+    pairs: NDArray[np.int64], cost: NDArray[np.float64], group: NDArray[np.int64], most: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the pairs (k, 2) that cost least of each group (k,), so many at most."""
+    order = np.lexsort((pairs[:, 1], cost, group))
+    group = group[order]
+    order = order[np.arange(len(group)) - np.searchsorted(group, group) < most]
+    return pairs[order], cost[order]
 
 
 def _matched(

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.planes.matching import Match
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import LEVER_M, PlanarMotion, worth
+from relmap.planes.placement import LEVER_M, Match, PlanarMotion, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375

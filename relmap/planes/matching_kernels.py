@@ -1,4 +1,4 @@
-"""Matching walls, compiled; see `relmap.planes.matching` and `relmap.planes.placement`.
+"""Matching walls by normal, offset and gap along the wall (section II), compiled.
 
 `tracks` are angle (n,), offset (n,), ends (n, 2, 2), sd (n,) and corner_at (n, 2, 2) of tracks;
 `seen` are ends (m, 2, 2), along (m, 2), normal (m, 2), size (m,), sd (m,) and static (m, 2) of the
@@ -13,20 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
-from relmap.planes.matching import (
-    ACROSS_M,
-    BEYOND,
-    CLOSE,
-    GAP_M,
-    SIGMAS,
-    TURN_RAD,
-    WIDEST_TURN_RAD,
-)
 
 Array = NDArray[np.float64]
 Tracks = tuple[Array, Array, Array, Array, Array]
 Seen = tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]
 
+SIGMAS = 4.0
+"""Tolerance, in standard deviations of what two walls differ by."""
+TURN_RAD = np.deg2rad(8.0)
+ACROSS_M = 0.12
+GAP_M = 0.4
+"""How far one wall may be off in two scans, whatever the noise: walls are not quite flat, and their
+ends not quite where they are seen."""
+WIDEST_TURN_RAD = 0.5
+"""What noise may add to the tolerance of the turn at most."""
+CLOSE = 0.3
+BEYOND = 0.3
+"""What a wall at the edge of a tolerance is worth less than one that agrees exactly."""
 NEAR_M = 0.5
 """A corner farther off than this, along its wall, does not pull at a motion."""
 CORNER = 0.3
@@ -105,35 +108,30 @@ def _cheapest_path(
 ) -> tuple[int, NDArray[np.int64]]:
     """Find the shortest path from a column to a free row, and make prices follow (Dijkstra).
 
-    Returns that row, and for each row the column before it on its path.
+    Returns that row, and for each row the one before it on its path.
     """
-    rows, n = len(price_row), len(worth)
-    least, before = np.full(rows, np.inf), np.full(rows, -1)
-    done = np.zeros(rows, dtype=np.bool_)
-    column, total = start, 0.0
-    while True:
+    n, rows = len(worth), len(price_row)
+    least, before, done = np.full(rows, np.inf), np.full(rows, -1), np.zeros(rows, dtype=np.bool_)
+    column, last = start, -1
+    while column >= 0:
         best, row = np.inf, -1
         for r in range(rows):
-            if done[r]:
-                continue
-            if r < n or r == n + column:
+            if not done[r]:
                 cost = -worth[r, column] if r < n else 0.0
-                reach = total + cost - price_column[column] - price_row[r]
+                reach = cost - price_column[column] - price_row[r]
                 if reach < least[r]:
-                    least[r], before[r] = reach, column
-            if least[r] < best:
-                best, row = least[r], r
-        total = best
-        if column_of[row] < 0:
-            break
-        done[row] = True
-        column = column_of[row]
-    for r in range(rows):
-        if done[r]:
-            price_column[column_of[r]] += total - least[r]
-            price_row[r] -= total - least[r]
-    price_column[start] += total
-    return row, before
+                    least[r], before[r] = reach, last
+                if least[r] < best:
+                    best, row = least[r], r
+        price_column[start] += best
+        for r in range(rows):
+            if done[r]:
+                price_column[column_of[r]] += best
+                price_row[r] -= best
+            else:
+                least[r] -= best
+        done[row], last, column = True, row, column_of[row]
+    return last, before
 
 
 @compiled
@@ -141,21 +139,19 @@ def assigned(worth: Array) -> NDArray[np.int64]:
     """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
 
     -1 where a column gets none or one that is worth 0.  Shortest augmenting paths (Jonker and
-    Volgenant, 1987); every column could also take a row of its own, n + j, that is worth nothing.
+    Volgenant, 1987), with rows that are worth nothing where there are more columns.
     """
-    n, m = worth.shape
-    row_of, column_of = np.full(m, -1), np.full(n + m, -1)
-    price_column, price_row = np.zeros(m), np.zeros(n + m)
+    (n, m), rows = worth.shape, max(worth.shape)
+    column_of, price_column, price_row = np.full(rows, -1), np.zeros(m), np.zeros(rows)
     for start in range(m):
-        row, before = _cheapest_path(worth, start, column_of, price_column, price_row)
-        column = -1
-        while column != start:
-            column = before[row]
-            column_of[row] = column
-            row, row_of[column] = row_of[column], row
-    for j in range(m):
-        if row_of[j] >= n or worth[row_of[j], j] <= 0:
-            row_of[j] = -1
+        last, before = _cheapest_path(worth, start, column_of, price_column, price_row)
+        while last >= 0:
+            row, last = last, before[last]
+            column_of[row] = column_of[last] if last >= 0 else start
+    row_of = np.full(m, -1)
+    for r in range(n):
+        if column_of[r] >= 0 and worth[r, column_of[r]] > 0:
+            row_of[column_of[r]] = r
     return row_of
 
 

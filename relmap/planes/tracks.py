@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association.tracks import Tracks
 from relmap.planes.observation import PlaneObservation
 
 MEMORY = 8
@@ -16,7 +19,7 @@ NO_CORNER = -1
 
 
 @dataclass(eq=False)
-class PlaneTracks:
+class PlaneTracks(Tracks):
     """Walls in the robot frame of one iteration, carried along where they were not seen; n walls.
 
     Attributes
@@ -71,33 +74,25 @@ class PlaneTracks:
             np.ones(n, dtype=np.int64),
         )
 
-    def __len__(self) -> int:
-        """Return the number of walls."""
-        return len(self.plane)
-
     @property
     def normal(self) -> NDArray[np.float64]:
         """Unit vectors (n, 2) towards where the robot was."""
         return np.column_stack([np.cos(self.angle), np.sin(self.angle)])
 
+    @property
+    def arrays(self) -> Any:
+        """What the compiled matching knows of the tracks."""
+        return self.angle, self.offset, self.ends, self.sd, self.corner_at
+
     def carried(self, yaw: float, t: NDArray[np.float64]) -> PlaneTracks:
         """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
-        c, s = np.cos(yaw), np.sin(yaw)
-        R_T = np.array([[c, s], [-s, c]])
-        angle = self.angle + yaw
-        offset = self.offset + np.cos(angle) * t[0] + np.sin(angle) * t[1]
-        return PlaneTracks(
-            self.plane,
-            angle,
-            offset,
-            self.ends @ R_T + t,
-            self.sd,
-            self.corner.copy(),
-            self.corner_at @ R_T + t,
-            self.corner_seen.copy(),
-            self.missed.copy(),
-            self.seen.copy(),
+        from relmap.planes.matching_kernels import carried
+
+        there = deepcopy(self)
+        there.angle, there.offset, there.ends, _, there.corner_at = carried(
+            self.arrays, np.array([yaw, *t])
         )
+        return there
 
     def see(self, rows: NDArray[np.int64], seen: PlaneObservation, at: NDArray[np.int64]) -> None:
         """Note that walls `at` (k,) of a scan go on with tracks `rows`, and others were missed."""
@@ -114,19 +109,6 @@ class PlaneTracks:
         self.offset[rows] = now - (1 - share) * across
         self.ends[rows] = seen.ends[at]
         self.sd[rows] = seen.sd[at]
-
-    def kept(self, rows: NDArray[np.bool_]) -> PlaneTracks:
-        """Return some of the tracks."""
-        return PlaneTracks(*(getattr(self, field.name)[rows] for field in fields(self)))
-
-    def joined(self, other: PlaneTracks) -> PlaneTracks:
-        """Return these tracks and others."""
-        return PlaneTracks(
-            *(
-                np.concatenate([getattr(self, field.name), getattr(other, field.name)])
-                for field in fields(self)
-            )
-        )
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -36,13 +36,20 @@ class Registration(Protocol):
         ...
 
 
-class Numbering:
-    """Numbers landmarks in the order of first sight."""
-
-    STATE = "n_landmarks"
+class Numbered:
+    """A registration that numbers landmarks in the order of first sight, and judges no scan."""
 
     def __init__(self) -> None:
         self.n_landmarks = 0
+
+    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return landmarks (n,) as they are: they go by their number."""
+        return landmarks
+
+    @property
+    def rejected(self) -> list[int]:
+        """No scan."""
+        return []
 
     def number_new(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Give every `UNIDENTIFIED` entry (n,) a number of its own, in place; return which."""
@@ -68,15 +75,3 @@ def nearest(
     """
     distance, index = tree.query(points, k=_RANKS[rank])
     return np.asarray(distance), np.asarray(index)
-
-
-def nearest_claim(
-    wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int
-) -> NDArray[np.bool_]:
-    """Of rows that want the same one of `n` targets, tell the nearest; the first of equals.
-
-    Rows at infinite distance want nothing.
-    """
-    from relmap.core.association.matching_kernels import claims
-
-    return claims(wanted, distance, n)

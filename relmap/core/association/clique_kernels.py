@@ -1,7 +1,7 @@
-"""The largest clique of a graph, compiled: branch and bound over bit sets.
+"""The largest clique of a graph, compiled: branch and bound.
 
 The bound is a greedy colouring: a clique has one node of each colour at most (Tomita and Seki,
-2003; San Segundo et al., 2011).
+2003).
 """
 
 from __future__ import annotations
@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
-
-WORD = 64
 
 
 @compiled
@@ -64,17 +62,14 @@ def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int6
         the start.
     """
     n = len(agree)
-    order = _by_degree(agree)
-    neighbours = _bit_rows(agree, order)
-    best = _grown(agree, order)
-    n_words = neighbours.shape[1]
-    open_ = np.zeros((n + 1, n_words), np.uint64)
+    order = np.argsort(n - agree.sum(axis=1), kind="mergesort")
+    neighbours = agree[order][:, order]
+    best = _grown(neighbours)
     nodes, colours = np.empty((n + 1, n), np.int64), np.empty((n + 1, n), np.int64)
     left = np.zeros(n + 1, np.int64)
     chosen = np.empty(n, np.int64)
-    for v in range(n):
-        open_[0, v // WORD] |= np.uint64(1) << np.uint64(v % WORD)
-    left[0] = _colour(neighbours, open_[0], nodes[0], colours[0])
+    _colour(neighbours, np.arange(n), nodes[0], colours[0])
+    left[0] = n
     depth, steps = 0, 0
     while depth >= 0 and steps < most_steps:
         k = left[depth] - 1
@@ -84,93 +79,58 @@ def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int6
         steps += 1
         v = nodes[depth, k]
         left[depth] = k
-        open_[depth, v // WORD] &= ~(np.uint64(1) << np.uint64(v % WORD))
         chosen[depth] = v
-        open_[depth + 1] = open_[depth] & neighbours[v]
+        open_ = nodes[depth, :k]
+        open_ = np.sort(open_[neighbours[v][open_]])
         depth += 1
-        left[depth] = _colour(neighbours, open_[depth], nodes[depth], colours[depth])
-        if left[depth] == 0 and depth > len(best):
-            best = order[chosen[:depth]]
-    return np.sort(best)
+        left[depth] = len(open_)
+        _colour(neighbours, open_, nodes[depth], colours[depth])
+        if len(open_) == 0 and depth > len(best):
+            best = chosen[:depth].copy()
+    return np.sort(order[best])
 
 
 @compiled
-def _by_degree(agree: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the nodes, those with most neighbours first; of equals the lower number."""
-    n = len(agree)
-    degree = np.zeros(n, np.int64)
-    for i in range(n):
-        for j in range(n):
-            degree[i] += agree[i, j]
-    return np.argsort(n - degree, kind="mergesort")
-
-
-@compiled
-def _bit_rows(agree: NDArray[np.bool_], order: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return the neighbours of each node, in another order, as bits (n, words)."""
-    n = len(agree)
-    rows = np.zeros((n, (n + WORD - 1) // WORD), np.uint64)
-    for i in range(n):
-        for j in range(n):
-            if i != j and agree[order[i], order[j]]:
-                rows[i, j // WORD] |= np.uint64(1) << np.uint64(j % WORD)
-    return rows
-
-
-@compiled
-def _grown(agree: NDArray[np.bool_], order: NDArray[np.int64]) -> NDArray[np.int64]:
+def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return a clique that takes in, in this order, every node that fits."""
-    members = np.empty(len(order), np.int64)
+    members = np.empty(len(neighbours), np.int64)
     k = 0
-    for i in range(len(order)):
+    for i in range(len(neighbours)):
         fits = True
         for j in range(k):
-            fits = fits and agree[order[i], members[j]]
+            fits = fits and neighbours[i, members[j]]
         if fits:
-            members[k] = order[i]
+            members[k] = i
             k += 1
     return members[:k]
 
 
 @compiled
-def _lowest(word: np.uint64) -> int:
-    """Return the number of the lowest bit that is set."""
-    low = word & (~word + np.uint64(1))
-    k = 0
-    for half in (32, 16, 8, 4, 2, 1):
-        if low >> np.uint64(half) != np.uint64(0):
-            low >>= np.uint64(half)
-            k += half
-    return k
-
-
-@compiled
 def _colour(
-    neighbours: NDArray[np.uint64],
-    open_: NDArray[np.uint64],
+    neighbours: NDArray[np.bool_],
+    open_: NDArray[np.int64],
     nodes: NDArray[np.int64],
     colours: NDArray[np.int64],
-) -> int:
-    """Colour the open nodes so that no two neighbours share one; return how many there are.
+) -> None:
+    """Colour the open nodes so that no two neighbours share one.
 
     Nodes and colours, from 1 on, are written in ascending order of the colour.
     """
-    rest = open_.copy()
-    k, colour = 0, 0
-    while True:
-        same = rest.copy()
+    rest, k, colour = open_, 0, 0
+    while len(rest):
         colour += 1
-        found = False
-        for word in range(len(rest)):
-            while same[word] != np.uint64(0):
-                v = word * WORD + _lowest(same[word])
-                found = True
-                bit = np.uint64(1) << np.uint64(v % WORD)
-                rest[word] &= ~bit
-                same[word] &= ~bit
-                for other in range(word, len(rest)):
-                    same[other] &= ~neighbours[v, other]
+        first, n_later = k, 0
+        later = np.empty(len(rest), np.int64)
+        for v in rest:
+            fits = True
+            for j in range(first, k):
+                if neighbours[v, nodes[j]]:
+                    fits = False
+                    break
+            if fits:
                 nodes[k], colours[k] = v, colour
                 k += 1
-        if not found:
-            return k
+            else:
+                later[n_later] = v
+                n_later += 1
+        rest = later[:n_later]

@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.association.base import UNIDENTIFIED, Numbering, middle, nearest, nearest_claim
-from relmap.core.association.placement import Placement, agreeing_pairs, trimmed_fit
+from relmap.core.association.base import UNIDENTIFIED, Numbered, middle, nearest
+from relmap.core.association.placement import (
+    DISTINCT,
+    Placement,
+    consistent_placements,
+    trimmed_fit,
+)
+from relmap.core.association.scale import Scale, spacing_of
 from relmap.core.association.tracks import LiveTracks
 
 ENOUGH = 3
@@ -36,29 +42,15 @@ NEARBY = 0.2
 """How far these two may have moved, in spacings."""
 REACH = 1.6
 """How far the wider search goes, in spacings."""
-DISTINCT = 0.8
-"""Share of the matches of the best placement that the next best may have."""
 IDLE_STEP, LONG_IDLE = 10, 20
 """Scans without landmarks after which the search goes as far again, and most that count."""
 CONTINUITY = 0.15
 """How far a moving landmark may stray in an iteration, in spacings."""
 YOUNG = 3
 """A track seen less often than this may turn out to be moving."""
-COARSE = 0.1
-"""Tolerance before the noise is known, in spacings."""
-SIGMAS = 4.5
-"""Tolerance when it is known, in standard deviations."""
-EXACT = 1e-3
-"""Least tolerance, in spacings, where there is no noise at all."""
-FAINT = 0.01
-"""Least noise, in spacings, that is tried when it may have been taken for too small."""
-SLOWNESS = 0.1
-"""Share of the latest iteration in the estimates of spacing and noise."""
-CHI2_MEDIAN = {2: 1.386, 3: 2.366}
-"""Median of a sum of d squared standard normals."""
 
 
-class Constellation:
+class Constellation(Numbered):
     """Matches scans by the relative locations of what is in them.
 
     Parameters
@@ -69,29 +61,20 @@ class Constellation:
 
     _tracks: LiveTracks | None
     _stray: LiveTracks | None
-    _noise_m: float | None
     _alone: list[int]
     _tracks_since: int | None
     _stray_since: int | None
-    STATE = (
-        "_numbering _tracks _stray _spacing_m _noise_m _idle _n_scans _alone _tracks_since "
-        "_stray_since"
-    )
+    STATE = "n_landmarks _tracks _stray _scale _idle _n_scans _alone _tracks_since _stray_since"
 
     def __init__(self, max_missed: int) -> None:
+        super().__init__()
         self._max_missed = max_missed
-        self._numbering = Numbering()
         self._tracks = self._stray = None
-        self._spacing_m = np.inf
-        self._noise_m = None
+        self._scale = Scale()
         self._idle = 0
         self._n_scans = 0
         self._alone = []
         self._tracks_since = self._stray_since = None
-
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return landmarks (n,) as they are: they go by their number."""
-        return landmarks
 
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
@@ -99,7 +82,7 @@ class Constellation:
         """Match points (n, d) to the live tracks; the rest are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
         continued = self._continue(points_robot, landmarks) if len(points_robot) else None
-        new = self._numbering.number_new(landmarks)
+        new = self.number_new(landmarks)
         begun = LiveTracks.begun(landmarks[new], points_robot[new])
         if continued is None:
             if len(begun):
@@ -115,7 +98,7 @@ class Constellation:
         """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
         self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
         self._tracks_since, self._idle = None, 0
-        self._spacing_m = _spacing(points_robot)
+        self._scale.spacing_m = spacing_of(points_robot)
 
     @property
     def rejected(self) -> list[int]:
@@ -142,7 +125,8 @@ class Constellation:
                 )
                 rows, found, strayed = self._links(carried, points_robot)
                 landmarks[found] = tracks.landmarks[rows]
-                self._learn(carried.expected[rows[~strayed]], points_robot[found[~strayed]])
+                at_rest = ~strayed
+                self._scale.learn(carried.expected[rows[at_rest]], points_robot[found[at_rest]])
                 carried.see(rows, points_robot[found], strayed)
                 if since is not None:
                     self._alone.remove(since)
@@ -157,7 +141,7 @@ class Constellation:
         if self._tracks is None:
             if len(begun):
                 self._tracks, self._tracks_since = begun, self._n_scans
-            self._spacing_m = _spacing(begun.expected)
+            self._scale.spacing_m = spacing_of(begun.expected)
             return
         if len(begun) < ENOUGH:
             self._idle += 1
@@ -167,12 +151,11 @@ class Constellation:
         if self._tracks.missed.min() > self._max_missed:
             self._tracks, self._tracks_since = self._stray, self._stray_since
             self._stray, self._idle = None, 0
-            if self._noise_m is not None:  # was it learnt too small?
-                self._noise_m = max(self._noise_m, FAINT * self._spacing_m)
+            self._scale.allow_noise()
 
     def _placement(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
         """Find the placement of the tracks' frame in the scan's on which most matches agree."""
-        from relmap.core.association.matching_kernels import two_nearest
+        from relmap.core.association.matching_kernels import claims, two_nearest
 
         n, d = points.shape
         latest = np.flatnonzero(tracks.missed == tracks.missed.min())
@@ -181,14 +164,11 @@ class Constellation:
             return None
         sample = latest[:: -(-len(latest) // SAMPLE)]
         distances, target = two_nearest(points, tracks.expected[sample])
-        spacing_m = middle(distances[:, 1])
-        if np.isfinite(self._spacing_m):
-            spacing_m = self._spacing_m + SLOWNESS * (spacing_m - self._spacing_m)
-        self._spacing_m = spacing_m
-        distance = np.where(distances[:, 0] > self._spacing_m, np.inf, distances[:, 0])
-        claimed = nearest_claim(target, distance, n)
+        self._scale.see_spacing(middle(distances[:, 1]))
+        distance = np.where(distances[:, 0] > self._scale.spacing_m, np.inf, distances[:, 0])
+        claimed = claims(target, distance, n)
         rows = sample[claimed]
-        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._tolerance_m)
+        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._scale.tolerance_m)
         missed = int(tracks.missed.min())
         enough = ENOUGH + max(missed, min(missed + self._idle, PLENTY - ENOUGH))
         if near is not None:
@@ -208,19 +188,19 @@ class Constellation:
     ) -> bool:
         """Tell whether two matches in the plane will do: well known, just seen, hardly moved."""
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
-        return bool(known and distance.max() <= NEARBY * self._spacing_m)
+        return bool(known and distance.max() <= NEARBY * self._scale.spacing_m)
 
     def _placement_of_unknown_noise(
         self, tracks: LiveTracks, points: NDArray[np.float64]
     ) -> Placement | None:
         """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
-        learnt, self._noise_m = self._noise_m, None
+        learnt, self._scale.noise_m = self._scale.noise_m, None
         possible = min(np.sum(tracks.missed == tracks.missed.min()), len(points))
         if learnt is not None and possible >= PLENTY:
             placement = self._placement(tracks, points)
             if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
                 return placement
-        self._noise_m = learnt
+        self._scale.noise_m = learnt
         return None
 
     def _search(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
@@ -230,23 +210,15 @@ class Constellation:
         further = 1 + min(self._idle, LONG_IDLE) / IDLE_STEP
         neighbours = round(further * NEIGHBOURS)
         distance, target = nearest(cKDTree(points), tracks.expected[known], neighbours)
-        row, column = np.nonzero(distance <= further * REACH * self._spacing_m)
+        row, column = np.nonzero(distance <= further * REACH * self._scale.spacing_m)
         if len(row) < ENOUGH:
             return None
         pairs = np.column_stack([known[row], target[row, column]])
-        tolerance_m = 1.5 * self._tolerance_m
-        agreeing = pairs[agreeing_pairs(tracks.expected, points, pairs, tolerance_m)]
-        if len(agreeing) < ENOUGH:
-            return None
-        placement = trimmed_fit(
-            tracks.expected[agreeing[:, 0]], points[agreeing[:, 1]], self._tolerance_m
-        )
-        if placement is None or placement.n_agreeing < ENOUGH:
-            return None
-        off = placement.apply(tracks.expected[pairs[:, 0]]) - points[pairs[:, 1]]
-        others = pairs[np.linalg.norm(off, axis=1) > self._tolerance_m]
-        rival = len(agreeing_pairs(tracks.expected, points, others, tolerance_m))
-        return placement if rival <= DISTINCT * len(agreeing) else None
+        limits = 1.5 * self._scale.tolerance_m, self._scale.tolerance_m
+        found = consistent_placements(tracks.expected, points, pairs, *limits)
+        placement, matches = next(found, (None, pairs[:0]))
+        _, rival = next(found, (None, pairs[:0]))
+        return placement if len(rival) <= DISTINCT * len(matches) else None
 
     def _links(
         self, carried: LiveTracks, points: NDArray[np.float64]
@@ -260,10 +232,10 @@ class Constellation:
         strayed : (k,) bool
             Where the track moves against the others: it is followed by continuity.
         """
-        from relmap.core.association.matching_kernels import nearest_within
+        from relmap.core.association.matching_kernels import claims, nearest_within
 
-        distance, target = nearest_within(points, carried.expected, self._gate_m)
-        linked = nearest_claim(target, distance, len(points))
+        distance, target = nearest_within(points, carried.expected, self._scale.gate_m)
+        linked = claims(target, distance, len(points))
         taken = np.zeros(len(points) + 1, dtype=bool)
         taken[target[linked]] = True
         free = np.flatnonzero(~linked & (carried.missed == 0))
@@ -286,44 +258,15 @@ class Constellation:
         """
         if not len(free):
             return free, free
-        from relmap.core.association.matching_kernels import nearest_within
+        from relmap.core.association.matching_kernels import claims, nearest_within
 
         may_move = (carried.restless[free] > 0) | (carried.seen[free] < YOUNG)
-        reach = np.where(may_move, max(CONTINUITY * self._spacing_m, self._gate_m), self._gate_m)
+        reach = np.where(
+            may_move,
+            max(CONTINUITY * self._scale.spacing_m, self._scale.gate_m),
+            self._scale.gate_m,
+        )
         distance, target = nearest_within(points, carried.latest[free], float(reach.max()))
         near = np.where((distance <= reach) & ~taken[target], distance, np.inf)
-        followed = nearest_claim(target, near, len(points))
+        followed = claims(target, near, len(points))
         return free[followed], target[followed]
-
-    @property
-    def _tolerance_m(self) -> float:
-        """How far apart matches that agree may lie."""
-        coarse = COARSE * self._spacing_m
-        if self._noise_m is None:
-            return coarse
-        return min(max(SIGMAS * self._noise_m, EXACT * self._spacing_m), 1.5 * coarse)
-
-    @property
-    def _gate_m(self) -> float:
-        """How far from where it is expected a track may be found."""
-        return max(self._tolerance_m, min(2 * self._tolerance_m, 0.8 * COARSE * self._spacing_m))
-
-    def _learn(self, expected: NDArray[np.float64], found: NDArray[np.float64]) -> None:
-        """Learn the noise of a coordinate's difference from links of landmarks at rest."""
-        n, d = expected.shape
-        if n <= ENOUGH:
-            return
-        squares = np.sum((expected - found) ** 2, axis=1)
-        variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
-        if self._noise_m is None:
-            self._noise_m = float(np.sqrt(variance))
-        else:
-            self._noise_m = float(
-                np.sqrt(self._noise_m**2 + SLOWNESS * (variance - self._noise_m**2))
-            )
-
-
-def _spacing(points: NDArray[np.float64]) -> float:
-    if len(points) < 2:
-        return np.inf
-    return middle(nearest(cKDTree(points), points, 2)[0][:, 1])

@@ -10,7 +10,10 @@ from relmap.core.linalg.compiling import compiled
 
 @compiled
 def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> NDArray[np.bool_]:
-    """Of rows that want the same target, tell the nearest; see `nearest_claim`."""
+    """Of rows that want the same one of n targets, tell the nearest; the first of equals.
+
+    Rows at infinite distance want nothing.
+    """
     winner = np.full(n + 1, -1)
     for row in range(len(wanted)):
         if np.isfinite(distance[row]):

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.association.base import middle, nearest
-from relmap.core.association.placement import agreeing_pairs, trimmed_fit
+from relmap.core.association.placement import consistent_placements
+from relmap.core.association.scale import spacing_of
 from relmap.core.association.tying import neighbourhoods
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
@@ -145,7 +145,7 @@ class Merger:
             return np.empty((0, 2), dtype=np.int64)
         spread_m = self._model.position_spread * noise_m
         tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
-        return self._choose(np.array(pairs), tolerance_m)
+        return chosen(self._table.position, np.array(pairs), tolerance_m)
 
     def merge(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
@@ -157,11 +157,8 @@ class Merger:
     def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
         reach_m = self._model.drift_m
         if reach_m is None:
-            positions = self._table.position[landmarks]
-            if len(positions) < 2:
-                return None
-            reach_m = REACH * middle(nearest(cKDTree(positions), positions, 2)[0][:, 1])
-        return SpatialIndex(self._table, reach_m) if reach_m > 0 else None
+            reach_m = REACH * spacing_of(self._table.position[landmarks])
+        return SpatialIndex(self._table, reach_m) if 0 < reach_m < np.inf else None
 
     def _ask(self, new: int) -> None:
         """Look for old landmarks near a new one."""
@@ -182,37 +179,46 @@ class Merger:
         later = same_submap and table.is_later(new, old)
         return bool(later and self._model.may_be(table, new, old))
 
-    def _choose(self, pairs: NDArray[np.int64], tolerance_m: float) -> NDArray[np.int64]:
-        new, old = self._table.position[pairs[:, 0]], self._table.position[pairs[:, 1]]
-        apart = np.linalg.norm(new - old, axis=1)
-        if (apart <= tolerance_m).any():
-            return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
-        pairs, new, old = pairs[:CANDIDATES], new[:CANDIDATES], old[:CANDIDATES]
-        rows = np.column_stack([_number(pairs[:, 0]), _number(pairs[:, 1])])
-        first_new, first_old = (np.unique(column, return_index=True)[1] for column in rows.T)
-        agreeing = agreeing_pairs(new[first_new], old[first_old], rows, tolerance_m)
-        enough = max(ENOUGH + (new.shape[1] == 3), SHARE * len(first_new))
-        shift = trimmed_fit(new[agreeing], old[agreeing], tolerance_m)
-        if shift is None or shift.n_agreeing < enough:
-            return np.empty((0, 2), dtype=np.int64)
-        there = np.linalg.norm(shift.apply(new[agreeing]) - old[agreeing], axis=1)
-        pairs = pairs[agreeing[there <= tolerance_m]]
-        return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
 
+def chosen(
+    position: NDArray[np.float64], pairs: NDArray[np.int64], tolerance_m: float
+) -> NDArray[np.int64]:
+    """Return which of the pairs (k, 2) of landmarks are one, by where they are mapped.
 
-def _number(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.asarray(np.unique(values, return_inverse=True)[1])
+    Those that lie on one another; where none do, those of the largest set that one rigid motion
+    brings together, for the drift is common to all.
+
+    Parameters
+    ----------
+    position : (n, d) float64, map frame, metres
+        Of all landmarks.
+    pairs : (k, 2) int64
+        Candidates: a new landmark, and an old one that it may be.
+    tolerance_m : float
+    """
+    apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
+    if (apart <= tolerance_m).any():
+        return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+    pairs = pairs[:CANDIDATES]
+    enough = max(ENOUGH + (position.shape[1] == 3), SHARE * len(np.unique(pairs[:, 0])))
+    found = consistent_placements(position, position, pairs, tolerance_m, tolerance_m)
+    shift, pairs = next(found, (None, pairs))
+    if shift is None or shift.n_agreeing < enough:
+        return np.empty((0, 2), dtype=np.int64)
+    off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
+    pairs = pairs[off <= tolerance_m]
+    return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
 
 
 def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
     """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
-    chosen: list[tuple[int, int]] = []
+    unique: list[tuple[int, int]] = []
     taken: set[int] = set()
     for new, old in pairs[np.argsort(distance, kind="stable")].tolist():
         if new not in taken and old not in taken:
-            chosen.append((new, old))
+            unique.append((new, old))
             taken.update((new, old))
-    return np.array(chosen, dtype=np.int64).reshape(-1, 2)
+    return np.array(unique, dtype=np.int64).reshape(-1, 2)
 
 
 def merge_doubles(

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.association.base import UNIDENTIFIED, Numbering, nearest
+from relmap.core.association.base import UNIDENTIFIED, Numbered, nearest
 
 
-class NearestPrevious:
+class NearestPrevious(Numbered):
     """Matches to the nearest untransformed observation of the previous iteration.
 
     A pair is matched where each is the other's nearest and lies within the gate.
@@ -21,26 +21,17 @@ class NearestPrevious:
         the previous scan.
     """
 
-    STATE = "_numbering _previous _landmarks"
+    STATE = "n_landmarks _previous _landmarks"
 
     def __init__(self, gate_m: float | None) -> None:
+        super().__init__()
         self._gate_m = gate_m
-        self._numbering = Numbering()
         self._previous: NDArray[np.float64] = np.empty((0, 0))
         self._landmarks = np.empty(0, dtype=np.int64)
-
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return landmarks (n,) as they are: they go by their number."""
-        return landmarks
 
     def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
         self._landmarks, self._previous = landmarks, points_robot
-
-    @property
-    def rejected(self) -> list[int]:
-        """None: this matching judges no scan."""
-        return []
 
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
@@ -50,7 +41,7 @@ class NearestPrevious:
         if len(self._previous) and len(points_robot):
             now, before = self._mutual_pairs(points_robot)
             landmarks[now] = self._landmarks[before]
-        self._numbering.number_new(landmarks)
+        self.number_new(landmarks)
         self._landmarks, self._previous = landmarks, points_robot
         return landmarks
 

@@ -1,17 +1,21 @@
-"""Where one iteration's robot frame lies in the next: found from landmarks that agree.
+"""Where one frame lies in another: found from landmarks whose relative locations agree.
 
-A set of matches between two iterations is right where the mutual distances, and in space the
-handedness, agree: where one rigid placement brings all of them together.  No pose, map or earlier
-motion is asked.
+A set of matches is right where the mutual distances, and in space the handedness, agree: where one
+rigid placement brings all of them together.  No pose, map or earlier motion is asked.  Registration
+of scans, re-observation, recognition of a place and tying of submaps differ in the candidate
+matches alone: the largest consistent set of them, its placement and its rivals are found here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+DISTINCT = 0.8
+"""Share of the matches of the best placement that a rival may have."""
 TRIMMING_ROUNDS = 8
 MOST_STEPS = 2000
 """Steps of the search for a largest set of matches: a tenth of a second at 900 candidates."""
@@ -62,7 +66,7 @@ def trimmed_fit(
     return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 
 
-def agreeing_pairs(
+def consistent_set(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
     pairs: NDArray[np.int64],
@@ -91,3 +95,43 @@ def agreeing_pairs(
 
     a, b = pairs.T
     return largest_clique(agreeing(source[a], target[b], a, b, tolerance_m), MOST_STEPS)
+
+
+def consistent_placements(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    pairs: NDArray[np.int64],
+    tolerance_m: float,
+    fit_m: float,
+) -> Iterator[tuple[Placement, NDArray[np.int64]]]:
+    """Yield the placement of the largest consistent set of candidates, and then its rivals.
+
+    Each rival is that of the largest set of the candidates that no placement before explains.
+
+    Parameters
+    ----------
+    source : (n, d) float64, metres
+    target : (m, d) float64, metres
+    pairs : (p, 2) int64
+        Candidates: row of `source`, row of `target`.
+    tolerance_m : float
+        Largest difference of two distances that agree.
+    fit_m : float
+        How far apart the points of a match may lie once placed.
+
+    Yields
+    ------
+    placement : Placement
+    matches : (k, 2) int64
+        The pairs of the set, in the order given.
+    """
+    while len(pairs):
+        chosen = consistent_set(source, target, pairs, tolerance_m)
+        here, there = source[pairs[:, 0]], target[pairs[:, 1]]
+        placement = trimmed_fit(here[chosen], there[chosen], fit_m)
+        if placement is None:
+            return
+        yield placement, pairs[chosen]
+        rest = np.linalg.norm(placement.apply(here) - there, axis=1) > fit_m
+        rest[chosen] = False
+        pairs = pairs[rest]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,34 @@ CAREFUL = 5
 """A track seen moving counts as at rest again after so many iterations without moving."""
 
 
+class Tracks:
+    """What is known of some tracks: every attribute is an array with a row for each of them.
+
+    Points and walls have tracks of their own kind, dataclasses of such arrays.
+    """
+
+    def __init__(self, *columns: NDArray[Any]) -> None: ...
+
+    def __len__(self) -> int:
+        """Return the number of tracks."""
+        return len(next(iter(vars(self).values())))
+
+    def kept(self, rows: NDArray[np.bool_]) -> Self:
+        """Return some of the tracks."""
+        if rows.all():
+            return self
+        return type(self)(*(column[rows] for column in vars(self).values()))
+
+    def joined(self, other: Self) -> Self:
+        """Return these tracks and others."""
+        if not len(other):
+            return self
+        columns = zip(vars(self).values(), vars(other).values(), strict=True)
+        return type(self)(*map(np.concatenate, columns))
+
+
 @dataclass(eq=False)
-class LiveTracks:
+class LiveTracks(Tracks):
     """Tracks in the robot frame of one iteration, carried along where they were not seen.
 
     Attributes
@@ -45,10 +72,6 @@ class LiveTracks:
         zeros = np.zeros(len(landmarks), dtype=np.int64)
         return cls(landmarks, points, points.copy(), zeros, zeros + 1, zeros.copy())
 
-    def __len__(self) -> int:
-        """Return the number of tracks."""
-        return len(self.landmarks)
-
     def see(
         self, rows: NDArray[np.int64], points: NDArray[np.float64], strayed: NDArray[np.bool_]
     ) -> None:
@@ -61,25 +84,3 @@ class LiveTracks:
     def carried(self, expected: NDArray[np.float64], latest: NDArray[np.float64]) -> LiveTracks:
         """Return the tracks with their places in the next iteration."""
         return LiveTracks(self.landmarks, expected, latest, self.missed, self.seen, self.restless)
-
-    def kept(self, rows: NDArray[np.bool_]) -> LiveTracks:
-        """Return some of the tracks."""
-        return LiveTracks(
-            self.landmarks[rows],
-            self.expected[rows],
-            self.latest[rows],
-            self.missed[rows],
-            self.seen[rows],
-            self.restless[rows],
-        )
-
-    def joined(self, other: LiveTracks) -> LiveTracks:
-        """Return these tracks and others."""
-        return LiveTracks(
-            np.concatenate([self.landmarks, other.landmarks]),
-            np.concatenate([self.expected, other.expected]),
-            np.concatenate([self.latest, other.latest]),
-            np.concatenate([self.missed, other.missed]),
-            np.concatenate([self.seen, other.seen]),
-            np.concatenate([self.restless, other.restless]),
-        )

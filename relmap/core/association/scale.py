@@ -1,0 +1,87 @@
+"""How far apart landmarks are and how noisy their places, learnt from the scans themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.association.base import middle, nearest
+
+COARSE = 0.1
+"""Tolerance before the noise is known, in spacings."""
+SIGMAS = 4.5
+"""Tolerance when it is known, in standard deviations."""
+EXACT = 1e-3
+"""Least tolerance, in spacings, where there is no noise at all."""
+FAINT = 0.01
+"""Least noise, in spacings, that is tried when it may have been taken for too small."""
+FEW = 3
+"""So few links tell nothing of the noise."""
+SLOWNESS = 0.1
+"""Share of the latest iteration in the estimates of spacing and noise."""
+CHI2_MEDIAN = {2: 1.386, 3: 2.366}
+"""Median of a sum of d squared standard normals."""
+
+
+class Scale:
+    """The spacing and the noise of landmarks, and the tolerances that follow from them.
+
+    Attributes
+    ----------
+    spacing_m : float
+        Typical distance of neighbours, metres; infinite before it is known.
+    noise_m : float or None
+        Standard deviation of a coordinate's difference between two scans; None before it is known.
+    """
+
+    spacing_m: float
+    noise_m: float | None
+    STATE = "spacing_m noise_m"
+
+    def __init__(self) -> None:
+        self.spacing_m = np.inf
+        self.noise_m = None
+
+    @property
+    def tolerance_m(self) -> float:
+        """How far apart matches that agree may lie."""
+        coarse = COARSE * self.spacing_m
+        if self.noise_m is None:
+            return coarse
+        return min(max(SIGMAS * self.noise_m, EXACT * self.spacing_m), 1.5 * coarse)
+
+    @property
+    def gate_m(self) -> float:
+        """How far from where it is expected a track may be found."""
+        return max(self.tolerance_m, min(2 * self.tolerance_m, 0.8 * COARSE * self.spacing_m))
+
+    def see_spacing(self, spacing_m: float) -> None:
+        """Learn the spacing from that of one scan."""
+        if np.isfinite(self.spacing_m):
+            spacing_m = self.spacing_m + SLOWNESS * (spacing_m - self.spacing_m)
+        self.spacing_m = spacing_m
+
+    def allow_noise(self) -> None:
+        """Take it that the noise may have been learnt too small."""
+        if self.noise_m is not None:
+            self.noise_m = max(self.noise_m, FAINT * self.spacing_m)
+
+    def learn(self, expected: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+        """Learn the noise of a coordinate's difference from links of landmarks at rest."""
+        n, d = expected.shape
+        if n <= FEW:
+            return
+        squares = np.sum((expected - found) ** 2, axis=1)
+        variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
+        if self.noise_m is None:
+            self.noise_m = float(np.sqrt(variance))
+        else:
+            self.noise_m = float(np.sqrt(self.noise_m**2 + SLOWNESS * (variance - self.noise_m**2)))
+
+
+def spacing_of(points: NDArray[np.float64]) -> float:
+    """Return the median distance of points (n, d) to their nearest neighbours, metres."""
+    if len(points) < 2:
+        return np.inf
+    return middle(nearest(cKDTree(points), points, 2)[0][:, 1])
