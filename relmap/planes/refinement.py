@@ -19,6 +19,8 @@ from relmap.core.refinement.schur import Elimination, Linearised, NormalEquation
 from relmap.planes.equations import WallEquations, Walls, between_neighbours, open_along
 
 MOST = 0.9
+ROUNDING = 1e-13
+"""Residuals of no more than this, as a share of the largest coordinate, are taken for rounding."""
 SPREAD = 1 / np.sqrt(12)
 """Where the two points are that stand for a wall: so many sizes from its middle, either way.
 
@@ -61,7 +63,6 @@ class WallSystem:
 
     def __init__(self, given: WallEquations) -> None:
         self.settled = False
-        self.rounding = 0.0
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
         self._open_along = open_along(given)
@@ -72,6 +73,8 @@ class WallSystem:
     def _set(self, given: WallEquations) -> None:
         sd = np.sqrt(2) * given.sd
         self._sd = np.concatenate([sd, sd, given.corner_sd])
+        least_m = ROUNDING * float(np.abs(given.ends).max())
+        self.rounding = float(np.sum((least_m / self._sd) ** 2))
 
     def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
         """Return the state on which all observations agree best, by damped Gauss-Newton.
