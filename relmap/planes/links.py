@@ -109,6 +109,28 @@ def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tu
     return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
 
 
+def stretched_m(
+    poses: NDArray[np.float64], before: NDArray[np.float64], weak: NDArray[np.int64]
+) -> float:
+    """Return by how much the way over weak links in a row differs most between two paths, metres.
+
+    Parameters
+    ----------
+    poses, before : (k, 4, 4) float64
+    weak : (w,) int64, ascending
+        Iterations before which too little was seen; those of other submaps are passed over.
+    """
+    weak = weak[(weak > 0) & (weak < len(poses))]
+    if not len(weak):
+        return 0.0
+    breaks = np.flatnonzero(np.diff(weak) > 1)
+    first, last = weak[np.append(0, breaks + 1)] - 1, weak[np.append(breaks, len(weak) - 1)]
+    ways = [
+        np.linalg.norm(path[last, :2, 3] - path[first, :2, 3], axis=1) for path in (poses, before)
+    ]
+    return float(np.abs(ways[0] - ways[1]).max())
+
+
 def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:
     """Return how much the directions (k, 2) of the walls of each of n scans spread, (n,).
 

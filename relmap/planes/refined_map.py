@@ -15,9 +15,9 @@ from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
-from relmap.planes.links import disagreement
+from relmap.planes.links import ASTRAY_M, disagreement, stretched_m
 from relmap.planes.solving import refined, refined_to_the_noise
-from relmap.planes.stitching import stitched, without_strays
+from relmap.planes.stitching import stitched, weak_links, without_strays
 from relmap.planes.submaps import WallSubmap, among_all
 
 _LOG = logging.getLogger(__name__)
@@ -62,7 +62,7 @@ def refined_map(
     span = chained.span
     if chained.assembled is None:
         return None
-    best = refined(chained.assembled, WIDELY)
+    best, closed = refined(chained.assembled, WIDELY), False
     for rounds, times in ((WIDELY, CLOSED), (ROUGHLY, JOINED)):
         for _ in range(times):
             if rounds is WIDELY:
@@ -71,27 +71,41 @@ def refined_map(
                 joined = join_walls(best, numbers)
             if joined.same_as(numbers):
                 break
-            numbers = joined
+            numbers, closed = joined, closed or rounds is WIDELY
             path = among_all(poses_of(best, span, history), span, history)
             again = assemble(history, numbers, path, moving)
             best = best if again is None else refined(again, rounds)
     best = refined_to_the_noise(best)
     found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
-    return (found, numbers) if _better(found, chained, history.motion[slice(*span)]) else None
+    return (found, numbers) if _better(found, chained, history, closed) else None
 
 
-def _better(found: WallSubmap, chained: WallSubmap, motions: NDArray[np.float64]) -> bool:
-    """Tell whether a refined map settled and agrees with the links between its scans."""
+def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, closed: bool) -> bool:
+    """Tell whether a refined map settled and agrees with the links between its scans.
+
+    Where no loop was closed nothing tells how far the robot went over a weak link.
+    """
     assert found.assembled is not None
+    motions = history.motion[slice(*found.span)]
     torn, off_m = disagreement(found.poses, motions)
     torn_before, off_before_m = disagreement(chained.poses, motions)
     if not found.assembled.settled:
         _LOG.warning("scans %d:%d: refining does not settle; they stay as chained", *found.span)
     elif torn > torn_before or off_m > off_before_m + WORSE_M:
         _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *found.span)
+    elif not closed and _stretched(found, chained, history):
+        _LOG.warning(
+            "scans %d:%d: refining stretches a weak link; they stay as chained", *found.span
+        )
     else:
         return True
     return False
+
+
+def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
+    """Tell whether a way over weak links is another than the one that was carried on."""
+    weak = weak_links(history) - found.span[0]
+    return stretched_m(found.poses, chained.poses, weak) > ASTRAY_M
 
 
 def poses_of(
