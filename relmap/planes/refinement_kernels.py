@@ -28,11 +28,10 @@ def linearised(
     (yaw, t), (centre, angle, across, along) = poses, walls
     n = len(points)
     off, by_pose, by_wall = np.empty(n), np.empty((n, 3)), np.empty((n, 2))
-    normal = np.column_stack((np.cos(angle), np.sin(angle)))
-    turn = np.column_stack((np.cos(yaw), np.sin(yaw)))
+    cos, sin, cos_yaw, sin_yaw = np.cos(angle), np.sin(angle), np.cos(yaw), np.sin(yaw)
     for r in range(n):
         i, w, k = iteration[r], wall[r], r - (n - len(corner))
-        (vx, vy), (c, s), place = normal[w], turn[i], across[w]
+        vx, vy, c, s, place = cos[w], sin[w], cos_yaw[i], sin_yaw[i], across[w]
         if k >= 0:  # along the wall, from right to left
             vx, vy, place = vy, -vx, along[corner[k]]
         x, y = c * points[r, 0] - s * points[r, 1], s * points[r, 0] + c * points[r, 1]

@@ -152,6 +152,14 @@ class Pattern:
 
     def parts(self, inverse: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
-        from relmap.core.linalg.cholesky_kernels import parts
+        from relmap.core.linalg.cholesky_kernels import take_parts
 
-        return parts(self.layout, inverse, chosen)
+        order = np.argsort(chosen, axis=1)
+        ascending = np.take_along_axis(chosen, order, axis=1)
+        found, own = (
+            np.empty((*chosen.shape, chosen.shape[1])),
+            np.arange(len(chosen))[:, None, None],
+        )
+        parts = take_parts(self.layout, inverse, ascending)
+        found[own, order[:, :, None], order[:, None, :]] = parts
+        return found

@@ -121,16 +121,12 @@ def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place
 
 
 @compiled
-def parts(layout: Layout, values: Array, chosen: Index) -> Array:
-    """Return symmetric parts (k, m, m) over unknowns (k, m) of what is laid out."""
-    k, m = chosen.shape
-    found, ordered, place = np.empty((k, m, m)), np.empty((m, m)), np.empty_like(layout[1])
+def take_parts(layout: Layout, values: Array, unknowns: Index) -> Array:
+    """Return symmetric parts (k, m, m) over unknowns (k, m), ascending, of what is laid out."""
+    k, m = unknowns.shape
+    found, place = np.empty((k, m, m)), np.empty_like(layout[1])
     for i in range(k):
-        order = np.argsort(chosen[i])
-        take_part(layout, chosen[i][order], values, ordered, place)
-        for a in range(m):
-            for b in range(m):
-                found[i, order[a], order[b]] = ordered[a, b]
+        take_part(layout, unknowns[i], values, found[i], place)
     return found
 
 
