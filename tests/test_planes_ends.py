@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -109,3 +110,21 @@ def test_an_end_that_is_typed_a_corner_but_moves_is_left_out() -> None:
     apart = np.linalg.norm(corners[:, None] - WALLS.reshape(-1, 2), axis=2).min(axis=1)
     assert len(corners) >= 5
     assert apart.max() < 0.01
+
+
+def test_a_run_without_types_of_ends_is_saved_and_resumed_the_same(tmp_path: Path) -> None:
+    building = simulate_building(points=10, sigma=0.0, seed=1, iterations=60)
+    mapper = PlaneMapper(journal=tmp_path / "run.sqlite")
+    for k, scan in enumerate(building.scans):
+        mapper.update(SimpleNamespace(ends=scan.seen.ends))
+        if k == 30:
+            mapper.save(tmp_path / "run.npz")
+    mapper.close()
+    loaded = PlaneMapper.load(tmp_path / "run.npz")
+    for scan in building.scans[31:]:
+        loaded.update(SimpleNamespace(ends=scan.seen.ends))
+    corners = mapper.history.corner
+    assert (corners >= 0).any()
+    for other in (loaded, PlaneMapper.resume(tmp_path / "run.sqlite")):
+        np.testing.assert_array_equal(other.history.corner, corners)
+        np.testing.assert_array_equal(other.map.positions, mapper.map.positions)

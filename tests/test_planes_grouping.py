@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from relmap import PlaneMapper
-from relmap.core import turns
 from relmap.core.mapper import RelativeMapper
 from relmap.simulation import simulate_building
 
@@ -25,9 +25,7 @@ def after_a_building() -> PlaneMapper:
 
 def test_without_groups_no_wall_is_mapped(monkeypatch: pytest.MonkeyPatch) -> None:
     """A motion from scan to scan bridges what groups placed; by itself it maps nothing."""
-    nothing: Any = lambda *_: np.empty(0, dtype=np.int64)  # noqa: E731
-    monkeypatch.setattr(RelativeMapper, "group", nothing)
-    monkeypatch.setattr(turns, "found_submap", nothing)
+    monkeypatch.setattr(RelativeMapper, "relative_map", lambda *_: None)
     mapper = after_a_building()
     assert len(mapper.history.iteration) > 1000
     assert len(mapper.map.positions) == 0
@@ -60,3 +58,17 @@ def test_walls_that_the_groups_merged_stay_one_in_the_refined_map() -> None:
     assert (merged != labels).sum() > 10
     mapper.refine()
     np.testing.assert_array_equal(mapper.landmarks_of(labels), mapper.landmarks_of(merged))
+
+
+def test_a_stretch_too_short_for_a_group_on_the_way_is_mapped_at_the_end() -> None:
+    mapper, room = PlaneMapper(), np.array([[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]]])
+    nothing = SimpleNamespace(ends=np.empty((0, 2, 2)))
+    kind = np.full((2, 2), "corner")
+    for k in range(50):
+        seen = SimpleNamespace(ends=room - [0.1 * k - 3.0, 0.0], end_type=kind)
+        mapper.update(nothing if 7 <= k < 20 else seen)
+    mapper.finish()
+    mapper.refine()
+    short = next(submap for submap in mapper.submaps if submap.first_iteration == 0)
+    assert len(short.landmark_ids) == 4
+    np.testing.assert_allclose(np.ptp(short.positions, axis=0), [6.0, 6.0, 0.0], atol=1e-6)

@@ -6,9 +6,10 @@ import numpy as np
 
 from relmap.core.association.merging import merge_doubles
 from relmap.core.association.tying import tie_submaps
+from relmap.core.grouping.chart import PointChart
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
-from relmap.core.turns import group_or_found, last_pass
+from relmap.core.turns import group_or_found, last_pass, placed_first
 
 
 def finish(engine: RelativeMapper) -> None:
@@ -21,6 +22,22 @@ def finish(engine: RelativeMapper) -> None:
     for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
         if engine.table.is_gone[seed]:
             last_pass(engine, seed)
+
+
+def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
+    """Found a submap in iterations that are still stored and of which no group placed any.
+
+    Where nothing is in view for long, nobody is due before it has left.
+    """
+    landmarks = engine.table.now(engine.store.seen(begin, end)[0])
+    if not len(landmarks) or (engine.table.weight[landmarks] > 0).any():
+        return
+    chart = PointChart.around(int(np.bincount(landmarks).argmax()), engine.store, begin, end)
+    first = placed_first(engine, chart)
+    if first is not None:
+        placed, relative = first
+        weights = relative.n_used.astype(np.float64)
+        engine.map.place(engine.map.new_submap(), relative.landmarks, placed, weights)
 
 
 def tie(engine: RelativeMapper) -> None:

@@ -80,11 +80,10 @@ class RelativeMapper:
         # Register: match what is seen to the scans before, untransformed (section II).
         found = self.association.match(seen, ids, iteration)
         rows = self.model.rows(seen, found)
-        self.table.enter(*self.model.points(rows)[:2], iteration)
+        landmarks = self.table.enter(*self.model.points(rows)[:2], iteration)
         # Store every observation as it was made (Fig. 3).
         rows["landmark"] = self.table.now(rows["landmark"])
         self.store.append(**rows)
-        landmarks = self.store.seen(iteration, iteration + 1)[0]
         left = self.schedule.see(landmarks, iteration)
         # Group who is due, merge and forget (section III).
         take_turns(self, landmarks, left)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.grouping.chart import PointChart
+from relmap.core.grouping.completion import RelativeMap
 from relmap.core.refinement.live import SLICE_EVERY
 
 if TYPE_CHECKING:
@@ -86,18 +88,30 @@ def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
     mapped_in_view = np.sum(engine.table.weight[engine.schedule.in_view] > 0)
     if mapped_in_view >= fixes or engine.table.dynamic[seed]:
         return
-    chart = engine.chart(seed)
+    first = placed_first(engine, engine.chart(seed))
+    if first is not None:
+        placed, relative = first
+        engine.placing.place(engine.map.new_submap(), level, placed, relative)
+
+
+def placed_first(
+    engine: RelativeMapper, chart: PointChart
+) -> tuple[NDArray[np.float64], RelativeMap] | None:
+    """Return a relative map of a chart, and where it lies as the robot saw it first.
+
+    None where no group can be grown.
+    """
     if not len(chart.iterations):
-        return
+        return None
     chart = chart.only(chart.visible[:, 0])
     relative = engine.relative_map(chart, np.zeros(len(chart.landmarks)), 0)
     if relative is None:
-        return
+        return None
     first = chart.points_robot[np.isin(chart.landmarks, relative.landmarks), 0]
-    if len(first) > fixes:
-        R, t = fit_rigid(relative.positions, first)
-        placed = relative.positions @ R.T + t
-        engine.placing.place(engine.map.new_submap(), level, placed, relative)
+    if len(first) <= engine.model.min_shared(engine.table.dimension):
+        return None
+    R, t = fit_rigid(relative.positions, first)
+    return relative.positions @ R.T + t, relative
 
 
 def last_pass(engine: RelativeMapper, seed: int) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from relmap.core import afterwards
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
@@ -125,6 +126,12 @@ class PlaneMapper(Mapper):
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
         return walls
+
+    def finish(self) -> None:
+        """Map what is left: what is in view, and submaps too short for a group on the way."""
+        super().finish()
+        for span in self.history.spans:
+            afterwards.found_late(self._engine, *span)
 
     def refine(self) -> None:
         """Bring walls, corners and poses to where all observations agree best.

@@ -20,6 +20,9 @@ NONE = -1
 ROWS = 2**11
 """Rows that the columns begin with, about."""
 
+AHEAD = 64
+"""Rows that are made ready at a time."""
+
 Merge = Literal["old", "new", "least", "most", "sum"]
 
 
@@ -194,11 +197,13 @@ class LandmarkState:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take up the rows of another table."""
         self.__dict__.update(state)
+        self._filled = len(self._rooms["landmark_of"])
         self._show(len(self._rooms["landmark_of"]))
 
     def restored(self) -> None:
         """Make the columns there are now the rooms."""
         self._rooms = {name: getattr(self, name) for name in COLUMNS}
+        self._filled = len(self)
         if len({len(room) for room in self._rooms.values()}) > 1:
             raise ValueError("the columns of the landmarks are of different lengths")
         for row in np.flatnonzero(~self.is_own).tolist():
@@ -229,19 +234,21 @@ class LandmarkState:
             return
         if before == 0:
             self._begin(dimension)
-        for name, column in COLUMNS.items():
-            if n > len(self._rooms[name]):
-                self._grow(name, n)
-            self._rooms[name][before:n] = column.fill
+        if n > self._filled:
+            self._fill(n + AHEAD)
         self._show(n)
         self.landmark_of[before:] = np.arange(before, n)
         self.first[before:] = self.since[before:] = iteration
 
     def enter(
         self, landmarks: NDArray[np.int64], points: NDArray[np.float64], iteration: int
-    ) -> None:
-        """Add rows for those of landmarks (k,) seen now, at points (k, d), that are new."""
+    ) -> NDArray[np.int64]:
+        """Add rows for those of landmarks (k,) seen now, at points (k, d), that are new.
+
+        Returns who they are after merging.
+        """
         self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
+        return self.now(landmarks)
 
     def now(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (any shape), as they were numbered, are after merging; -1 stays."""
@@ -306,16 +313,25 @@ class LandmarkState:
         return [*self._earlier.get(landmark, []), *present]
 
     def _begin(self, dimension: int) -> None:
+        self._filled = 0
         # Of different sizes, so that no two columns are full in the same iteration.
         for k, (name, column) in enumerate(COLUMNS.items()):
             shape = (ROWS + k * ROWS // len(COLUMNS), *([dimension] if column.vector else []))
             self._rooms[name] = np.empty(shape, column.dtype)
         self._show(0)
 
+    def _fill(self, n: int) -> None:
+        """Make rows up to `n` those of new landmarks, some before they are needed."""
+        for name, column in COLUMNS.items():
+            if n > len(self._rooms[name]):
+                self._grow(name, n)
+            self._rooms[name][self._filled : n] = column.fill
+        self._filled = n
+
     def _grow(self, name: str, n: int) -> None:
         before = self._rooms[name]
         self._rooms[name] = np.empty((max(n, 2 * len(before)), *before.shape[1:]), before.dtype)
-        self._rooms[name][: len(self)] = before[: len(self)]
+        self._rooms[name][: self._filled] = before[: self._filled]
 
     def _show(self, n: int) -> None:
         for name, room in self._rooms.items():
