@@ -21,7 +21,7 @@ import numpy as np
 
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
-from relmap.evaluation.run import Association
+from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
 
 BASELINE = Path(__file__).with_name("gate_baseline.json")

@@ -14,8 +14,8 @@ from time import perf_counter
 import numpy as np
 
 from relmap import PointMapper
-from relmap.comparison.baselines import FrameToMap
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.comparison.baselines.frame_to_map import FrameToMap
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log

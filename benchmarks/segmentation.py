@@ -26,7 +26,7 @@ from relmap import PlaneSegmenter, RelmapError
 from relmap.datasets import open_scans
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture, scan_area
-from relmap.simulation.building import BuildingScan, building_scene
+from relmap.simulation import BuildingScan, building_scene
 from relmap.simulation.sensor import DEPTH_SENSOR, LASER
 
 SIGMAS = (0.0, 0.05, 0.1, 0.2, 0.3)

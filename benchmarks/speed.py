@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.comparison.baselines import FrameToMap
+from relmap.comparison.baselines.frame_to_map import FrameToMap
 from relmap.datasets.base import ObservationLog, Scan
 from relmap.evaluation.metrics import align, rms
 from relmap.simulation import FigureEight, simulate_figure_eight

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PointMapper
-from relmap.comparison.baselines import FrameToMap
+from relmap.comparison.baselines.frame_to_map import frame_to_map
 from relmap.comparison.baselines.known import least_squares_map
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
@@ -28,14 +28,6 @@ def map_log(log: ObservationLog) -> PointMapper:
         mapper.update(scan.points_robot, scan.ids)
     mapper.finish()
     return mapper
-
-
-def frame_to_map(log: ObservationLog) -> FrameToMap:
-    baseline = FrameToMap()
-    for scan in log.scans():
-        assert scan.ids is not None
-        baseline.update(scan.points_robot, scan.ids)
-    return baseline
 
 
 def rmse(result: LandmarkMap, ids: NDArray[np.int64], truth: NDArray[np.float64]) -> float:

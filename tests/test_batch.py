@@ -216,7 +216,7 @@ def naive_frame_to_map(scans: list[tuple[NDArray[np.int64], Points]], d: int) ->
 def test_frame_to_map_is_the_naive_average(seed: int, d: int) -> None:
     scans = walk(d, seed, sigma=0.05, iterations=40).scans
     scans = [(np.where(ids % 7 == 3, -1, ids), points) for ids, points in scans]
-    baseline = FrameToMap()
+    baseline = FrameToMap(d)
     for ids, points in scans:
         baseline.update(points, ids)
     expected = naive_frame_to_map(scans, d)
@@ -228,7 +228,7 @@ def test_frame_to_map_is_the_naive_average(seed: int, d: int) -> None:
 @given(seeds, dimensions)
 def test_frame_to_map_is_exact_without_noise(seed: int, d: int) -> None:
     world = walk(d, seed, iterations=60)
-    baseline = FrameToMap()
+    baseline = FrameToMap(d)
     for ids, points in world.scans:
         baseline.update(points, ids)
     found = baseline.map
@@ -240,7 +240,7 @@ def test_frame_to_map_is_exact_without_noise(seed: int, d: int) -> None:
 
 
 def test_frame_to_map_leaves_out_what_it_cannot_place() -> None:
-    baseline = FrameToMap()
+    baseline = FrameToMap(2)
     baseline.update(np.empty((0, 2)), np.empty(0, dtype=np.int64))
     assert len(baseline.map.landmark_ids) == 0
     baseline.update(np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([5, 3]))
@@ -251,3 +251,14 @@ def test_frame_to_map_leaves_out_what_it_cannot_place() -> None:
     np.testing.assert_allclose(
         baseline.map.positions, [[2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 1.0, 0.0]], atol=1e-12
     )
+
+
+def test_frame_to_map_leaves_out_an_observation_that_cannot_be_right() -> None:
+    places = np.random.default_rng(0).uniform(-5.0, 5.0, (8, 2))
+    baseline = FrameToMap(2)
+    for k in range(10):
+        points = places - [0.1 * k, 0.0]
+        if k == 6:
+            points[3] += 2.0
+        baseline.update(points, np.arange(8))
+    np.testing.assert_allclose(baseline.map.positions[:, :2], places, atol=1e-9)

@@ -11,7 +11,7 @@ from matplotlib.collections import LineCollection
 from relmap.cli import main
 from relmap.datasets import open_scans
 from relmap.io.files import read_tum
-from relmap.plots.building import plot_building
+from relmap.plots.planes import plot_building
 from relmap.simulation import simulate_building
 from tests.commands import Check, names, snapshot, table
 

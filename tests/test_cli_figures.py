@@ -15,9 +15,9 @@ import pytest
 
 from relmap import RelmapError
 from relmap.cli import main
-from relmap.figures import registry
+from relmap.figures import making
 from relmap.figures.base import Outcome
-from relmap.figures.registry import FIGURES, chosen_figures
+from relmap.figures.making import FIGURES, chosen_figures
 from tests.commands import RELMAP, Check, names, snapshot, table
 
 VOID = {"img", "meta", "br"}
@@ -181,7 +181,7 @@ def fails(*_: object) -> Outcome:
 def run_instead(monkeypatch: pytest.MonkeyPatch, number: str, run: Callable[..., Outcome]) -> None:
     """Have one of the figures do another run."""
     changed = [replace(each, run=run) if each.name == number else each for each in FIGURES]
-    monkeypatch.setattr(registry, "FIGURES", tuple(changed))
+    monkeypatch.setattr(making, "FIGURES", tuple(changed))
 
 
 def test_a_figure_that_fails_does_not_take_the_others_along(

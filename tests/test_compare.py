@@ -20,7 +20,7 @@ from relmap.comparison.compare import CSV_COLUMNS, compare
 from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
-from relmap.evaluation.run import Association
+from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Data, EightSource
 from tests.commands import RELMAP, Check, names, table
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.figures.crossing import METHODS, Crossing, CrossingRow, Method, run_crossing
-from relmap.figures.figure07 import NoisyMaps, plot_noisy_maps, run_noisy_maps
-from relmap.figures.figure07 import outcome as noisy_outcome
-from relmap.figures.figure_crossing import outcome as crossing_outcome
-from relmap.figures.figure_crossing import plot_crossing, said
+from relmap.figures import figure07, figure_crossing
+from relmap.figures.figure07 import NoisyMaps, run_noisy_maps
+from relmap.figures.figure_crossing import (
+    METHODS,
+    Crossing,
+    CrossingRow,
+    Method,
+    run_crossing,
+)
 from relmap.figures.surface_points import scan_surface_points
 from relmap.simulation import simulate_building
 
@@ -67,7 +73,7 @@ def test_points_are_seen_where_their_stretch_is() -> None:
 
 
 def test_both_variants_get_the_same_noisy_points() -> None:
-    seen = scan_surface_points(BUILDING, 0.3, 0.05, seed=1)
+    seen = scan_surface_points(BUILDING, 0.3, 0.05 / 0.3, seed=1)
     errors = []
     for k, (scan, points) in enumerate(zip(seen.scans.scans(), seen.points.scans(), strict=True)):
         assert scan.points_robot.tobytes() == points.points_robot.tobytes()
@@ -77,7 +83,7 @@ def test_both_variants_get_the_same_noisy_points() -> None:
         errors.append(points.points_robot - true)
     noise = np.concatenate(errors)
     np.testing.assert_allclose(noise.std(axis=0), 0.05, rtol=0.1)
-    again = scan_surface_points(BUILDING, 0.3, 0.05, seed=1)
+    again = scan_surface_points(BUILDING, 0.3, 0.05 / 0.3, seed=1)
     assert again.points.points_robot.tobytes() == seen.points.points_robot.tobytes()
 
 
@@ -99,48 +105,49 @@ def crossing() -> Crossing:
     runs = rows_of("planes", [0.02] * 4, [1.0] * 4)
     runs += rows_of("points", [0.015, 0.018, None, None], [0.9, 0.7, 0.0, 0.0])
     runs += rows_of("points, ids given", [0.01, 0.015, 0.025, 0.04], [1.0] * 4)
-    return Crossing(tuple(runs))
+    return Crossing(0.2, tuple(runs))
 
 
 def test_crossing_lies_where_the_lines_cross() -> None:
     data = crossing()
-    assert data.planes_ahead("points, ids given", 0.2) == pytest.approx((0.25, 0.4))
-    assert data.planes_ahead("points", 0.2) == pytest.approx((0.3, 0.4))
-    assert data.fails_at("points", 0.2) == pytest.approx(0.3)
-    assert data.fails_at("planes", 0.2) is None
-    assert said(data) == (
-        "points 0.2 m apart: planes have the better map from 0.30, from 0.25 if the ids of points "
-        "were given; points lose half from 0.30, planes nowhere"
+    assert data.planes_ahead("points, ids given") == pytest.approx((0.25, 0.4))
+    assert data.planes_ahead("points") == pytest.approx((0.3, 0.4))
+    assert data.fails_at("points") == pytest.approx(0.3)
+    assert data.fails_at("planes") is None
+    assert figure_crossing.FIGURE.judge([data]).ours == (
+        "Points 0.2 m apart: planes have the better map from 0.30, from 0.25 if the ids of points "
+        "were given; points lose half from 0.30, planes nowhere."
     )
 
 
 def test_maps_that_failed_overtake_nothing() -> None:
     runs = rows_of("planes", [0.001] * 2, [0.4] * 2)
     runs += rows_of("points", [0.5] * 2, [0.6] * 2)
-    data = Crossing(tuple(runs))
-    assert data.planes_ahead("points", 0.2) is None
-    assert data.fails_at("planes", 0.2) == pytest.approx(0.1)
+    data = Crossing(0.2, tuple(runs))
+    assert data.planes_ahead("points") is None
+    assert data.fails_at("planes") == pytest.approx(0.1)
 
 
 def test_planes_may_fall_behind_again() -> None:
     runs = rows_of("planes", [0.02, 0.02, 0.02, 0.09], [1.0] * 4)
     runs += rows_of("points", [0.01, 0.03, 0.03, 0.03], [1.0] * 4)
-    assert Crossing(tuple(runs)).planes_ahead("points", 0.2) == pytest.approx((0.15, 0.3))
+    assert Crossing(0.2, tuple(runs)).planes_ahead("points") == pytest.approx((0.15, 0.3))
     runs = rows_of("planes", [0.02] * 4, [1.0] * 4)
     runs += rows_of("points", [0.01, 0.01, None, None], [0.3, 0.9, 0.0, 0.0])
-    assert Crossing(tuple(runs)).planes_ahead("points", 0.2) == pytest.approx((0.3, 0.4))
+    assert Crossing(0.2, tuple(runs)).planes_ahead("points") == pytest.approx((0.3, 0.4))
 
 
 def test_rows_of_the_crossing() -> None:
-    rows = list(crossing().rows())
+    made = figure_crossing.FIGURE.judge([crossing()]).table
+    rows = list(made.rows)
     assert len(rows) == 36
-    assert Crossing.COLUMNS[:3] == ("method", "spacing_m", "noise")
+    assert list(made.columns[:3]) == ["method", "spacing_m", "noise"]
     missing = [row for row in rows if row[5] == ""]
     assert {row[0] for row in missing} == {"points"}
 
 
 def test_picture_of_the_crossing_shows_medians() -> None:
-    figure = plot_crossing(crossing())
+    figure = figure_crossing.FIGURE.draw([crossing()])
     axes = figure.axes[0]
     lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.get_lines()}
     assert lines["points, ids given, median"].tolist() == [0.01, 0.015, 0.025, 0.04]
@@ -151,11 +158,11 @@ def test_picture_of_the_crossing_shows_medians() -> None:
 def test_every_method_is_run_on_every_cell() -> None:
     counted: list[int] = []
 
-    def progress(cells: list[tuple[float, float, int]]) -> list[tuple[float, float, int]]:
+    def progress(cells: Sequence[Any]) -> Sequence[Any]:
         counted.append(len(cells))
         return cells
 
-    data = run_crossing([0.4], [0.02], [1, 2], iterations=15, progress=progress)
+    (data,) = run_crossing([0.4], [0.02], [1, 2], iterations=15, progress=progress)
     assert counted == [2]
     assert [row.method for row in data.runs] == [*METHODS, *METHODS]
     known = [row for row in data.runs if row.method == "points, ids given"]
@@ -170,37 +177,40 @@ def maps() -> NoisyMaps:
 
 
 def test_planes_hold_where_points_do_not(maps: NoisyMaps) -> None:
-    assert maps.sigma == pytest.approx(0.075)
-    assert maps.planes_rmse_m is not None
-    assert maps.planes_rmse_m <= 1.2 * maps.sigma
-    assert maps.planes_coverage >= 0.8
-    assert maps.points_coverage <= 0.5
+    planes, points = maps.planes.run, maps.points.run
+    assert planes.sigma == pytest.approx(0.075)
+    assert planes.map_rmse_m is not None
+    assert planes.map_rmse_m <= 1.2 * planes.sigma
+    assert planes.coverage >= 0.8
+    assert points.coverage <= 0.5
 
 
 def test_rows_and_picture_of_both_maps(maps: NoisyMaps) -> None:
-    whats = [row[0] for row in maps.rows()]
-    assert whats.count("mapped wall") == len(maps.walls)
+    whats = [row[0] for row in figure07.FIGURE.judge(maps).table.rows]
+    assert whats.count("mapped wall") == len(maps.planes.shapes)
     assert whats.count("true wall") == len(maps.true_walls)
-    assert whats.count("mapped point") == len(maps.points)
-    titles = [axes.get_title() for axes in plot_noisy_maps(maps).axes]
-    assert f"{maps.planes_rmse_m:.3f} m" in titles[0]
+    assert whats.count("mapped point") == len(maps.points.shapes)
+    titles = [axes.get_title() for axes in figure07.FIGURE.draw(maps).axes]
+    assert f"{maps.planes.run.map_rmse_m:.3f} m" in titles[0]
     assert titles[1].startswith("points: ")
 
 
 def test_verdict_on_both_maps(maps: NoisyMaps) -> None:
-    found = noisy_outcome(maps)
+    judge, planes = figure07.FIGURE.judge, maps.planes
+    found = judge(maps)
     assert found.verdict == "borne out"
-    assert found.value == maps.planes_rmse_m
-    assert list(found.table.rows) == list(maps.rows())
-    as_good = replace(maps, points_rmse_m=maps.planes_rmse_m, points_coverage=1.0)
-    assert noisy_outcome(as_good).verdict == "partly borne out"
-    assert noisy_outcome(replace(as_good, planes_coverage=0.1)).verdict == "not borne out"
+    assert found.value == planes.run.map_rmse_m
+    run = replace(maps.points.run, map_rmse_m=planes.run.map_rmse_m, coverage=1.0)
+    as_good = replace(maps, points=replace(maps.points, run=run))
+    assert judge(as_good).verdict == "partly borne out"
+    lost = replace(planes, run=replace(planes.run, coverage=0.1))
+    assert judge(replace(as_good, planes=lost)).verdict == "not borne out"
 
 
 def test_verdict_on_the_crossing() -> None:
-    found = crossing_outcome(crossing())
+    found = figure_crossing.FIGURE.judge([crossing()])
     assert found.verdict == "borne out"
     assert found.value == pytest.approx(0.3)
     runs = rows_of("planes", [0.02] * 2, [1.0] * 2) + rows_of("points", [0.01] * 2, [1.0] * 2)
     runs += rows_of("points, ids given", [0.01] * 2, [1.0] * 2)
-    assert crossing_outcome(Crossing(tuple(runs))).verdict == "not borne out"
+    assert figure_crossing.FIGURE.judge([Crossing(0.2, tuple(runs))]).verdict == "not borne out"

@@ -115,7 +115,7 @@ def test_damaged_clouds(tmp_path: Path, data: bytes, expected: str) -> None:
 
 
 def test_all_forms_of_a_cloud_hold_the_same_points(tmp_path: Path) -> None:
-    """Every form that another program writes of one cloud, with fields that are passed over."""
+    """Every form that another program writes of one cloud, with fields that are skipped."""
     open3d = pytest.importorskip("open3d", exc_type=ImportError)
     points = np.random.default_rng(0).normal(size=(50, 3))
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
@@ -132,7 +132,7 @@ def test_all_forms_of_a_cloud_hold_the_same_points(tmp_path: Path) -> None:
 
 
 def test_packed_fields_stand_one_after_another(tmp_path: Path) -> None:
-    """Fields of other sizes, or of several numbers, are passed over."""
+    """Fields of other sizes, or of several numbers, are skipped."""
     n = 500
     rng = np.random.default_rng(0)
     points = rng.normal(size=(n, 3)).round(1)

@@ -76,7 +76,7 @@ def test_folder(tmp_path: Path, name: str) -> None:
 def test_folder_with_both_files_is_ambiguous(tmp_path: Path) -> None:
     put(tmp_path, PLAIN)
     put(tmp_path, PLAIN, "observations.csv.gz")
-    assert "both of observations.csv and observations.csv.gz" in failure(tmp_path)
+    assert "expected one of observations.csv, observations.csv.gz" in failure(tmp_path)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -132,7 +132,7 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         ("iteration,x,y,id\n0,1,2,9007199254740993\n", ["line 2, field id", "out of range"]),
         (
             "iteration,x,y,id\n1,0,0,5\n0,1,2,5\n\n0,1,2,6\n0,3,4,5\n1,0,0,5\n",
-            ["line 6, field id", "5 stands twice in iteration 0", "line 3"],
+            ["line 6, field id", "5 occurs twice in iteration 0", "line 3"],
         ),
         (PLAIN.encode("utf-16"), ["line 1", "NUL byte", "UTF-8"]),
         (b"iteration,x,y\n0,1,2\n0,1,\x00\n", ["line 3", "NUL byte"]),

@@ -50,9 +50,11 @@ def test_folder(tmp_path: Path) -> None:
     assert read_ids(tmp_path).tolist() == read_ids(path).tolist() == [6]
     put(tmp_path, CIRCLES, "again.circles")
     message = failure(tmp_path, "dlr-circles")
-    assert "expected one *.circles in the folder: again.circles, map.c" in message
+    assert "holds 2 circle logs, expected one of again.circles, map.c" in message
     (tmp_path / "empty").mkdir()
-    assert "in the folder: none" in failure(tmp_path / "empty", "dlr-circles")
+    assert "holds no circle log, expected one *.circles" in failure(
+        tmp_path / "empty", "dlr-circles"
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,7 +65,7 @@ def test_folder(tmp_path: Path) -> None:
         ("-0.25 -3.0", "-0.25 -3,0", "line 5: .*expected finite numbers: LANDMARK_C pX pY"),
         ("-0.25 -3.0", "-3.0", "line 5: .*expected finite numbers: LANDMARK_C pX pY"),
         ("-0.25 -3.0", "2e9 -3.0", "line 5, field pX: 2000000000 is out of range, expected a num"),
-        ("0.0037 -1", "0.0037 6", "line 6, field id: 6 stands twice .* .before in line 5., exp"),
+        ("0.0037 -1", "0.0037 6", "line 6, field id: 6 occurs twice .* .before in line 5., exp"),
         ("0.0037 6", "0.0037 6.5", "line 5, field id: 6.5 is not an integer, expected an integer"),
         ("LANDMARK 0.5", "LANDMARK_L 0.5", "line 10: .* begins with neither STEP nor LANDMARK_C"),
         ("LANDMARK 0.5", "LANDMARK_C\udcff 0.5", "line 10: byte 0xff is not UTF-8"),

@@ -63,7 +63,9 @@ def test_folder_without_a_log_and_folder_with_two(tmp_path: Path) -> None:
     for dataset in DATASETS:
         assert dataset.name in message
         assert dataset.description in message
-    assert "holds neither of observations.csv" in failure(tmp_path, "observation-csv")
+    assert "expected one observations.csv or observations.csv.gz" in failure(
+        tmp_path, "observation-csv"
+    )
     assert "holds no MRPT landmark log" in failure(tmp_path, "mrpt-landmarks")
     assert "holds no Victoria Park log" in failure(tmp_path, "victoria-park")
     put(tmp_path, POINTS, "observations.csv")
@@ -75,7 +77,9 @@ def test_folder_without_a_log_and_folder_with_two(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", ["hello world\n", "0,1.0,2.0\n", "ply\nformat ascii 1.0\n"])
 def test_unknown_text(tmp_path: Path, content: str) -> None:
     message = failure(put(tmp_path, content, "log.csv"))
-    assert f"log.csv: line 1: {content.split(chr(10))[0]!r} begins no landmark log" in message
+    assert (
+        f"log.csv: line 1: {content.split(chr(10))[0]!r} does not begin a landmark log" in message
+    )
     assert "iteration,x,y[,z][,id]" in message
 
 
@@ -128,7 +132,7 @@ def test_mrpt_planar(tmp_path: Path, comments: str, pitch: str, columns: int) ->
             ["line 6, field range_m", "'-1' is out of range"],
         ),
         (MRPT.replace("2,3,1,0,0", "2,3,1,45,0"), ["line 6, field yaw_rad", "radians"]),
-        (MRPT.replace("0,-1,", "0,3,"), ["line 5, field id", "3 stands twice in iteration 0"]),
+        (MRPT.replace("0,-1,", "0,3,"), ["line 5, field id", "3 occurs twice in iteration 0"]),
         (MRPT.replace(",pitch_rad", ""), ["line 3", "missing column pitch_rad"]),
         (MRPT.replace(SENSOR, ""), ["no usable sensor pose", "# sensor on robot: t ="]),
         (MRPT.replace("t = 0 0 0", "t = 0 0"), ["no usable sensor pose"]),
@@ -173,8 +177,12 @@ def test_mrpt_truth(tmp_path: Path) -> None:
         (TRUTH, None, "robot_path.txt: does not exist"),
         (None, PATH_TRUTH, "a_ground_truth.txt: does not exist"),
         ("", PATH_TRUTH, "a_ground_truth.txt: holds no row"),
-        (TRUTH + "1 2 3 5 0 0.0 7\n", PATH_TRUTH, "line 1, field id: 7 is no integer or stands"),
-        (TRUTH + "1 2 3 5 0 0.0 1.5\n", PATH_TRUTH, "line 3, field id: 1.5 is no integer"),
+        (
+            TRUTH + "1 2 3 5 0 0.0 7\n",
+            PATH_TRUTH,
+            "line 1, field id: 7 is not an integer or occurs",
+        ),
+        (TRUTH + "1 2 3 5 0 0.0 1.5\n", PATH_TRUTH, "line 3, field id: 1.5 is not an integer"),
         (TRUTH + "1 2 x 5 0 0.0 9\n", PATH_TRUTH, "line 3: '1 2 x 5 0 0.0 9', expected 7 finite"),
         (TRUTH, PATH_TRUTH + "1 2 3 4 5\n", "line 5: '1 2 3 4 5', expected 6 finite numbers"),
         (TRUTH, PATH_TRUTH + "1 2 3 4 nan 6\n", "line 5: .* expected 6 finite numbers"),

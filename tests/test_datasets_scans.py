@@ -91,15 +91,15 @@ def test_rows_may_come_in_any_order_and_as_float32(tmp_path: Path) -> None:
         ({"points": np.full((3, 3), 1e12)}, "row 0: is not finite or out of range"),
         ({"iteration": np.zeros(3)}, "array iteration: float64"),
         ({"iteration": np.zeros(2, int)}, r"array iteration: int64 \(2,\)"),
-        ({"iteration": np.array([0, 1, 2])}, "iteration, row 2: is no scan, expected 0 to 1"),
+        ({"iteration": np.array([0, 1, 2])}, "iteration, row 2: is not a scan, expected 0 to 1"),
         ({"iteration": np.array([0, -1, 1])}, "iteration, row 1"),
-        ({"stamps_s": np.array([1.0, 1.0])}, "stamps_s, row 1: is no later time"),
+        ({"stamps_s": np.array([1.0, 1.0])}, "stamps_s, row 1: is not a later time"),
         ({"stamps_s": np.array([np.nan, 1.0])}, "stamps_s, row 0"),
-        ({"stamps_s": np.array([1.0, 0.0, 1.0])}, "stamps_s, row 2: is no later time"),
+        ({"stamps_s": np.array([1.0, 0.0, 1.0])}, "stamps_s, row 2: is not a later time"),
         ({"stamps_s": np.zeros((2, 1))}, "array stamps_s"),
         (
             {"stamps_s": np.array([object(), 1], dtype=object)},
-            "stamps_s.npy is no array of numbers",
+            "stamps_s.npy is not an array of numbers",
         ),
     ],
 )
@@ -184,7 +184,9 @@ def test_other_things_are_refused(tmp_path: Path) -> None:
     path = put(tmp_path, "iteration,x,y\n0,1,2\n", "observations.csv")
     for place in (path, tmp_path):
         assert "is a landmark log (observation-csv), expected a log of point" in failure(place)
-    assert "line 1: 'hello' begins no log of point scans" in failure(put(tmp_path, "hello\n", "a"))
+    assert "line 1: 'hello' does not begin a log of point scans" in failure(
+        put(tmp_path, "hello\n", "a")
+    )
     assert "is empty" in failure(put(tmp_path, "", "b"))
     (tmp_path / "c").write_bytes(struct.pack("<4d", 1, 2, 3, 4))
     assert "NUL byte" in failure(tmp_path / "c")

@@ -85,7 +85,7 @@ def test_truth(tmp_path: Path) -> None:
         (0, 0, 0, "row 1, field step: 0 is out of range, expected an integer from 1 to"),
         (1, 0, 1.5, "row 2, field step: 1.5 is not an integer"),
         (2, 1, np.nan, "row 3, field id: nan is not finite"),
-        (1, 1, 7, "row 2, field id: 7 stands twice in iteration 0 (before in row 1), expected"),
+        (1, 1, 7, "row 2, field id: 7 occurs twice in iteration 0 (before in row 1), expected"),
         (3, 2, np.inf, "row 4, field range_m: inf is not finite, expected a number of metres"),
         (4, 3, 1e9, "row 5, field bearing_rad: 1000000000 is out of range"),
         (4, 0, 9e7, "row 5, field step: 89999999 comes after 2, and in all 89999997 iterations"),

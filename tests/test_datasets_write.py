@@ -75,7 +75,7 @@ def test_write_error_leaves_nothing_behind(tmp_path: Path, name: str) -> None:
     log = open_log(put(tmp_path, PLAIN))
     (tmp_path / "folder").mkdir()
     put(tmp_path, "", "file")
-    with pytest.raises(RelmapError, match="cannot be written") as caught:
+    with pytest.raises(RelmapError, match="cannot write") as caught:
         write_observation_csv(tmp_path / name, log)
     assert str(caught.value).isprintable()
     assert sorted(os.listdir(tmp_path)) == ["file", "folder", "observations.csv"]

@@ -16,7 +16,7 @@ from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.landmarks import overlay
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.truth import read_truth
-from relmap.figures.figure17 import compare_with_reference, plot_panels
+from relmap.figures.figure17 import FIGURE, compare_with_reference
 from relmap.io.results import Result
 from relmap.plots.sheet import write_png
 from relmap.simulation import simulate_figure_eight
@@ -117,12 +117,12 @@ def test_figure_of_two_stretches(tmp_path: Path) -> None:
     assert panels[1].title.endswith("over 7 trees\n7 of the 7 trees seen 10 times are mapped")
     assert panels[0].often.all()
     assert [len(panel.trees_map) for panel in panels] == [8, 8]
-    figure = plot_panels(panels)
+    figure = FIGURE.draw(panels)
     assert [axes.get_aspect() for axes in figure.axes] == [1, 1]
     assert len(figure.legends[0].get_texts()) == 4
     files = [tmp_path / "a.png", tmp_path / "b.png"]
     for file in files:
-        write_png(file, lambda: plot_panels(panels))
+        write_png(file, lambda: FIGURE.draw(panels))
     assert files[0].read_bytes() == files[1].read_bytes() != b""
     with pytest.raises(RelmapError, match="the log has no ids"):
         compare_with_reference(mapped(log), replace(log, ids=None))

@@ -101,7 +101,7 @@ def test_faults_of_whole_scans() -> None:
         assert is_sound(made)
 
 
-def test_a_fault_that_cannot_be_meant() -> None:
+def test_impossible_faults_are_refused() -> None:
     with pytest.raises(RelmapError, match=r"share is 1\.5"):
         faults.ghosts(LOG, 1.5, np.random.default_rng(0))
     without = ObservationLog(LOG.points_robot, LOG.iteration, LOG.rows, 0, len(LOG))

@@ -12,25 +12,22 @@ from PIL import Image
 from relmap import MapperConfig, PointMapper
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.evaluation.evaluate import Evaluation
 from relmap.figures import (
     figure05,
     figure09_11,
     figure12,
     figure13,
-    figure14,
-    figure15,
+    figure14_15,
     figure16,
     figure17,
 )
-from relmap.figures.base import judged, unwatched
+from relmap.figures.base import judged, n_log_n
 from relmap.figures.figure12 import Comparisons
-from relmap.figures.figure14 import LoopTiming
+from relmap.figures.figure14_15 import LoopTiming, median_times
 from relmap.figures.figure16 import ErrorCurves
 from relmap.figures.figure17 import Panel
+from relmap.figures.making import FIGURES, chosen_figures
 from relmap.figures.point_chart import MARGIN, ChartedRun, charted_run
-from relmap.figures.registry import FIGURES, chosen_figures
-from relmap.figures.timing import median_times, n_log_n
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.tinyfigures import (
     SEEN,
@@ -81,7 +78,7 @@ def test_bench_tells_the_true_walls_and_keeps_an_animation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figure05, "QUICK_ITERATIONS", 12)
-    found = figure05.FIGURE.run(True, None, unwatched)
+    found = figure05.FIGURE.judge(figure05.FIGURE.run(True, None, iter))
     walls = simulate_building(iterations=12).walls[:, :4]
     told = [row[2:] for row in found.table.rows if row[0] == "true wall"]
     np.testing.assert_array_equal(np.array(told, dtype=np.float64), walls)
@@ -95,7 +92,7 @@ def test_bench_tells_the_true_walls_and_keeps_an_animation(
 
 
 def test_chart_holds_what_was_visible() -> None:
-    found = figure09_11.of_chart(tiny_chart(), ChartedRun(tiny_log(), tiny_store()))
+    found = figure09_11.CHART.judge((tiny_chart(), ChartedRun(tiny_log(), tiny_store())))
     assert (found.verdict, found.value) == (YES, 1.0)
     rows = np.array(found.table.rows)
     assert {(landmark, k) for _, landmark, k, _ in rows.tolist()} == {
@@ -108,13 +105,14 @@ def test_cells_of_another_landmark_are_wrong() -> None:
     log = tiny_log()
     assert log.ids is not None
     ids = np.where((log.ids == 3) & (log.iteration > 4), 99, log.ids)
-    found = figure09_11.of_chart(tiny_chart(), ChartedRun(replace(log, ids=ids), tiny_store()))
+    run = ChartedRun(replace(log, ids=ids), tiny_store())
+    found = figure09_11.CHART.judge((tiny_chart(), run))
     assert found.value == pytest.approx(1 - 2 / 48)  # iterations 5 and 6 of 6 landmarks x 8
     assert found.verdict == PARTLY
 
 
 def test_sorted_rows_share_less_and_less_with_the_seed() -> None:
-    found = figure09_11.of_sorted(tiny_chart())
+    found = figure09_11.SORTED.judge(tiny_chart())
     rows = np.array(found.table.rows)
     shared = np.bincount(rows[:, 0], weights=rows[:, 3])
     assert shared.tolist() == [6, 6, 5, 5, 5, 3]
@@ -122,13 +120,13 @@ def test_sorted_rows_share_less_and_less_with_the_seed() -> None:
 
 
 def test_rule_of_the_paper_is_held_against_the_largest_area() -> None:
-    found = figure09_11.of_groups(tiny_chart(), [tiny_chart()])
+    found = figure09_11.GROUP.judge([tiny_chart(), tiny_chart()])
     assert (found.verdict, found.value) == (YES, 1.0)
     assert [row[3] for row in found.table.rows] == [6, 12, 15, 16, 20, 12]
-    stops_early = figure09_11.of_groups(tiny_chart(), [dipping_chart()])
+    stops_early = figure09_11.GROUP.judge([tiny_chart(), dipping_chart()])
     assert stops_early.value == pytest.approx(16 / 18)
     assert stops_early.verdict == NO
-    half = figure09_11.of_groups(tiny_chart(), [dipping_chart(), tiny_chart()])
+    half = figure09_11.GROUP.judge([tiny_chart(), dipping_chart(), tiny_chart()])
     assert half.value == pytest.approx((16 / 18 + 1) / 2)
     assert half.verdict == PARTLY
 
@@ -150,13 +148,13 @@ def test_comparisons_are_judged_up_to_forty_percent() -> None:
     data = tiny_comparisons()
     every = np.ones_like(data.right)
     good = Comparisons(data.n, data.dynamic, data.comparisons, every)
-    found = figure12.outcome(good)
+    found = figure12.FIGURE.judge(good)
     assert found.verdict == YES  # 1.1 n log n at 70 % does not count
     assert found.value == (data.comparisons[:2] / n_log_n(data.n)[:, None]).max()
     assert len(found.table.rows) == data.right.size
     many = replace(good, comparisons=2 * data.comparisons)
-    assert figure12.outcome(many).verdict == PARTLY
-    assert figure12.outcome(replace(many, right=~every)).verdict == NO
+    assert figure12.FIGURE.judge(many).verdict == PARTLY
+    assert figure12.FIGURE.judge(replace(many, right=~every)).verdict == NO
 
 
 def test_landmarks_of_small_worlds_are_sorted() -> None:
@@ -182,20 +180,12 @@ def test_blocks_have_the_share_that_moves() -> None:
 
 
 def test_a_map_of_the_eight_is_judged_by_error_and_merging() -> None:
-    picture = replace(tiny_eight(), rmse_m=0.02)
-    good = Evaluation(
-        landmark_rmse_m=0.02,
-        coverage=1.0,
-        landmarks_per_true=1.05,
-        purity=1.0,
-        ate_m=0.05,
-        rpe_m=0.01,
-    )
-    found = figure13.outcome(picture, good)
+    judge, good = figure13.FIGURE.judge, {"landmark_rmse_m": 0.02, "coverage": 1.0, "ate_m": 0.05}
+    found = judge(tiny_eight(**good, landmarks_per_true=1.05))
     assert (found.verdict, found.value) == (YES, 0.02)
     assert len(found.table.rows) == 12 + 9 + 12 + 9
-    assert figure13.outcome(picture, replace(good, landmarks_per_true=1.3)).verdict == PARTLY
-    assert figure13.outcome(picture, replace(good, coverage=0.5)).verdict == PARTLY
+    assert judge(tiny_eight(**good, landmarks_per_true=1.3)).verdict == PARTLY
+    assert judge(tiny_eight(**good | {"coverage": 0.5}, landmarks_per_true=1.05)).verdict == PARTLY
 
 
 # Figures 14 and 15.
@@ -203,30 +193,30 @@ def test_a_map_of_the_eight_is_judged_by_error_and_merging() -> None:
 
 def test_a_loop_is_flat_in_median_and_mean() -> None:
     data = tiny_loop()
-    found = figure14.outcome(data)
+    found = figure14_15.LOOP.judge(data)
     assert (found.verdict, found.value) == (YES, 1.0)
     assert [row[1] for row in found.table.rows] == data.time_ms.tolist()
     spikes = np.where((np.arange(80) % 10 == 0) & (np.arange(80) > 50), 50.0, 1.0)
-    assert figure14.outcome(replace(data, time_ms=spikes)).verdict == PARTLY
+    assert figure14_15.LOOP.judge(replace(data, time_ms=spikes)).verdict == PARTLY
     slower = LoopTiming(np.arange(80.0) + 1, data.visible, data.landmarks, data.true_landmarks)
-    assert figure14.outcome(slower).verdict == NO
+    assert figure14_15.LOOP.judge(slower).verdict == NO
 
 
 def test_landmarks_seen_so_far_are_counted() -> None:
     log = tiny_log()
     assert log.ids is not None
     so_far = [len({i for i, when in SEEN.items() if when[0] <= k}) for k in range(8)]
-    assert figure14.seen_so_far(log.ids, log).tolist() == so_far
+    assert figure14_15.seen_so_far(log.ids, log).tolist() == so_far
 
 
 def test_growth_is_held_against_n_log_n() -> None:
     data = tiny_densities()
-    found = figure15.outcome(data)
+    found = figure14_15.VISIBLE.judge(data)
     assert found.verdict == YES
     bound = 640 * np.log2(640) / (160 * np.log2(160))
     assert found.value == pytest.approx(data.median_ms[-1] / data.median_ms[-2] / bound)
-    assert figure15.outcome(replace(data, mean_ms=data.visible**2)).verdict == PARTLY
-    assert figure15.outcome(tiny_densities(power=2)).verdict == NO
+    assert figure14_15.VISIBLE.judge(replace(data, mean_ms=data.visible**2)).verdict == PARTLY
+    assert figure14_15.VISIBLE.judge(tiny_densities(power=2)).verdict == NO
 
 
 def test_every_iteration_is_timed() -> None:
@@ -246,14 +236,16 @@ def errors(paper: tuple[float, float]) -> ErrorCurves:
 
 
 def test_margins_over_the_ekf_are_judged_noise_by_noise() -> None:
-    found = figure16.outcome(errors((0.04, 0.03)))
+    found = figure16.FIGURE.judge(errors((0.04, 0.03)))
     assert found.verdict == PARTLY
     assert found.value == pytest.approx(4 / 3)
     assert "The wide margin under flat noise is not there" in found.ours
     assert "0.25 times the error of that EKF and 0.50 times" in found.ours
-    assert figure16.outcome(errors((0.04, 0.02))).verdict == YES
-    assert figure16.outcome(errors((0.06, 0.03))).verdict == NO
+    assert figure16.FIGURE.judge(errors((0.04, 0.02))).verdict == YES
+    assert figure16.FIGURE.judge(errors((0.06, 0.03))).verdict == NO
     assert len(found.table.rows) == 2 * 5 * 3 * 2
+    assert all(len(row) == len(found.table.columns) for row in found.table.rows)
+    assert not any("," in str(cell) for row in found.table.rows for cell in row)
 
 
 def test_curves_end_at_the_errors_of_the_maps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -269,13 +261,10 @@ def test_curves_end_at_the_errors_of_the_maps(monkeypatch: pytest.MonkeyPatch) -
     there = world.landmarks_map[mapper.map.landmark_ids]
     R, t = fit_rigid(mapper.map.positions, there)
     off = mapper.map.positions @ R.T + t - there
-    curve = data.of["flat"][figure16.SHAPED]
+    curve = data["flat"][figure16.SHAPED]
     assert curve.iteration.tolist() == [99]
     assert curve.end_m == pytest.approx(np.sqrt((off**2).sum(axis=1).mean()))
-    assert data.of["Gaussian"][figure16.PAPER].iteration.tolist() == list(range(9, 100, 10))
-    header, rows = data.COLUMNS, list(data.rows())
-    assert all(len(row) == len(header) for row in rows)
-    assert not any("," in str(cell) for row in rows for cell in row)
+    assert data["Gaussian"][figure16.PAPER].iteration.tolist() == list(range(9, 100, 10))
 
 
 # Figure 17.
@@ -289,11 +278,11 @@ def panel(rmse_m: float, coverage: float) -> Panel:
 
 def test_stretches_are_judged_one_by_one() -> None:
     good, far, gone = panel(0.2, 1.0), panel(2.0, 1.0), panel(0.1, 0.3)
-    found = figure17.outcome([good, good])
+    found = figure17.FIGURE.judge([good, good])
     assert (found.verdict, found.value) == (YES, 0.2)
     assert found.ours == "Scans 0 to 9, as it is. Scans 0 to 9, as it is."
-    assert figure17.outcome([good, far]).verdict == PARTLY
-    assert figure17.outcome([gone, far]).verdict == NO
+    assert figure17.FIGURE.judge([good, far]).verdict == PARTLY
+    assert figure17.FIGURE.judge([gone, far]).verdict == NO
     assert len(found.table.rows) == 2 * (3 + 3 + 2)
     assert [row[2] for row in found.table.rows if row[1] == "reference"] == [1, 1, 0] * 2
 
@@ -302,7 +291,7 @@ def test_victoria_park_from_its_folder_or_the_one_above(shared_data: Path) -> No
     whole = figure17.victoria_park(shared_data)
     inner = figure17.victoria_park(shared_data / "victoria-park")
     assert len(whole) == len(inner) == 7249
-    found = figure17.FIGURE.run(True, shared_data, unwatched)
+    found = figure17.FIGURE.judge(figure17.FIGURE.run(True, shared_data, iter))
     assert found.verdict == YES
     assert found.value < 0.5
     trees = [row for row in found.table.rows if row[:2] == (0, "tree")]
@@ -311,6 +300,6 @@ def test_victoria_park_from_its_folder_or_the_one_above(shared_data: Path) -> No
 
 def test_victoria_park_without_data_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RelmapError, match="needs the Victoria Park data"):
-        figure17.FIGURE.run(True, None, unwatched)
+        figure17.FIGURE.run(True, None, iter)
     with pytest.raises(RelmapError):
-        figure17.FIGURE.run(True, tmp_path / "nowhere", unwatched)
+        figure17.FIGURE.run(True, tmp_path / "nowhere", iter)

@@ -208,10 +208,10 @@ def changed(path: Path, statement: str) -> None:
     ("statement", "message"),
     [
         ("PRAGMA user_version = 2", "is of version 2, and this relmap reads up to 1"),
-        ("PRAGMA application_id = 7", "no journal of relmap"),
+        ("PRAGMA application_id = 7", "not a journal of relmap"),
         ("DROP TABLE scans", "table scans is not as it should be"),
         ("DELETE FROM meta WHERE key = 'variant'", "lacks variant or configuration"),
-        ("UPDATE meta SET value = '{' WHERE key = 'variant'", "head is damaged"),
+        ("UPDATE meta SET value = '{' WHERE key = 'variant'", "header is damaged"),
         ("UPDATE calls SET call = 'x'", ""),
         (
             "CREATE TRIGGER more AFTER INSERT ON scans BEGIN DELETE FROM meta; END",
@@ -224,7 +224,7 @@ def changed(path: Path, statement: str) -> None:
         ("UPDATE scans SET rows = 'many' WHERE iteration = 9", "at iteration 9"),
         ("DELETE FROM observations WHERE iteration = 33 AND row = 2", "at iteration 33"),
         ("DELETE FROM scans WHERE iteration = 12", "at iteration 12"),
-        ("DELETE FROM scans WHERE iteration = 59", "observations of no scan"),
+        ("DELETE FROM scans WHERE iteration = 59", "observations without a scan"),
     ],
 )
 def test_a_journal_that_is_not_what_it_should_be(
@@ -244,7 +244,7 @@ def test_other_files_and_other_variants(tmp_path: Path) -> None:
     with pytest.raises(RelmapError, match="there is no journal"):
         PointMapper.resume(path)
     path.write_text("iteration,x,y\n" * 100)
-    with pytest.raises(RelmapError, match="is no journal"):
+    with pytest.raises(RelmapError, match="is not a journal"):
         PointMapper.resume(path)
     path.unlink()
     begun(path)

@@ -66,6 +66,7 @@ def test_two_views_in_space_and_one_in_the_plane() -> None:
 
 def test_axes_have_one_scale() -> None:
     figure = plot_run(make_result(30))
+    figure.draw_without_rendering()
     width, height = figure.get_size_inches()
     scales = []
     for axes in figure.axes[:2]:

@@ -14,11 +14,9 @@ from PIL import Image
 from relmap.cli import main
 from relmap.core.errors import RelmapError
 from relmap.evaluation.sources import truth_of
-from relmap.figures.corner_test import CornerTest, clearest, corner_tests
-from relmap.figures.figure04 import outcome as corner_outcome
-from relmap.figures.figure04 import plot_corner_test
-from relmap.figures.figure06 import PartialWall, longest, plot_partial_wall, run_partial_wall
-from relmap.figures.figure06 import outcome as wall_outcome
+from relmap.figures import figure04, figure06
+from relmap.figures.figure04 import corner_tests
+from relmap.figures.figure06 import PartialWall, longest, run_partial_wall
 from relmap.planes import PlaneMapper
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
@@ -61,7 +59,7 @@ def cut_walls() -> PlaneHistory:
 def test_corner_test_finds_the_static_pair_and_tells_all_four() -> None:
     (test,) = corner_tests(cut_walls())
     assert test.static == test.chosen == (1, 0)
-    np.testing.assert_allclose(test.sizes, (4.0, 5.0))
+    np.testing.assert_allclose(test.sizes, [4.0, 5.0])
     np.testing.assert_allclose(test.skew, np.pi / 2)
     np.testing.assert_allclose(test.deviation[1, 0], 0.0, atol=1e-12)
     # An end that goes 0.1 m a scan takes its midpoint along.
@@ -72,10 +70,10 @@ def test_corner_test_finds_the_static_pair_and_tells_all_four() -> None:
 
 
 def test_rows_of_the_corner_test_hold_what_is_drawn() -> None:
-    (test,) = corner_tests(cut_walls())
-    rows = list(test.rows())
+    table = figure04.FIGURE.judge(corner_tests(cut_walls())).table
+    rows = list(table.rows)
     assert len(rows) == 4 * 15
-    assert all(len(row) == len(CornerTest.COLUMNS) for row in rows)
+    assert all(len(row) == len(table.columns) for row in rows)
     chosen = np.array([row[3:5] for row in rows if row[-1] == 1], dtype=np.float64)
     # The first wall's normal looks along -x: the second midpoint is 2.5 m ahead, 2 m to the right.
     np.testing.assert_allclose(chosen, np.tile([2.5, -2.0], (15, 1)), atol=1e-12)
@@ -83,11 +81,11 @@ def test_rows_of_the_corner_test_hold_what_is_drawn() -> None:
 
 def test_parallel_walls_are_not_shown() -> None:
     with pytest.raises(RelmapError, match="no two walls are seen with one cut end each for 12"):
-        clearest([])
+        figure04.FIGURE.judge([])
 
 
 def test_corner_test_is_drawn_with_its_deviations() -> None:
-    figure = plot_corner_test(clearest(corner_tests(cut_walls())), np.pi / 2, 8.0)
+    figure = figure04.FIGURE.draw(corner_tests(cut_walls()))
     legend = figure.axes[2].get_legend()
     assert legend is not None
     said = [text.get_text() for text in legend.get_texts()]
@@ -98,11 +96,12 @@ def test_corner_test_is_drawn_with_its_deviations() -> None:
 def test_verdict_on_the_corner_test_is_that_of_all_pairs() -> None:
     (right,) = corner_tests(cut_walls())
     wrong = replace(right, static=(0, 0))
-    found = corner_outcome([right] * 19 + [wrong], np.pi / 2, 8.0)
+    judge = figure04.FIGURE.judge
+    found = judge([right] * 19 + [wrong])
     assert (found.verdict, found.value) == ("borne out", 0.95)
-    assert corner_outcome([right, wrong], np.pi / 2, 8.0).verdict == "partly borne out"
-    assert corner_outcome([right, wrong, wrong], np.pi / 2, 8.0).verdict == "not borne out"
-    assert list(found.table.rows) == list(right.rows())
+    assert judge([right, wrong]).verdict == "partly borne out"
+    assert judge([right, wrong, wrong]).verdict == "not borne out"
+    assert list(found.table.rows) == list(judge([right]).table.rows)
 
 
 # Figure 5.
@@ -270,19 +269,18 @@ def test_noise_does_not_stop_the_robot_beside_the_wall() -> None:
 
 
 def test_picture_and_rows_mark_the_weak_links(exact: PartialWall) -> None:
-    rows = list(exact.rows())
+    rows = list(figure06.FIGURE.judge(exact).table.rows)
     assert sum(int(str(row[-1])) for row in rows) == exact.weak.sum()
     path = np.array([row[1:5] for row in rows], dtype=np.float64)
     begin = exact.stretch[0]
     np.testing.assert_allclose(path[:begin, :2], path[:begin, 2:], atol=1e-9)
-    titles = plot_partial_wall(exact).get_suptitle()
+    titles = figure06.FIGURE.draw(exact).get_suptitle()
     assert titles.startswith(f"Figure 6: {exact.weak_m:.1f} m along one partial wall")
 
 
 def test_verdict_on_the_partial_wall(exact: PartialWall) -> None:
-    found = wall_outcome(exact)
+    found = figure06.FIGURE.judge(exact)
     assert found.verdict == "partly borne out"  # exact but for what the motion model bridges
     assert found.value == abs(exact.shift[0])
-    assert list(found.table.rows) == list(exact.rows())
-    at_once = replace(exact, poses=exact.true_poses, R=np.eye(2), t=np.zeros(2))
-    assert wall_outcome(at_once).verdict == "borne out"
+    at_once = replace(exact, poses=exact.true_poses)
+    assert figure06.FIGURE.judge(at_once).verdict == "borne out"

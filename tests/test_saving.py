@@ -121,10 +121,10 @@ def test_what_is_no_saved_map_of_this_kind(tmp_path: Path) -> None:
     with pytest.raises(RelmapError, match="cannot write"):
         PointMapper().save(tmp_path / "none" / "mapper.npz")
     np.savez(path, graph=np.array([None], dtype=object))
-    with pytest.raises(RelmapError, match="is damaged or none"):
+    with pytest.raises(RelmapError, match="is damaged or not a saved map"):
         PointMapper.load(path)
     path.write_text("iteration,x,y\n")
-    with pytest.raises(RelmapError, match="is damaged or none"):
+    with pytest.raises(RelmapError, match="is damaged or not a saved map"):
         PointMapper.load(path)
 
 
@@ -171,7 +171,9 @@ def shifted(name: str, by: float = 1.0) -> Any:
 def test_a_change_is_told(tmp_path: Path, change: Any) -> None:
     path = saved_map(tmp_path)
     rewritten(path, change, honest=True)
-    with pytest.raises(RelmapError, match="is damaged or none: its checksum is another"):
+    with pytest.raises(
+        RelmapError, match="is damaged or not a saved map: its checksum does not match"
+    ):
         PointMapper.load(path)
 
 
@@ -200,7 +202,7 @@ def test_a_change_is_told(tmp_path: Path, change: Any) -> None:
             "columns of the landmarks are of different lengths",
         ),
         (shifted("groups/mapped/landmarks_rows"), "groups/mapped/landmarks has .* rows, and not"),
-        (lambda a, h: h.update(values=[]), "is damaged or none"),
+        (lambda a, h: h.update(values=[]), "is damaged or not a saved map"),
         (lambda a, h: h.update(configuration={"group_after": "x"}), "group_after"),
         (lambda a, h: h.clear(), "format"),
     ],
@@ -226,7 +228,7 @@ def test_damage_is_told_and_bombs_are_refused(tmp_path: Path) -> None:
             assert told(PointMapper.load(path)) == whole
         except RelmapError as error:
             said = str(error)
-            assert "damaged or none" in said
+            assert "damaged or not a saved map" in said
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("header.npy", bytes(10**7))

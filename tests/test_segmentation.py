@@ -13,7 +13,7 @@ from relmap import PlaneSegmenter, RelmapError
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.ends.corners import meet
-from relmap.simulation.building import BuildingScan, building_scene
+from relmap.simulation import BuildingScan, building_scene
 
 VIEW_RAD = np.pi / 2
 RANGE_M = 8.0

@@ -6,7 +6,7 @@ import pytest
 from relmap import RelmapError
 from relmap.simulation import figure_eight as eight
 from relmap.simulation import simulate_figure_eight
-from relmap.simulation.motion import REACH_M, dynamic_offsets
+from relmap.simulation.figure_eight import REACH_M, dynamic_offsets
 
 
 def errors(world: eight.FigureEight) -> np.ndarray:

@@ -19,7 +19,7 @@ from relmap.comparison.compare import Compared
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method
 from relmap.datasets import FORMATS, SCAN_FORMATS, open_scans
-from relmap.evaluation.run import Association
+from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Source
 from relmap.io.files import read_tum, write_tum
 from relmap.io.results import read_result, write_result

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
+from relmap.evaluation.evaluate import Evaluation
+from relmap.figures.base import n_log_n
 from relmap.figures.figure12 import Comparisons
-from relmap.figures.figure13 import EightPicture
-from relmap.figures.figure14 import LoopTiming
-from relmap.figures.figure15 import DensityTiming
+from relmap.figures.figure13 import EightMap
+from relmap.figures.figure14_15 import DensityTiming, LoopTiming
 from relmap.figures.figure16 import Curve, ErrorCurves
 from relmap.figures.point_chart import ChartPicture, chart_picture
-from relmap.figures.timing import n_log_n
 
 # Who is seen in iterations 0 to 7.  Landmark 2, the seed, is seen in 1 to 6.
 SEEN = {
@@ -48,7 +51,7 @@ def tiny_chart() -> ChartPicture:
 def dipping_chart() -> ChartPicture:
     """Six landmarks whose areas are 10, 20, 30, 16, 15, 18."""
     visible = np.arange(10) < np.array([10, 10, 10, 4, 3, 3])[:, None]
-    return ChartPicture(0, 0, np.arange(6), visible, np.arange(6), 6)
+    return ChartPicture(0, np.arange(6), visible, 6)
 
 
 def tiny_comparisons() -> Comparisons:
@@ -70,21 +73,20 @@ def tiny_densities(power: float = 1.0) -> DensityTiming:
     return DensityTiming(n, time_ms, 2 * time_ms)
 
 
-def tiny_eight() -> EightPicture:
+def tiny_eight(**found: Any) -> EightMap:
     rng = np.random.default_rng(0)
     landmarks, path = rng.uniform(-50, 50, (12, 3)), np.linspace([-50, 0, 0], [50, 0, 20], 9)
-    return EightPicture(landmarks + 0.1, path + 0.1, landmarks, path, 0.1)
+    evaluation = replace(Evaluation(landmark_rmse_m=0.1), **found)
+    return EightMap(landmarks + 0.1, path + 0.1, landmarks, path, evaluation)
 
 
 def tiny_errors(**ends_m: tuple[float, float]) -> ErrorCurves:
     """Three seeds whose median error at the end is given for each method, Gaussian and flat."""
     at, spread = np.array([9, 19]), np.array([0.9, 1.0, 1.1])
-    return ErrorCurves(
-        {
-            noise: {
-                name: Curve(at, np.column_stack([np.full(3, 0.5), end[k] * spread]))
-                for name, end in ends_m.items()
-            }
-            for k, noise in enumerate(("Gaussian", "flat"))
+    return {
+        noise: {
+            name: Curve(at, np.column_stack([np.full(3, 0.5), end[k] * spread]))
+            for name, end in ends_m.items()
         }
-    )
+        for k, noise in enumerate(("Gaussian", "flat"))
+    }

@@ -1,21 +1,34 @@
-"""What several verbs take: an interval of a log, a file of settings."""
+"""What several verbs take: a log and a part of it, a folder to write to, settings from a file."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import typer
 
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
 
+Association = Literal["nearest", "known"]
+Variant = Literal["points", "planes"]
+
 _LONGEST = 300
 """Characters that a message takes from a file of settings."""
 
 
-def parse_scans(text: str | None) -> tuple[int, int] | None:
+class Interval(NamedTuple):
+    """Iterations ``begin`` to ``end - 1`` of a log, counted from 0."""
+
+    begin: int
+    end: int
+
+
+def interval(text: str) -> Interval:
     """Return the interval that ``A:B`` names.
 
     Raises
@@ -23,14 +36,68 @@ def parse_scans(text: str | None) -> tuple[int, int] | None:
     RelmapError
         Where it is not two whole numbers with 0 <= A < B.
     """
-    if text is None:
-        return None
-    begin, colon, end = text.partition(":")
-    if colon and begin.isascii() and begin.isdigit() and end.isascii() and end.isdigit():
-        interval = int(begin), int(end)
-        if interval[0] < interval[1]:
-            return interval
+    numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
+    if numbers and int(numbers[1]) < int(numbers[2]):
+        return Interval(int(numbers[1]), int(numbers[2]))
     raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
+
+
+def folder(text: str) -> Path:
+    """Return the folder that an option names.
+
+    Raises
+    ------
+    typer.BadParameter
+        Where it is empty, as an unset variable of a shell makes it.
+    """
+    if not text:
+        raise typer.BadParameter("it is empty, expected the name of a folder")
+    return Path(text)
+
+
+Log = Annotated[Path, typer.Argument(metavar="INPUT", help="The log: a file or a folder.")]
+Out = Annotated[
+    Path, typer.Option("--out", "-o", metavar="DIR", parser=folder, help="Folder to write to.")
+]
+Scans = Annotated[
+    Interval | None,
+    typer.Option(
+        "--scans",
+        metavar="A:B",
+        parser=interval,
+        help="Only iterations A to B - 1, counted from 0.",
+    ),
+]
+Format = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        metavar="NAME",
+        help="Format of INPUT, one that 'relmap map --help' lists; recognised if not given.",
+    ),
+]
+Noise = Annotated[
+    Literal["gaussian", "uniform"], typer.Option(help="Distribution of the simulated noise.")
+]
+Density = Annotated[
+    float, typer.Option(help="Of the figure eight: landmarks per 100 m of the path.")
+]
+Dynamic = Annotated[
+    float, typer.Option(help="Of the figure eight: share of the landmarks that move, 0 to 1.")
+]
+Seed = Annotated[int, typer.Option(help="The same seed simulates the same world.")]
+
+
+def refuse(is_wrong: object, message: str) -> None:
+    """Refuse arguments that cannot be used together or do not exist.
+
+    Raises
+    ------
+    RelmapError
+        With the message, where `is_wrong` is true.
+    """
+    if is_wrong:
+        raise RelmapError(message)
 
 
 def read_config(
@@ -44,28 +111,28 @@ def read_config(
     ----------
     path : Path or None
     registration : str, optional
-        Goes before that of the file.
+        Overrides that of the file.
     unused : mapping, optional
-        Settings that would be ignored, and why.
+        Settings that the run would ignore, and why.
 
     Raises
     ------
     RelmapError
-        Where the file cannot be read, is not TOML or holds what a configuration does not know, or
-        what would be ignored.
+        Where the file cannot be read, is not TOML, or holds a setting that is unknown or would be
+        ignored.
     """
     import tomllib
 
-    from relmap.core.config import MapperConfig, refuse
+    from relmap.core import config
     from relmap.io.files import read_text
 
     given = {} if registration is None else {"registration": registration}
     if path is None:
-        return MapperConfig.from_mapping(given)
+        return config.MapperConfig.from_mapping(given)
     try:
         settings = tomllib.loads(read_text(path))
-        refuse(settings, unused or {})
-        return MapperConfig.from_mapping(settings | given)
+        config.refuse(settings, unused or {})
+        return config.MapperConfig.from_mapping(settings | given)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
         raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
     except RelmapError as error:

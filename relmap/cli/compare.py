@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from relmap.cli.console import Out
-from relmap.cli.job import Association
-from relmap.cli.plaintable import print_plain, shown
-from relmap.cli.simulate import Noise
+from relmap.cli import arguments as args
+from relmap.cli.console import busy, figure, print_table
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.comparison.compare import Compared
-    from relmap.evaluation.run import Log
+    from relmap.comparison.methods.base import MethodInfo
+    from relmap.evaluation.feeding import Log
     from relmap.evaluation.sources import Data, Source
+    from relmap.io.results import Result
 
 World = Literal["figure-eight", "building"]
 
@@ -70,155 +70,122 @@ The figures:
   MB          how much the process grew
 """
 
-DENSITY = 25.0
-RELATIONS = {"pairs": "relation_m", "turn": "relation_rad"}
+DENSITY, SIGMA_M, LOOP = 25.0, 0.05, 900
+RELATIONS = {"pairs": ("relation_m", ""), "turn": ("relation_rad", "")}
 COLUMNS = {
-    "of": "matched",
-    "RMSE10": "often_rmse_m",
-    "cover": "coverage",
-    "ATE": "ate_m",
-    "RPE": "rpe_m",
-    "path": "path_coverage",
+    "RMSE": ("landmark_rmse_m", ""),
+    "of": ("matched", "count"),
+    "RMSE10": ("often_rmse_m", ""),
+    "cover": ("coverage", "share"),
+    "ATE": ("ate_m", ""),
+    "RPE": ("rpe_m", ""),
+    "path": ("path_coverage", "share"),
     **RELATIONS,
-    "ms": "median_ms",
-    "mean": "mean_ms",
-    "end": "last_100_median_ms",
-    "total": "total_s",
-    "MB": "memory_mb",
+    "ms": ("median_ms", "time"),
+    "mean": ("mean_ms", "time"),
+    "end": ("last_100_median_ms", "time"),
+    "total": ("total_s", "time"),
+    "MB": ("memory_mb", "count"),
 }
+"""Of each column the name of its figure, and what kind of figure it is."""
+OF_CORNERS = {"RMSE": ("corner_rmse_m", "")}
+
+_Source = Annotated[
+    Path | None, typer.Argument(metavar="INPUT", help="The log: a file or a folder.")
+]
+_Simulate = Annotated[
+    World | None, typer.Option(help="Simulate this world instead of reading a log.")
+]
+_Methods = Annotated[
+    str | None,
+    typer.Option(metavar="A,B,...", help="Methods to run; all that fit the data if not given."),
+]
+_Association = Annotated[
+    args.Association | None,
+    typer.Option(
+        help="Whether methods are told which landmark is which; if not given they are told "
+        "where the log has ids."
+    ),
+]
+_Truth = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="TRUTH",
+        help="What to compare with, as 'relmap evaluate' takes it; if not given, the folder "
+        "truth beside INPUT.",
+    ),
+]
+_Sigma = Annotated[
+    float | None,
+    typer.Option(
+        help="Noise of each coordinate, metres: what is simulated (0.05 if not given), and "
+        "what methods are told of a log (estimated from it if not given)."
+    ),
+]
+_Iterations = Annotated[
+    int | None, typer.Option(help="Of a simulated world; one loop if not given.")
+]
 
 
 def compare_command(
-    out: Out,
-    source: Annotated[
-        Path | None, typer.Argument(metavar="INPUT", help="The log: a file or a folder.")
-    ] = None,
-    simulate: Annotated[
-        World | None, typer.Option(help="Simulate this world instead of reading a log.")
-    ] = None,
-    methods: Annotated[
-        str | None,
-        typer.Option(metavar="A,B,...", help="Methods to run; all that can where left out."),
-    ] = None,
-    association: Annotated[
-        Association | None,
-        typer.Option(
-            help="Whether methods are told which landmark is which; told where left out and the "
-            "log has ids."
-        ),
-    ] = None,
-    truth: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="TRUTH",
-            help="What to compare with, as 'relmap evaluate' takes it; the folder truth beside "
-            "INPUT where left out.",
-        ),
-    ] = None,
-    scans: Annotated[
-        str | None,
-        typer.Option(metavar="A:B", help="Only iterations A to B - 1 of INPUT."),
-    ] = None,
-    log_format: Annotated[
-        str | None,
-        typer.Option("--format", metavar="NAME", help="Format of INPUT, if it is not recognised."),
-    ] = None,
-    sigma: Annotated[
-        float | None,
-        typer.Option(
-            help="Noise of each coordinate, metres: what is simulated (0.05 where left out), and "
-            "what methods are told of a log (estimated from it where left out)."
-        ),
-    ] = None,
-    density: Annotated[
-        float, typer.Option(help="Of the figure eight: landmarks per 100 m of the path.")
-    ] = DENSITY,
-    iterations: Annotated[
-        int | None, typer.Option(help="Of a simulated world; one loop where left out.")
-    ] = None,
-    noise: Annotated[Noise, typer.Option(help="Of a simulated world.")] = "gaussian",
-    dynamic: Annotated[
-        float, typer.Option(help="Of the figure eight: share of the landmarks that move.")
-    ] = 0.0,
-    seed: Annotated[int, typer.Option(help="Of a simulated world.")] = 0,
+    out: args.Out,
+    source: _Source = None,
+    simulate: _Simulate = None,
+    methods: _Methods = None,
+    association: _Association = None,
+    truth: _Truth = None,
+    scans: args.Scans = None,
+    log_format: args.Format = None,
+    sigma: _Sigma = None,
+    density: args.Density = DENSITY,
+    iterations: _Iterations = None,
+    noise: args.Noise = "gaussian",
+    dynamic: args.Dynamic = 0.0,
+    seed: args.Seed = 0,
 ) -> None:
-    """Compare; the arguments are explained in the help text."""
-    from relmap.cli.arguments import parse_scans
-    from relmap.evaluation.sources import FileSource
+    """Compare; the help text explains the arguments."""
+    from relmap.evaluation.sources import BuildingSource, EightSource, FileSource
 
+    of_eight = (density, dynamic) != (DENSITY, 0.0)
     given: Source
-    if (source is None) == (simulate is None):
-        raise RelmapError("compare takes either INPUT, a log, or --simulate with a world")
+    neither = (source is None) == (simulate is None)
+    args.refuse(neither, "compare takes either INPUT, a log, or --simulate with a world")
     if source is not None:
-        simulated = (density, iterations, noise, dynamic, seed)
-        if simulated != (DENSITY, None, "gaussian", 0.0, 0):
-            raise RelmapError(
-                "--density, --iterations, --noise, --dynamic and --seed are for --simulate"
-            )
-        if sigma is not None and not 0 < sigma < 1000:
-            raise RelmapError(f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
-        given = FileSource(source, log_format, parse_scans(scans), truth)
+        args.refuse(
+            of_eight or (iterations, noise, seed) != (None, "gaussian", 0),
+            "--density, --iterations, --noise, --dynamic and --seed are for --simulate",
+        )
+        outside = sigma is not None and not 0 < sigma < 1000
+        args.refuse(outside, f"--sigma is {sigma}; it must lie above 0 and below 1000 metres")
+        given = FileSource(source, log_format, scans, truth)
     else:
-        if truth is not None or scans is not None or log_format is not None:
-            raise RelmapError("--truth, --scans and --format are for INPUT, not for --simulate")
-        given = _simulated(str(simulate), density, iterations, noise, sigma, dynamic, seed)
-    names = [name.strip() for name in methods.split(",")] if methods is not None else None
-    rows = compare_into(out, given, names, association, sigma if source else sigma or 0.05)
+        of_log = (truth, scans, log_format) != (None, None, None)
+        args.refuse(of_log, "--truth, --scans and --format are for INPUT, not for --simulate")
+        sigma = SIGMA_M if sigma is None else sigma
+        if simulate == "building":
+            args.refuse(of_eight, "--density and --dynamic are for the figure eight")
+            given = BuildingSource(iterations, noise, sigma, seed)
+        else:
+            loop = LOOP if iterations is None else iterations
+            given = EightSource(density, loop, noise, sigma, dynamic, seed)
+        sigma = sigma or SIGMA_M
+    names = None if methods is None else [name.strip() for name in methods.split(",")]
+    rows = _compare_into(out, given, names, association, sigma)
     ran = sum(row.run is not None for row in rows)
     paths = f"{ran} trajector{'ies' if ran > 1 else 'y'}"
     typer.echo(f"wrote comparison.csv, {paths} and {ran + 1} pictures to {out}")
 
 
-def _simulated(
-    world: str,
-    density: float,
-    iterations: int | None,
-    noise: str,
-    sigma: float | None,
-    dynamic: float,
-    seed: int,
-) -> Source:
-    from relmap.evaluation.sources import BuildingSource, EightSource
-
-    spread = 0.05 if sigma is None else sigma
-    if world == "building":
-        if (density, dynamic) != (DENSITY, 0.0):
-            raise RelmapError("--density and --dynamic are for the figure eight")
-        return BuildingSource(iterations, noise, spread, seed)
-    loop = 900 if iterations is None else iterations
-    return EightSource(density, loop, noise, spread, dynamic, seed)
-
-
-def compare_into(
+def _compare_into(
     out: Path,
     source: Source,
-    names: Sequence[str] | None = None,
-    association: Association | None = None,
-    sigma_m: float | None = None,
+    names: Sequence[str] | None,
+    association: args.Association | None,
+    sigma_m: float | None,
 ) -> list[Compared]:
-    """Compare methods, print the table and write the files.
-
-    Parameters
-    ----------
-    out : Path
-    source : Source
-    names : sequence of str, optional
-        All methods that can be given the data where left out.
-    association : "nearest" or "known", optional
-        Known where left out and the data have ids.
-    sigma_m : float, optional
-        Noise that the methods are told.
-
-    Raises
-    ------
-    RelmapError
-        Where an argument or the data cannot be used, no method could run, or the folder cannot be
-        written.
-    """
-    from relmap.cli.console import busy
-    from relmap.comparison.compare import CSV_COLUMNS, chosen_methods, compare
-    from relmap.io.files import atomic_write, staged_folder, write_tum
-    from relmap.io.tables import csv_text
+    """Compare methods, print the table and write the files."""
+    from relmap.comparison.compare import chosen_methods
+    from relmap.io.files import staged_folder
 
     with busy("reading or simulating"):
         data = source.load()
@@ -226,64 +193,93 @@ def compare_into(
         association = "nearest" if data.ids is None else "known"
     methods = chosen_methods(names, data, association)
     with staged_folder(out) as staging:
-        rows: list[Compared] = []
-        running = compare(source, methods, association, sigma_m)
-        for number, method in enumerate(methods, 1):
-            with busy(f"{method.name}, method {number} of {len(methods)}"):
-                rows.append(next(running))
-            if rows[-1].note:
-                typer.echo(f"relmap: {method.name} {rows[-1].note}", err=True)
+        rows = list(_compared(source, methods, association, sigma_m))
         if not any(row.run for row in rows):
             raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
-        lines = (row.row(association) for row in rows)
-        atomic_write(staging / "comparison.csv", csv_text(CSV_COLUMNS, lines))
-        for row in rows:
-            if row.run is not None:
-                found = row.run.result
-                write_tum(staging / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
+        _write(staging, rows, association)
         with busy("drawing"):
             draw(staging, rows, data, source.about)
     print_rows(f"{source.about}; association {association}", rows)
     return rows
 
 
+def _compared(
+    source: Source,
+    methods: Sequence[MethodInfo],
+    association: args.Association,
+    sigma_m: float | None,
+) -> Iterator[Compared]:
+    """Run the methods, and tell on stderr of each that could not."""
+    from relmap.comparison.compare import compare
+
+    running = compare(source, methods, association, sigma_m)
+    for number, method in enumerate(methods, 1):
+        with busy(f"{method.name}, method {number} of {len(methods)}"):
+            row = next(running)
+        if row.note:
+            typer.echo(f"relmap: {method.name} {row.note}", err=True)
+        yield row
+
+
+def _write(folder: Path, rows: Sequence[Compared], association: args.Association) -> None:
+    """Write the table and the path of every method that ran."""
+    from relmap.comparison.compare import CSV_COLUMNS
+    from relmap.io.files import atomic_write, write_tum
+    from relmap.io.tables import csv_text
+
+    lines = (row.row(association) for row in rows)
+    atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
+    for row in rows:
+        if row.run is not None:
+            found = row.run.result
+            write_tum(folder / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
+
+
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
     """Draw the comparison and the map of every method that ran."""
-    from relmap.comparison.compare import overlay_of
-    from relmap.evaluation.evaluate import match_walls
-    from relmap.planes.files import PlaneResult
     from relmap.plots.comparison import write_comparison_png
-    from relmap.plots.planes import write_planes_png
-    from relmap.plots.run import write_map_png
 
     ran = [(row.method, row.run) for row in rows if row.run is not None]
     figures = [(name, run.figures) for name, run in ran]
     write_comparison_png(folder / "comparison.png", figures, title)
     for name, run in ran:
-        picture, result = folder / f"map-{name}.png", run.result
-        if not isinstance(result, PlaneResult):
-            write_map_png(picture, result, truth=overlay_of(run, data), title=name)
-            continue
-        matched = match_walls(result, data.truth) if data.truth else None
-        truth = (data.truth, matched) if data.truth and matched else None
-        write_planes_png(picture, result.planes, result.poses, truth, name)
+        _draw_map(folder / f"map-{name}.png", run.result, data, name)
+
+
+def _draw_map(picture: Path, result: Result, data: Data[Log], name: str) -> None:
+    """Draw what a method made of the data, and the truth where it is known."""
+    from relmap.datasets.base import ObservationLog
+    from relmap.evaluation.evaluate import match_walls
+    from relmap.evaluation.landmarks import overlay
+    from relmap.planes.files import PlaneResult
+    from relmap.plots.planes import write_planes_png
+    from relmap.plots.run import write_map_png
+
+    truth, log = data.truth, data.log
+    if isinstance(result, PlaneResult):
+        matched = match_walls(result, truth) if truth else None
+        known = (truth, matched) if truth and matched else None
+        write_planes_png(picture, result.planes, result.poses, known, name)
+    else:
+        shown = overlay(result, truth, log) if truth and isinstance(log, ObservationLog) else None
+        write_map_png(picture, result, truth=shown, title=name)
 
 
 def print_rows(title: str, rows: Iterable[Compared]) -> None:
     """Print the table; methods that did not run stand below it."""
     rows = list(rows)
     ran = [(row.method, row.run.figures) for row in rows if row.run is not None]
-    corners = any(figures["corner_rmse_m"] is not None for _, figures in ran)
-    of_map = "corner_rmse_m" if corners else "landmark_rmse_m"
-    columns = {"RMSE": of_map} | COLUMNS
-    related = any(figures["relation_m"] is not None for _, figures in ran)
-    left_out = ["RMSE10"] * corners + [*RELATIONS] * (not related)
-    columns = {heading: key for heading, key in columns.items() if heading not in left_out}
+    columns = dict(COLUMNS)
+    if any(figures["corner_rmse_m"] is not None for _, figures in ran):
+        columns |= OF_CORNERS
+        del columns["RMSE10"]
+    if all(figures["relation_m"] is None for _, figures in ran):
+        columns = {heading: of for heading, of in columns.items() if heading not in RELATIONS}
     cells = [
-        [name, *(shown(heading, figures[key]) for heading, key in columns.items())]
+        [name, *(figure(figures[key], kind) for key, kind in columns.values())]
         for name, figures in ran
     ]
-    print_plain(title, ["method", *columns], cells)
+    print_table(title, ["method", *columns], cells)
     for row in rows:
         if row.run is None:
             typer.echo(f"{row.method}: {row.note}")

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from threading import Timer
 from time import monotonic
-from typing import Annotated, TypeVar
-
-import typer
+from typing import TypeVar
 
 T = TypeVar("T")
 
@@ -17,25 +14,10 @@ INTERRUPTED = 130
 """What the process exits with where Ctrl-C ended it."""
 PATIENCE_S = 1.0
 """Work that is done sooner shows no progress."""
-
-
-def folder(text: str) -> Path:
-    """Return the folder that an option names.
-
-    Raises
-    ------
-    typer.BadParameter
-        Where it is empty, as an unset variable of a shell makes it.
-    """
-    if not text:
-        raise typer.BadParameter("it is empty, expected the name of a folder")
-    return Path(text)
-
-
-Out = Annotated[
-    Path, typer.Option("--out", "-o", metavar="DIR", parser=folder, help="Folder to write to.")
-]
-"""The option that names the folder to write to."""
+STEADY_S = 600.0
+"""Time over which the speed is averaged, to tell how long the rest will take."""
+WIDEST = 1000
+"""Columns of a table at most: it is as wide as it needs to be, whatever the terminal."""
 
 
 def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
@@ -48,17 +30,21 @@ def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
         done += 1
         if monotonic() - began > PATIENCE_S:
             break
-    yield from _with_bar(source, done, total, what)
+    yield from with_bar(source, total, what, done)
 
 
-def _with_bar(source: Iterator[T], done: int, total: int, what: str) -> Iterator[T]:
+def with_bar(items: Iterable[T], total: int, what: str, done: int = 0) -> Iterator[T]:
+    """Yield the items; show on stderr how far it is, where that is a terminal, from the start."""
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    shown = console.is_terminal
+    with Progress(
+        console=console, transient=True, disable=not shown, speed_estimate_period=STEADY_S
+    ) as progress:
         task = progress.add_task(what, total=total, completed=done)
-        for item in source:
+        for item in items:
             yield item
             progress.advance(task)
 
@@ -93,11 +79,29 @@ def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=SIMPLE_HEAD)
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     for number, name in enumerate(header):
         table.add_column(name, justify="right" if number else "left", no_wrap=True)
     for row in rows:
         table.add_row(*row)
-    console = Console(highlight=False, markup=False, emoji=False)
+    console = Console(highlight=False, markup=False, emoji=False, width=WIDEST)
     console.print(title, soft_wrap=True)
     console.print(table)
+
+
+def figure(value: float | None, kind: str = "") -> str:
+    """Return a figure as a person reads it.
+
+    Parameters
+    ----------
+    value : float or None
+    kind : "count", "share" or "time", optional
+        What it is, if no error or ratio.
+    """
+    if value is None:
+        return "-"
+    if kind == "count" or (kind == "time" and value >= 100):
+        return f"{value:.0f}"
+    if kind == "share":
+        return f"{100 * value:.0f} %"
+    return f"{value:.2g}" if kind == "time" else f"{value:.4f}"

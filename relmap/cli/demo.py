@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from relmap.cli.console import Out
+from relmap.cli.arguments import Out, Seed
+from relmap.cli.console import figure, print_table
 
 if TYPE_CHECKING:
     from relmap.evaluation.evaluate import Evaluation
@@ -28,15 +29,15 @@ Example:
 
 def demo_command(
     out: Out = Path("relmap-demo"),
-    seed: Annotated[int, typer.Option(help="The same seed gives the same world.")] = 0,
+    seed: Seed = 0,
 ) -> None:
-    """Run the demonstration; the arguments are explained in the help text."""
-    from relmap.cli.console import print_table
-    from relmap.cli.evaluate import evaluate_folder, figure, rows_of
+    """Run the demonstration; the help text explains the arguments."""
+    from relmap.cli.evaluate import evaluate_folder, rows_of
     from relmap.cli.mapping import map_input
     from relmap.cli.simulate import write_figure_eight
+    from relmap.evaluation.sources import EightSource
 
-    typer.echo(f"simulated {write_figure_eight(out, seed=seed)}")
+    typer.echo(f"simulated {write_figure_eight(out, EightSource(seed=seed))}")
     log = out / "observations.csv"
     known = map_input(log, out, "known")
     nearest = map_input(log, out / "nearest", "nearest")
@@ -51,7 +52,7 @@ def demo_command(
 
 def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
     """Draw the map again, now with the truth in it."""
-    from relmap.cli.evaluate import figure, find_log
+    from relmap.cli.evaluate import find_log
     from relmap.evaluation.landmarks import overlay
     from relmap.evaluation.truth import read_truth
     from relmap.io.results import MAP_PNG

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from relmap.cli.console import busy, figure, print_table
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -58,29 +60,22 @@ FIGURES = {
     "relation_m": "relations [m]",
     "relation_rad": "relations [rad]",
 }
+BESIDE = ("observations.csv", "observations.csv.gz")
+"""Logs that are looked for beside the truth."""
 
 
 def evaluate_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The result folder.")],
-    truth: Annotated[
-        Path,
-        typer.Option(
-            "--truth",
-            metavar="TRUTH",
-            help="The truth, as above.",
-        ),
-    ],
+    truth: Annotated[Path, typer.Option(metavar="TRUTH", help="The truth, as above.")],
     log: Annotated[
         Path | None,
         typer.Option(
-            "--log",
             metavar="LOG",
-            help="Of points, the log that was mapped, if it is not where it was at that time.",
+            help="Of points, the log that was mapped, if it was moved since then.",
         ),
     ] = None,
 ) -> None:
-    """Evaluate a result; the arguments are explained in the help text."""
-    from relmap.cli.console import busy, print_table
+    """Evaluate a result; the help text explains the arguments."""
     from relmap.planes.files import PLANES
 
     if (folder / PLANES).exists() and log is not None:
@@ -107,11 +102,6 @@ def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:
     if walls:
         rows.insert(1, ("false corners", *(_false_corners(each.counts) for each in evaluations)))
     return rows
-
-
-def figure(value: float | None) -> str:
-    """Return a figure as a person reads it."""
-    return "-" if value is None else f"{value:.4f}"
 
 
 def _false_corners(counts: dict[str, int]) -> str:
@@ -153,32 +143,25 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     Raises
     ------
     RelmapError
-        Where the log given cannot be read, or the one found is damaged.
+        Where the log given cannot be read.
     """
     from relmap.datasets import open_log
     from relmap.evaluation.landmarks import mapped_part
     from relmap.evaluation.sources import recognised_format
 
-    form = result.summary.get("format")
-    if not isinstance(form, str):
-        form = None
+    source, form = result.summary.get("input"), result.summary.get("format")
+    form = form if isinstance(form, str) else None
     if log is not None:
         return open_log(log, recognised_format(log, "points") or form)
-    source = result.summary.get("input")
     beside = truth if truth.is_dir() else truth.parent
-    if beside.name == "truth":
-        beside = beside.parent
-    candidates: list[tuple[Path, str | None]] = [
-        (beside / name, None) for name in ("observations.csv", "observations.csv.gz")
-    ]
+    beside = beside.parent if beside.name == "truth" else beside
+    candidates: list[tuple[Path, str | None]] = [(beside / name, None) for name in BESIDE]
     if isinstance(source, str):
         candidates.insert(0, (Path(source), form))
     for path, name in candidates:
         if path.exists():
-            try:
+            with suppress(RelmapError):
                 found = open_log(path, name)
                 mapped_part(result, found)
-            except RelmapError:
-                continue
-            return found
+                return found
     return None

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from relmap.cli.console import Out
+from relmap.cli.arguments import Out
+from relmap.cli.console import busy
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
-    from relmap.figures.base import Made
+    from relmap.figures.base import Watch
+    from relmap.figures.page import Made
 
 T = TypeVar("T")
 
@@ -44,7 +46,7 @@ def figures_command(
     out: Out,
     numbers: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NUMBER ...]", help="Which figures; all where left out."),
+        typer.Argument(metavar="[NUMBER ...]", help="Which figures; all if none is given."),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Small runs: all figures in a few minutes.")
@@ -53,27 +55,15 @@ def figures_command(
         Path | None, typer.Option(metavar="PATH", help="Victoria Park's data, for figure 17.")
     ] = None,
 ) -> None:
-    """Draw; the arguments are explained in the help text."""
-    made = figures_into(out, numbers or [], quick, data)
+    """Draw; the help text explains the arguments."""
+    made = _figures_into(out, numbers or [], quick, data)
     drawn = sum(each.outcome is not None for each in made)
     typer.echo(f"wrote index.html and {drawn} figure{'s' if drawn != 1 else ''} to {out}")
 
 
-def figures_into(
-    out: Path, names: Sequence[str], quick: bool = False, data: Path | None = None
-) -> list[Made]:
-    """Run figures, tell the verdict on each, and write each with the page when it is done.
-
-    Raises
-    ------
-    RelmapError
-        Where there is no such figure, the data cannot be used, the folder cannot be written, or
-        no figure could be made; what was in the folder is then as it was, but for figures that
-        were finished before.
-    """
-    from relmap.cli.console import busy
-    from relmap.figures.making import check_data, make_figure, write_page
-    from relmap.figures.registry import chosen_figures
+def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | None) -> list[Made]:
+    """Run figures, tell the verdict on each, and write each with the page when it is done."""
+    from relmap.figures.making import check_data, chosen_figures, make_figure, write_page
     from relmap.io.files import staged_folder
 
     figures = chosen_figures(names)
@@ -82,7 +72,7 @@ def figures_into(
     for number, figure in enumerate(figures, 1):
         what = f"figure {figure.name}, {number} of {len(figures)}"
         with staged_folder(out) as staging, busy(what) as tell:
-            made.append(make_figure(figure, staging, quick, data, _Counted(tell, what)))
+            made.append(make_figure(figure, staging, quick, data, _counting(tell, what)))
             if any(each.outcome for each in made):
                 write_page(staging, made, quick)
         _say(made[-1])
@@ -91,16 +81,15 @@ def figures_into(
     return made
 
 
-class _Counted:
-    """Tells how many items of a loop are done."""
+def _counting(tell: Callable[[str], None], what: str) -> Watch:
+    """Return what tells how many items of a loop are done."""
 
-    def __init__(self, tell: Callable[[str], None], what: str) -> None:
-        self._tell, self._what = tell, what
-
-    def __call__(self, items: Sequence[T], /) -> Iterable[T]:
+    def watch(items: Sequence[T], /) -> Iterator[T]:
         for number, item in enumerate(items, 1):
-            self._tell(f"{self._what}: step {number} of {len(items)}")
+            tell(f"{what}: step {number} of {len(items)}")
             yield item
+
+    return watch
 
 
 def _say(made: Made) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from relmap.cli.arguments import Association, Interval, Variant
 from relmap.cli.console import tracked
 from relmap.core.errors import RelmapError
 from relmap.io.results import MAPPER
@@ -15,10 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from relmap.core.config import MapperConfig
-    from relmap.evaluation.run import AnyMapper, Log
+    from relmap.evaluation.feeding import AnyMapper, Log
 
-Association = Literal["nearest", "known"]
-Variant = Literal["points", "planes"]
 T = TypeVar("T")
 
 
@@ -28,15 +27,8 @@ class Job:
 
     Attributes
     ----------
-    source, out : Path
-    settings : MapperConfig
-    variant : "points" or "planes"
-    association : "nearest" or "known"
-    interval : (int, int) or None
-        Iterations to be mapped, half-open.
-    log_format : str or None
-    refine : bool
-    journal : Path or None
+    source, out, settings, variant, association, interval, log_format, refine, journal
+        As the command line takes them.
     folder : Path
         That other paths are relative to.
     resumed : bool
@@ -54,7 +46,7 @@ class Job:
     settings: MapperConfig
     variant: Variant = "points"
     association: Association = "nearest"
-    interval: tuple[int, int] | None = None
+    interval: Interval | None = None
     log_format: str | None = None
     refine: bool = True
     journal: Path | None = None
@@ -103,7 +95,7 @@ class Job:
                 settings=MapperConfig.from_mapping(meta["configuration"]),
                 variant=variant,
                 association="known" if run["association"] == "known" else "nearest",
-                interval=None if interval is None else (int(interval[0]), int(interval[1])),
+                interval=None if interval is None else Interval(*map(int, interval)),
                 log_format=run["format"],
                 refine=bool(run["refine"]),
                 animate=bool(run["animate"]),
@@ -150,23 +142,20 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
 
     if not job.resumed or job.journal is None:
         return []
-    if job.variant == "planes":  # the journal holds what was segmented, not the scans
-        with JournalReader(job.journal) as reader:
-            labels = [scan.labels for scan in reader.scans()]
-        if len(labels) > len(log):
-            raise RelmapError(
-                f"{job.at(job.source)} has {len(log)} scans, fewer than journal {job.journal}"
-            )
-        return labels
     labels, now = [], iter(log.scans())
     with JournalReader(job.journal) as reader:
         for k, was in enumerate(reader.scans()):
-            if not _is_same(was, next(now, None)):
+            # Of walls the journal holds what was segmented, not the points of the scans.
+            if job.variant == "points" and not _is_same(was, next(now, None)):
                 raise RelmapError(
                     f"{job.source} is not what journal {job.journal} was begun with: its scan {k} "
                     "is another"
                 )
             labels.append(was.labels)
+    if len(labels) > len(log):
+        raise RelmapError(
+            f"{job.at(job.source)} has {len(log)} scans, fewer than journal {job.journal}"
+        )
     return labels
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from relmap.cli.console import Out, tracked
+from relmap.cli.arguments import Format, Log, Out, Scans
+from relmap.cli.console import tracked
 
 HELP = """Find where scans were taken, in a map that is there already and stays as it is.
 
@@ -23,37 +25,27 @@ Example:
 
 
 def localise_command(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The log.")],
+    source: Log,
     result: Annotated[
         Path, typer.Option("--map", metavar="RESULT", help="The result folder with the map.")
     ],
     out: Out,
-    scans: Annotated[
-        str | None,
-        typer.Option("--scans", metavar="A:B", help="Only iterations A to B - 1, counted from 0."),
-    ] = None,
-    log_format: Annotated[
-        str | None,
-        typer.Option("--format", metavar="NAME", help="Format of INPUT, as for 'relmap map'."),
-    ] = None,
+    scans: Scans = None,
+    log_format: Format = None,
 ) -> None:
-    """Localise scans; the arguments are explained in the help text."""
+    """Localise scans; the help text explains the arguments."""
     import numpy as np
 
-    from relmap.cli.arguments import parse_scans
-    from relmap.datasets import open_log
     from relmap.evaluation.run import stamps_of
+    from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder, write_tum
     from relmap.io.results import MAPPER, TRAJECTORY
     from relmap.points import PointMapper
 
-    interval = parse_scans(scans)
     mapper = PointMapper.load(result / MAPPER)
-    log = open_log(source, log_format)
-    if interval is not None:
-        log = log.between(*interval)
+    log = read_log(source, "points", log_format, scans)
+    each: Iterable[Any] = tracked(log.scans(), len(log), "localising")
     with staged_folder(out) as staging:
-        each = tracked(log.scans(), len(log), "localising")
         poses = np.array([mapper.localise(scan.points_robot) for scan in each])
         found = np.isfinite(poses[:, 0, 0])
         write_tum(staging / TRAJECTORY, stamps_of(log)[found], poses[found])

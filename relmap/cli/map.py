@@ -7,17 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from relmap.cli.arguments import parse_scans, read_config
-from relmap.cli.console import Out
+from relmap.cli import arguments as args
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Association, Job, Variant
+from relmap.cli.job import Job
 from relmap.cli.outcome import report
-from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.config import MapperConfig
-
-Registration = Literal["constellation", "nearest-previous"]
 
 HELP = """Make a map from a log of landmarks that a moving robot saw.
 
@@ -53,90 +49,95 @@ Examples:
   relmap map building/scans.npz -o result --variant planes
 """
 
+_Variant = Annotated[
+    args.Variant, typer.Option(help="What the landmarks are: points, or walls in point scans.")
+]
+_Association = Annotated[
+    args.Association, typer.Option(help="Find out which landmark is which, or take the log's ids.")
+]
+_Refine = Annotated[
+    bool,
+    typer.Option(
+        "--refine/--no-refine",
+        help="At the end, bring all landmarks to where all observations agree best.",
+    ),
+]
+_Registration = Annotated[
+    Literal["constellation", "nearest-previous"] | None,
+    typer.Option(
+        "--registration",
+        help="How observations without ids are matched: by constellations that agree, or "
+        "the paper's way, to the nearest of the previous iteration.",
+    ),
+]
+_Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE.toml",
+        help="Settings of the mapper: the fields of relmap.MapperConfig, as field = value.",
+    ),
+]
+_Journal = Annotated[
+    Path | None,
+    typer.Option(
+        "--journal",
+        metavar="FILE",
+        help="Keep what is read and found in this SQLite file, so that 'relmap resume FILE' "
+        "can go on if the run ends early.",
+    ),
+]
+_Onto = Annotated[
+    Path | None,
+    typer.Option(
+        "--onto",
+        metavar="RESULT",
+        help="Add the log to the map in this result folder: where a scan is found in it, the "
+        "mapping goes on from there.",
+    ),
+]
+_Animate = Annotated[
+    bool,
+    typer.Option("--animate", help="Of walls, draw the whole run as an animation, bench.gif."),
+]
+
 
 def map_command(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The log.")],
-    out: Out,
-    variant: Annotated[
-        Variant, typer.Option(help="What the landmarks are: points, or walls in point scans.")
-    ] = "points",
-    association: Annotated[
-        Association,
-        typer.Option(help="Find out which landmark is which, or take the log's ids."),
-    ] = "nearest",
-    refine: Annotated[
-        bool,
-        typer.Option(
-            "--refine/--no-refine",
-            help="At the end, bring all landmarks to where all observations agree best.",
-        ),
-    ] = True,
-    scans: Annotated[
-        str | None,
-        typer.Option(
-            "--scans", metavar="A:B", help="Map only iterations A to B - 1, counted from 0."
-        ),
-    ] = None,
-    log_format: Annotated[
-        str | None,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help="Format of INPUT, from the list above; recognised where left out.",
-        ),
-    ] = None,
-    registration: Annotated[
-        Registration | None,
-        typer.Option(
-            help="How observations without ids are matched: by constellations that agree, or "
-            "the paper's way, to the nearest of the previous iteration."
-        ),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config",
-            metavar="FILE.toml",
-            help="Settings of the mapper: the fields of relmap.MapperConfig, as field = value.",
-        ),
-    ] = None,
-    journal: Annotated[
-        Path | None,
-        typer.Option(
-            "--journal",
-            metavar="FILE",
-            help="Keep what is read and found in this SQLite file, so that 'relmap resume FILE' "
-            "can go on if the run is ended before its time.",
-        ),
-    ] = None,
-    onto: Annotated[
-        Path | None,
-        typer.Option(
-            "--onto",
-            metavar="RESULT",
-            help="Add the log to the map in this result folder: where a scan is found in it, the "
-            "mapping goes on from there.",
-        ),
-    ] = None,
-    animate: Annotated[
-        bool,
-        typer.Option("--animate", help="Of walls, draw the whole run as an animation, bench.gif."),
-    ] = False,
+    source: args.Log,
+    out: args.Out,
+    variant: _Variant = "points",
+    association: _Association = "nearest",
+    refine: _Refine = True,
+    scans: args.Scans = None,
+    log_format: args.Format = None,
+    registration: _Registration = None,
+    config: _Config = None,
+    journal: _Journal = None,
+    onto: _Onto = None,
+    animate: _Animate = False,
 ) -> None:
-    """Map a log; the arguments are explained in the help text."""
-    planes = variant == "planes"
-    _check_onto(onto, planes, journal, config, registration)
-    _check_matching(planes, association, registration)
-    if animate and not planes:
-        raise RelmapError("--animate draws walls: give --variant planes with it")
+    """Map a log; the help text explains the arguments."""
+    planes, known = variant == "planes", association == "known"
+    if onto is not None:
+        args.refuse(planes, "--onto adds to a map of points; walls are mapped in one go")
+        args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
+        others = config or registration
+        args.refuse(others, "--onto goes on with the settings of the earlier run: give no others")
+    if planes:
+        wrong = known or registration
+        args.refuse(wrong, "walls have no ids: --association and --registration are for points")
+    elif known:
+        message = "--registration is for observations without ids: leave out --association"
+        args.refuse(registration, message)
+    args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
     with stoppable() as stopped:
         job = Job(
             source=source,
             out=out,
             variant=variant,
-            settings=_settings(config, registration, planes, association),
+            settings=_settings(config, registration, planes, known),
             association=association,
-            interval=parse_scans(scans),
+            interval=scans,
             log_format=log_format,
             refine=refine,
             journal=journal,
@@ -147,38 +148,10 @@ def map_command(
         report(job)
 
 
-def _check_onto(
-    onto: Path | None,
-    planes: bool,
-    journal: Path | None,
-    config: Path | None,
-    registration: Registration | None,
-) -> None:
-    """Make sure that a map that is to be added to needs nothing else."""
-    if onto is None:
-        return
-    if planes:
-        raise RelmapError("--onto adds to a map of points; walls are mapped in one go")
-    if journal is not None:
-        raise RelmapError("--journal keeps a run from its beginning, which --onto has not got")
-    if config is not None or registration is not None:
-        raise RelmapError("--onto goes on with the settings of the earlier run: give no others")
-
-
-def _check_matching(
-    planes: bool, association: Association, registration: Registration | None
-) -> None:
-    """Make sure that nothing is said of matching where there is none of that kind."""
-    if planes and (association == "known" or registration is not None):
-        raise RelmapError("walls have no ids: --association and --registration are for points")
-    if association == "known" and registration is not None:
-        raise RelmapError("--registration is for observations without ids: leave out --association")
-
-
 def _settings(
-    config: Path | None, registration: Registration | None, planes: bool, association: Association
+    config: Path | None, registration: str | None, planes: bool, known: bool
 ) -> MapperConfig:
     from relmap.core.config import WITH_IDS, WITH_WALLS
 
-    unused = WITH_WALLS if planes else WITH_IDS if association == "known" else {}
-    return read_config(config, registration, unused)
+    unused = WITH_WALLS if planes else WITH_IDS if known else {}
+    return args.read_config(config, registration, unused)

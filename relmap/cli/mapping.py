@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from relmap.cli.arguments import parse_scans, read_config
+from relmap.cli.arguments import Association, read_config
 from relmap.cli.console import busy, tracked
-from relmap.cli.job import Association, Job, journaled_labels
+from relmap.cli.job import Job, journaled_labels
 from relmap.core.errors import RelmapError
 from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
 
 if TYPE_CHECKING:
-    from relmap.evaluation.run import AnyMapper, Log, Run
+    from relmap.evaluation.feeding import AnyMapper, Log
+    from relmap.evaluation.run import Run
     from relmap.evaluation.truth import Truth
     from relmap.plots.bench_recorder import BenchRecorder
 
@@ -24,17 +25,24 @@ BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
 
 
-def map_input(
-    source: Path, out: Path, association: Association = "nearest", scans: str | None = None
-) -> Run:
+def map_input(source: Path, out: Path, association: Association = "nearest") -> Run:
     """Map a log of points into a result folder with the usual settings; see `map_log`."""
-    settings, interval = read_config(None), parse_scans(scans)
-    job = Job(source=source, out=out, settings=settings, association=association, interval=interval)
+    job = Job(source=source, out=out, settings=read_config(None), association=association)
     return map_log(job)[0]
 
 
 def map_log(job: Job) -> tuple[Run, int]:
-    """Map a log into a result folder, with pictures; tell how many files it wrote.
+    """Map a log into a result folder, with pictures.
+
+    Parameters
+    ----------
+    job : Job
+
+    Returns
+    -------
+    run : Run
+    n_files : int
+        How many files were written.
 
     Raises
     ------
@@ -42,12 +50,18 @@ def map_log(job: Job) -> tuple[Run, int]:
         Where an argument or the log cannot be used, or the folder cannot be written; an earlier
         result in it is then as it was.
     """
-    from relmap.datasets.scans import ScanLog
-    from relmap.evaluation.run import run_mapper
-    from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder
 
-    source, out = job.at(job.source), job.at(job.out)
+    out, log = job.at(job.out), _log_of(job)
+    with staged_folder(out, _stale(out)) as staging:
+        run = _mapped_into(staging, job, log)
+        return run, len(list(staging.iterdir()))
+
+
+def _log_of(job: Job) -> Log:
+    from relmap.evaluation.sources import read_log
+
+    source = job.at(job.source)
     with busy("reading"):
         log = read_log(source, job.variant, job.log_format, job.interval)
     ids = getattr(log, "ids", None)
@@ -55,38 +69,34 @@ def map_log(job: Job) -> tuple[Run, int]:
         raise RelmapError(
             f"--association known needs the identity of each landmark, and {source} has no ids"
         )
-    with staged_folder(out, _stale(out)) as staging, ExitStack() as afterwards:
-        seen = journaled_labels(job, log)
+    return log
+
+
+def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
+    """Map a log, and write result and pictures into an existing folder."""
+    from relmap.datasets.scans import ScanLog
+    from relmap.evaluation.run import run_mapper
+
+    seen, about = journaled_labels(job, log), _about(job)
+    with ExitStack() as afterwards:
         mapper = job.mapper()
         afterwards.callback(mapper.close)
         bench = _bench(job, log, mapper, len(seen))
-        about = _about(job, source)
 
-        def shown(scans: Iterable[Any]) -> Iterator[Any]:
+        def watched(scans: Iterable[Any]) -> Iterator[Any]:
             followed = _taken_up(job, mapper, job.scans(scans, len(log)), about)
             yield from bench.watch(followed) if bench else followed
-            about["configuration"] = mapper.settings
             afterwards.enter_context(busy("refining and writing"))
 
-        run = run_mapper(
-            mapper,
-            log,
-            job.association,
-            about,
-            shown,
-            job.refine,
-            seen,
-            mapper.n_iterations - len(seen),
-            bench.segmenter if bench else None,
-        )
-        _write(staging, run)
-        mapper.save(staging / MAPPER)
-        afterwards.close()
-        if bench is not None:
-            if isinstance(log, ScanLog) and len(seen) == len(log):
-                bench.see_again(log)
-            _draw_bench(staging, bench, job.animate)
-        return run, len(list(staging.iterdir()))
+        segmenter = bench.segmenter if bench else None
+        run = run_mapper(mapper, log, job.association, about, watched, job.refine, seen, segmenter)
+        _write(folder, run)
+        mapper.save(folder / MAPPER)
+    if bench is not None:
+        if isinstance(log, ScanLog) and len(seen) == len(log):
+            bench.see_again(log)
+        _draw_bench(folder, bench, job.animate)
+    return run
 
 
 def _taken_up(
@@ -102,19 +112,19 @@ def _taken_up(
         yield scan
 
 
-def _about(job: Job, source: Path) -> dict[str, Any]:
+def _about(job: Job) -> dict[str, Any]:
+    """Return what the summary tells of the job."""
     from relmap.evaluation.sources import recognised_format
 
-    points = job.variant == "points"
-    about: dict[str, Any] = {
+    about = {
         "input": str(job.source),
-        "format": job.log_format or recognised_format(source, job.variant),
+        "format": job.log_format or recognised_format(job.at(job.source), job.variant),
         "variant": job.variant,
-        "seed": None if points else 0,
-        "configuration": {},
+        "seed": 0 if job.variant == "planes" else None,
     }
-    onto = None if job.onto is None else str(job.onto)
-    return about | ({"onto": onto, "tied_at": None} if points else {})
+    if job.variant == "points":
+        about |= {"onto": None if job.onto is None else str(job.onto), "tied_at": None}
+    return about
 
 
 def _stale(out: Path) -> list[str]:
@@ -148,7 +158,7 @@ def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder 
 
     if not (isinstance(log, ScanLog) and isinstance(mapper, PlaneMapper)):
         return None
-    from relmap.evaluation.run import segmenter_for
+    from relmap.evaluation.feeding import segmenter_for
     from relmap.plots.bench_recorder import BenchRecorder, frame_step
 
     every = frame_step(len(log)) if job.animate else 0

@@ -48,14 +48,11 @@ def report(job: Job) -> None:
 
 def each(median_ms: float | None) -> str:
     """Return how long an iteration took, as part of a message."""
-    return "none of them new" if median_ms is None else f"median {readable(median_ms)} each"
-
-
-def readable(ms: float) -> str:
-    """Return a time as a person reads it."""
-    value, unit = (ms / 1e3, "s") if ms >= 1e3 else (ms, "ms")
+    if median_ms is None:
+        return "none of them new"
+    value, unit = (median_ms / 1e3, "s") if median_ms >= 1e3 else (median_ms, "ms")
     digits = 2 if value < 1 else 1 if value < 10 else 0
-    return f"{value:.{digits}f} {unit}"
+    return f"median {value:.{digits}f} {unit} each"
 
 
 def torn(summary: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""``relmap resume``: go on with a run that was ended before its time."""
+"""``relmap resume``: go on with a run that ended early."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Annotated
 
 import typer
 
-from relmap.cli.console import folder
+from relmap.cli.arguments import Variant, folder
 from relmap.cli.interrupt import stoppable
-from relmap.cli.job import Job, Variant
+from relmap.cli.job import Job
 from relmap.cli.outcome import report
 
-HELP = """Go on with a run of 'relmap map --journal FILE' that was ended before its time.
+HELP = """Go on with a run of 'relmap map --journal FILE' that ended early.
 
 What the journal holds is mapped again, the rest comes from the log that the run was begun with, and
-the map is the same, to the last bit, as if nothing had happened.
+the map is the same, to the last bit, as without the interruption.
 
 \b
 Examples:
@@ -34,7 +34,7 @@ def resume_command(
             "-o",
             metavar="DIR",
             parser=folder,
-            help="Folder to write to; the one of the run where left out.",
+            help="Folder to write to; that of the run if not given.",
         ),
     ] = None,
     repair: Annotated[
@@ -46,7 +46,7 @@ def resume_command(
         ),
     ] = False,
 ) -> None:
-    """Resume a run; the arguments are explained in the help text."""
+    """Resume a run; the help text explains the arguments."""
     from relmap.io.journal import JournalReader, salvage
 
     if repair:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from relmap.cli.console import Out
+from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
+from relmap.cli.console import busy
 
 if TYPE_CHECKING:
+    from relmap.evaluation.sources import EightSource
     from relmap.simulation import Building
 
-Noise = Literal["gaussian", "uniform"]
 Sampling = Literal["surface", "rays", "laser"]
 World = Literal["building", "panels", "long-wall"]
 
@@ -53,53 +54,46 @@ Example:
 @app.command("figure-eight", help=_FIGURE_EIGHT)
 def figure_eight_command(
     out: Out,
-    density: Annotated[float, typer.Option(help="Landmarks per 100 m of the path.")] = 25.0,
+    density: Density = 25.0,
     iterations: Annotated[
         int, typer.Option(help="How often the robot looks; one loop is 900.")
     ] = 900,
-    noise: Annotated[Noise, typer.Option(help="Distribution of the noise.")] = "gaussian",
+    noise: Noise = "gaussian",
     sigma: Annotated[
         float, typer.Option(help="Standard deviation of each coordinate seen, metres.")
     ] = 0.05,
-    dynamic: Annotated[float, typer.Option(help="Share of the landmarks that move, 0 to 1.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same world.")] = 0,
+    dynamic: Dynamic = 0.0,
+    seed: Seed = 0,
 ) -> None:
-    """Write a simulated figure eight; the arguments are explained in the help text."""
-    summary = write_figure_eight(out, density, iterations, noise, sigma, dynamic, seed)
-    typer.echo(f"wrote 3 files to {out}: {summary}")
+    """Write a simulated figure eight; the help text explains the arguments."""
+    from relmap.evaluation.sources import EightSource
+
+    source = EightSource(density, iterations, noise, sigma, dynamic, seed)
+    typer.echo(f"wrote 3 files to {out}: {write_figure_eight(out, source)}")
 
 
-def write_figure_eight(
-    out: Path,
-    density: float = 25.0,
-    iterations: int = 900,
-    noise: Noise = "gaussian",
-    sigma: float = 0.05,
-    dynamic: float = 0.0,
-    seed: int = 0,
-) -> str:
+def write_figure_eight(out: Path, source: EightSource) -> str:
     """Simulate the figure eight into a folder and return a line of counts.
 
     Raises
     ------
     RelmapError
-        Where an argument is out of range or the folder cannot be written.
+        Where a parameter is out of range or the folder cannot be written.
     """
-    from relmap.cli.console import busy
     from relmap.datasets.observation_csv import write_observation_csv
-    from relmap.evaluation.sources import truth_of
     from relmap.evaluation.truth import write_truth
     from relmap.io.files import staged_folder
-    from relmap.simulation import simulate_figure_eight
 
     with staged_folder(out) as staging, busy("simulating"):
-        world = simulate_figure_eight(density, iterations, noise, sigma, dynamic, seed)
-        write_observation_csv(staging / "observations.csv", world.log)
+        data = source.load()
+        log, truth = data.log, data.truth
+        assert truth is not None
+        write_observation_csv(staging / "observations.csv", log)
         (staging / "truth").mkdir()
-        write_truth(staging / "truth", truth_of(world))
+        write_truth(staging / "truth", truth)
     return (
-        f"{len(world.landmark_ids)} landmarks, {len(world.log)} iterations, "
-        f"{len(world.log.points_robot)} observations"
+        f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
+        f"{len(log.points_robot)} observations"
     )
 
 
@@ -113,7 +107,7 @@ def building_command(
         float,
         typer.Option(help="Standard deviation of each coordinate, of the range of beams; metres."),
     ] = 0.05,
-    noise: Annotated[Noise, typer.Option(help="Distribution of the noise.")] = "gaussian",
+    noise: Noise = "gaussian",
     sampling: Annotated[
         Sampling,
         typer.Option(
@@ -122,7 +116,7 @@ def building_command(
         ),
     ] = "surface",
     iterations: Annotated[
-        int | None, typer.Option(help="Number of scans; as the loops take where left out.")
+        int | None, typer.Option(help="Number of scans; as the loops take if not given.")
     ] = None,
     loops: Annotated[int, typer.Option(help="How often the robot drives round.")] = 1,
     world: Annotated[
@@ -132,10 +126,9 @@ def building_command(
     moving: Annotated[
         int, typer.Option(help="Hang so many swinging doors; of panels, so many slide and turn.")
     ] = 0,
-    seed: Annotated[int, typer.Option(help="The same seed gives the same world.")] = 0,
+    seed: Seed = 0,
 ) -> None:
-    """Write a simulated building; the arguments are explained in the help text."""
-    from relmap.cli.console import busy
+    """Write a simulated building; the help text explains the arguments."""
     from relmap.io.files import staged_folder
     from relmap.simulation import simulate_building
 
@@ -159,7 +152,7 @@ def _write_building(folder: Path, building: Building) -> None:
     from relmap.datasets.scans import SensorView
     from relmap.io.files import atomic_write, write_tum
     from relmap.io.tables import csv_text
-    from relmap.plots.building import write_building_png
+    from relmap.plots.planes import write_building_png
 
     truth = folder / "truth"
     truth.mkdir()

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from statistics import median
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from relmap.cli.console import Out
+from relmap.cli.arguments import Out, refuse
+from relmap.cli.compare import COLUMNS, OF_CORNERS
+from relmap.cli.console import figure, print_table, with_bar
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -49,30 +51,33 @@ On a cluster relmap is installed on every machine; 'dask scheduler' and 'dask wo
 the two sides (pip install 'relmap[cluster]').  Work of a machine that fails goes to the others.
 """
 
+T = TypeVar("T")
+
 EVERY_S = 10.0
 """Between two lines of progress where there is no terminal."""
+MEDIANS = ("RMSE", "of", "cover", "ATE", "RPE", "ms", "mean")
+"""Columns of `relmap compare` whose medians are printed."""
 
 
 def sweep_command(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="What to run: a TOML file.")],
     out: Out,
     workers: Annotated[
-        int | None, typer.Option(help="Processes; one for each core where left out.")
+        int | None, typer.Option(help="Processes; one for each core if not given.")
     ] = None,
     dask: Annotated[
         str | None,
         typer.Option(metavar="tcp://HOST:PORT", help="Run on the workers of this dask scheduler."),
     ] = None,
 ) -> None:
-    """Sweep; the arguments are explained in the help text."""
+    """Sweep; the help text explains the arguments."""
     from relmap.comparison.sweep_spec import read_spec
 
-    if workers is not None and workers < 1:
-        raise RelmapError(f"--workers is {workers}; it must be 1 or more")
-    if workers is not None and dask is not None:
-        raise RelmapError("--workers is for this machine; with --dask the cluster has its own")
+    refuse(workers is not None and workers < 1, f"--workers is {workers}; it must be 1 or more")
+    both = workers is not None and dask is not None
+    refuse(both, "--workers is for this machine; with --dask the cluster has its own")
     cells = read_spec(spec)
-    finished = sweep_into(out, cells, -1 if workers is None else workers, dask)
+    finished = _sweep_into(out, cells, -1 if workers is None else workers, dask)
     _print_medians(cells, finished)
     notes = {f"{c.method}: {f.note}" for c, f in zip(cells, finished, strict=True) if f.note}
     for note in sorted(notes):
@@ -80,104 +85,66 @@ def sweep_command(
     typer.echo(f"wrote {len(cells)} cells to {out}")
 
 
-def sweep_into(
-    out: Path, cells: Sequence[Cell], workers: int = -1, scheduler: str | None = None
+def _sweep_into(
+    out: Path, cells: Sequence[Cell], workers: int, scheduler: str | None
 ) -> list[Finished]:
-    """Run what is not finished yet, and write the tables.
-
-    Raises
-    ------
-    RelmapError
-        Where the folder cannot be written or the scheduler cannot be reached.
-    """
-    from relmap.comparison.sweep import (
-        CellStore,
-        accuracy_csv,
-        run_cells,
-        times_csv,
-        write_parquet,
-    )
-    from relmap.io.files import atomic_write
+    """Run what is not finished yet, and write the tables."""
+    from relmap.comparison.sweep import CellStore, run_cells
 
     store = CellStore(out)
     before = ((cell, store.load(cell)) for cell in cells)
     found = {cell: done for cell, done in before if done is not None}
     left = [cell for cell in cells if cell not in found]
-    if len(left) < len(cells):
-        done = len(cells) - len(left)
-        typer.echo(f"relmap: {done} of {len(cells)} cells were finished before", err=True)
-    with _progress(len(left)) as advance:
-        try:
-            for cell, finished in run_cells(left, workers, scheduler) if left else ():
-                store.save(cell, finished)
-                found[cell] = finished
-                advance()
-        except KeyboardInterrupt:
-            typer.echo(
-                f"relmap: {len(found)} of {len(cells)} cells are finished; "
-                "the same command goes on with the others",
-                err=True,
-            )
-            raise
+    if found:
+        typer.echo(f"relmap: {len(found)} of {len(cells)} cells were finished before", err=True)
+    n = len(left)
+    running = run_cells(left, workers, scheduler) if left else ()
+    try:
+        for cell, finished in with_bar(_reported(running, n), n, f"{n} cells"):
+            store.save(cell, finished)
+            found[cell] = finished
+    except KeyboardInterrupt:
+        typer.echo(
+            f"relmap: {len(found)} of {len(cells)} cells are finished; "
+            "the same command goes on with the others",
+            err=True,
+        )
+        raise
     rows = [found[cell] for cell in cells]
+    _write(out, cells, rows)
+    return rows
+
+
+def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
+    """Write the tables."""
+    from relmap.comparison.sweep import accuracy_csv, times_csv, write_parquet
+    from relmap.io.files import atomic_write
+
     atomic_write(out / "sweep.csv", accuracy_csv(cells, rows))
     atomic_write(out / "timing.csv", times_csv(cells, rows))
     try:
         write_parquet(out / "sweep.parquet", cells, rows)
     except RelmapError as error:
         typer.echo(f"relmap: {error}", err=True)
-    return rows
 
 
-def _lines(total: int) -> Callable[[], None]:
-    """Return what counts cells and says so on stderr now and then."""
-    began = told = monotonic()
-    done = 0
-
-    def advance() -> None:
-        nonlocal told, done
-        done, now = done + 1, monotonic()
-        if now - told < EVERY_S:
-            return
-        told = now
-        left_s = (now - began) / done * (total - done)
-        said = f"{done} of {total} cells, about {_duration(left_s)} left"
-        typer.echo(f"relmap: {said}", err=True)
-
-    return advance
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
-
-
-@contextmanager
-def _progress(total: int) -> Iterator[Callable[[], None]]:
-    """Show how many cells are done and how long the others will take, on stderr.
-
-    Yields
-    ------
-    callable
-        Counts one more cell.
-    """
+def _reported(items: Iterable[T], total: int) -> Iterator[T]:
+    """Yield the items; where stderr is no terminal, tell now and then how many are done."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _lines(total)
-        return
-    columns = (BarColumn(), MofNCompleteColumn(), "cells,", TimeRemainingColumn(), "left")
-    with Progress(*columns, console=console, speed_estimate_period=600) as shown:
-        task = shown.add_task("", total=total)
-        yield lambda: shown.advance(task)
+    silent = Console(stderr=True).is_terminal
+    began = told = monotonic()
+    for done, item in enumerate(items, 1):
+        yield item
+        now = monotonic()
+        if not silent and now - told >= EVERY_S:
+            told, left_s = now, (now - began) / done * (total - done)
+            left = f"{left_s:.0f} s" if left_s < 120 else f"{left_s / 60:.0f} min"
+            typer.echo(f"relmap: {done} of {total} cells, about {left} left", err=True)
 
 
 def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     """Print the medians over the seeds, one row for each combination of the rest."""
-    import numpy as np
-
-    from relmap.cli.plaintable import print_plain, shown
     from relmap.comparison.sweep_spec import varying
 
     keys = [key for key in varying(list(cells)) if key != "method"]
@@ -185,14 +152,16 @@ def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
     for cell, done in zip(cells, finished, strict=True):
         name = (cell.method, *(f"{getattr(cell, key)}" for key in keys))
         rows.setdefault(name, []).append(done)
-    of_map = "corner_rmse_m" if cells[0].world == "building" else "landmark_rmse_m"
-    figures = {"RMSE": of_map, "of": "matched", "cover": "coverage", "ATE": "ate_m", "RPE": "rpe_m"}
-    figures |= {"ms": "median_ms", "mean": "mean_ms"}
-    table = []
-    for name, group in sorted(rows.items(), key=lambda row: (row[0][1:], row[0][0])):
-        cells_ = []
-        for heading, key in figures.items():
-            values = [v for done in group if (v := done.figures[key]) is not None]
-            cells_.append(shown(heading, float(np.median(values)) if values else None))
-        table.append([*name, *cells_, str(len(group))])
-    print_plain("medians over the seeds", ["method", *keys, *figures, "seeds"], table)
+    of_map = OF_CORNERS if cells[0].world == "building" else {}
+    columns = {heading: (COLUMNS | of_map)[heading] for heading in MEDIANS}
+    table = [
+        [*name, *_medians(group, columns.values()), str(len(group))]
+        for name, group in sorted(rows.items(), key=lambda row: (row[0][1:], row[0][0]))
+    ]
+    print_table("medians over the seeds", ["method", *keys, *columns, "seeds"], table)
+
+
+def _medians(group: Sequence[Finished], columns: Iterable[tuple[str, str]]) -> Iterator[str]:
+    for key, kind in columns:
+        values = [value for done in group if (value := done.figures[key]) is not None]
+        yield figure(median(values) if values else None, kind)

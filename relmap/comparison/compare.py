@@ -13,14 +13,13 @@ from multiprocessing.connection import Connection
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.comparison.methods.base import Method, MethodInfo
+from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import check_method, find_method, fitting_methods
-from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, run_method
+from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, try_method
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
-from relmap.evaluation.landmarks import Overlay, overlay
-from relmap.evaluation.run import Association, Log
+from relmap.evaluation.feeding import Association, Log, Method
 from relmap.evaluation.sources import Data, Source
 from relmap.evaluation.truth import Truth
 
@@ -92,7 +91,7 @@ def compare(
     methods : sequence of MethodInfo
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that the methods are told, metres; estimated from the data where left out.
+        Noise that the methods are told, metres; estimated from the data if not given.
 
     Yields
     ------
@@ -144,33 +143,9 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def _run_and_send(
-    sender: Connection,
-    name: str,
-    source: Source,
-    association: Association,
-    sigma_m: float | None,
+    sender: Connection, name: str, source: Source, association: Association, sigma_m: float | None
 ) -> None:
-    try:
-        run = run_method(find_method(name), source.load(), association, sigma_m)
-        outcome = Compared(name, run)
-    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
-        outcome = Compared(name, None, "failed: " + " ".join(str(error).split())[:200])
-    sender.send(outcome)
-
-
-def overlay_of(run: MethodRun, data: Data[Log]) -> Overlay | None:
-    """Return true landmarks in the frame of a run: of its map, or of its path if it has no map."""
-    truth, result, log = data.truth, run.result, data.log
-    if truth is None or not isinstance(log, ObservationLog):
-        return None
-    if result.mapped.any():
-        return overlay(result, truth, log)
-    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
-    if len(mine) < 3:
-        return None
-    R, t = metrics.align(result.poses[mine, :3, 3], truth.poses[other, :3, 3])
-    path = (truth.poses[:, :3, 3] - t) @ R
-    return Overlay((truth.landmarks_map - t) @ R, path, np.empty((0, 2, 3)))
+    sender.send(Compared(name, *try_method(name, source, association, sigma_m)))
 
 
 def landmark_error_curve(

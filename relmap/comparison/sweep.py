@@ -10,14 +10,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from relmap import __version__
 from relmap.comparison.methods.registry import find_method
-from relmap.comparison.methods.running import ACCURACY, COST, run_method
+from relmap.comparison.methods.running import ACCURACY, COST, try_method
 from relmap.comparison.sweep_spec import KEYS, Cell
 from relmap.core.errors import RelmapError
-from relmap.evaluation.run import Association
+from relmap.evaluation.feeding import Association
 from relmap.io.files import atomic_write
 from relmap.io.tables import csv_text
 
@@ -50,17 +48,13 @@ class Finished:
 
 def run_cell(cell: Cell) -> Finished:
     """Make the world of a cell and run its method; what goes wrong is its note."""
-    info = find_method(cell.method)
     none: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES))
-    if info.missing:
-        return Finished(none, f"not run: {info.missing}", again=True)
-    try:
-        data = cell.source().load()
-        sigma_m = cell.sigma or None
-        figures = run_method(info, data, cast(Association, cell.association), sigma_m).figures
-    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
-        return Finished(none, "failed: " + " ".join(str(error).split())[:200])
-    return Finished({name: figures[name] for name in none})
+    missing = find_method(cell.method).missing
+    if missing:
+        return Finished(none, f"not run: {missing}", again=True)
+    association: Association = "known" if cell.association == "known" else "nearest"
+    run, note = try_method(cell.method, cell.source(), association, cell.sigma or None)
+    return Finished({name: run.figures[name] for name in none} if run else none, note)
 
 
 class CellStore:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
+import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from relmap.comparison.methods.registry import check_method, find_method
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, known_name
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
 from relmap.io.files import read_text
 
@@ -23,11 +24,13 @@ _LIMITS: dict[str, tuple[float, float, str]] = {
     "iterations": (0, 10**7, "0, for one loop, to 10000000"),
     "seed": (0, 2**63, "0 or more"),
 }
+"""Smallest and largest value of a number, and both in words."""
 _CHOICES = {
     "world": ("figure-eight", "building"),
     "association": ("known", "nearest"),
     "noise": ("gaussian", "uniform"),
 }
+_KINDS = {int: "a whole number", float: "a number", str: "a text"}
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,7 @@ class Cell:
 
 
 KEYS = tuple(field.name for field in fields(Cell))
-_KINDS: dict[str, type] = {field.name: type(field.default) for field in fields(Cell)}
+_DEFAULTS: dict[str, Any] = asdict(Cell())
 
 
 def read_spec(path: Path) -> list[Cell]:
@@ -104,16 +107,11 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
         Where a key or a value cannot be used, or a method cannot be given such a world.
     """
     for key in spec:
-        if key not in KEYS:
-            near = difflib.get_close_matches(key, KEYS, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(KEYS)}"
-            raise RelmapError(f"unknown key {key!r}; {hint}")
+        known_name(key, KEYS, "key")
     if "method" not in spec:
         raise RelmapError("no key method: which methods to run, as in method = ['relmap-points']")
-    choices = [_choices(key, spec[key]) if key in spec else [_default(key)] for key in KEYS]
-    count = 1
-    for values in choices:
-        count *= len(values)
+    choices = [_choices(key, spec.get(key, _DEFAULTS[key])) for key in KEYS]
+    count = math.prod(map(len, choices))
     if count > MOST_CELLS:
         raise RelmapError(f"the grid has {count} cells; at most {MOST_CELLS} are run")
     if "building" in choices[KEYS.index("world")]:
@@ -126,49 +124,44 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
     return cells
 
 
-def _default(key: str) -> Any:
-    return getattr(Cell(), key)
-
-
 def _choices(key: str, given: Any) -> list[Any]:
     """Return the values of a key.
 
     Raises
     ------
     RelmapError
-        Where there is none, one stands there twice or is not of its kind.
+        Where there is none, one stands there twice or cannot be used.
     """
-    kind = _KINDS[key]
+    kind = type(_DEFAULTS[key])
     if kind is int and isinstance(given, str):
         given = _span(key, given)
-    values = given if isinstance(given, list) else [given]
-    right = (int, float) if kind is float else kind
-    names = {int: "a whole number", float: "a number", str: "a text"}
-    for value in values:
-        if isinstance(value, bool) or not isinstance(value, right):
-            raise RelmapError(f"{key} is {value!r}; it must be {names[kind]} or a list of such")
-    values = [kind(value) for value in values]
-    for value in values:
-        _check_value(key, value)
+    values = [_value(key, kind, value) for value in (given if isinstance(given, list) else [given])]
     if not values or len(set(values)) < len(values):
         raise RelmapError(f"{key} is {given!r}; it must list different values, one at least")
     return values
 
 
-def _check_value(key: str, value: Any) -> None:
+def _value(key: str, kind: type, value: Any) -> Any:
+    """Return one value of a key as it must be."""
+    right = (int, float) if kind is float else kind
+    if isinstance(value, bool) or not isinstance(value, right):
+        raise RelmapError(f"{key} is {value!r}; it must be {_KINDS[kind]} or a list of such")
+    value, said = kind(value), ""
     if key in _CHOICES and value not in _CHOICES[key]:
-        raise RelmapError(f"{key} is {value!r}; it must be {' or '.join(_CHOICES[key])}")
-    if key in _LIMITS:
-        lowest, highest, said = _LIMITS[key]
-        if not lowest <= value <= highest:
-            raise RelmapError(f"{key} is {value!r}; it must be {said}")
+        said = " or ".join(_CHOICES[key])
+    if key in _LIMITS and not _LIMITS[key][0] <= value <= _LIMITS[key][1]:
+        said = _LIMITS[key][2]
+    if said:
+        raise RelmapError(f"{key} is {value!r}; it must be {said}")
+    return value
 
 
 def _span(key: str, text: str) -> list[int]:
-    begin, colon, end = text.partition(":")
-    if colon and begin.isascii() and begin.isdigit() and end.isascii() and end.isdigit():
-        return list(range(int(begin), min(int(end), int(begin) + MOST_CELLS + 1)))
-    raise RelmapError(f"{key} is {text!r}; it must be whole numbers or A:B, for A to B - 1")
+    numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
+    if not numbers:
+        raise RelmapError(f"{key} is {text!r}; it must be whole numbers or A:B, for A to B - 1")
+    begin, end = int(numbers[1]), int(numbers[2])
+    return list(range(begin, min(end, begin + MOST_CELLS + 1)))
 
 
 def _check(world: str, association: str, method: str) -> None:
@@ -177,12 +170,11 @@ def _check(world: str, association: str, method: str) -> None:
             raise RelmapError("walls have no ids: a building needs association = 'nearest'")
         check_method(find_method(method), "scans", "nearest")
     else:
-        check_method(
-            find_method(method), "landmarks", "known" if association == "known" else "nearest"
-        )
+        known = association == "known"
+        check_method(find_method(method), "landmarks", "known" if known else "nearest")
 
 
 def varying(cells: list[Cell]) -> list[str]:
     """Return the keys, but seed, in which cells differ."""
-    told = [asdict(cell) for cell in cells]
-    return [key for key in KEYS if key != "seed" and len({row[key] for row in told}) > 1]
+    others = [key for key in KEYS if key != "seed"]
+    return [key for key in others if len({getattr(cell, key) for cell in cells}) > 1]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, known_name
 
 REGISTRATIONS = ("constellation", "nearest-previous")
 WITH_IDS = dict.fromkeys(("registration", "gate_m"), "with ids nothing is matched")
@@ -125,10 +124,7 @@ class MapperConfig:
         """
         known = [field.name for field in fields(cls)]
         for key in settings:
-            if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
-                hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-                raise RelmapError(f"unknown setting {key!r}; {hint}")
+            known_name(key, known, "setting")
         return cls(**settings)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Collection
+
 
 class RelmapError(Exception):
     """Input that relmap cannot use.
@@ -16,3 +19,18 @@ def reason(error: Exception) -> str:
     line = " ".join(str(error).split()) or type(error).__name__
     plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     return plain if len(plain) <= 200 else f"{plain[:200]}..."
+
+
+def known_name(name: str, known: Collection[str], what: str) -> str:
+    """Return a name if it is known.
+
+    Raises
+    ------
+    RelmapError
+        Where it is not: tells which name comes near it, or all of them.
+    """
+    if name in known:
+        return name
+    near = difflib.get_close_matches(name, known, n=1)
+    hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+    raise RelmapError(f"unknown {what} {name!r}; {hint}")

@@ -14,6 +14,7 @@ from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
+from relmap.datasets.headers import read_head
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
@@ -22,7 +23,7 @@ from relmap.datasets.relations import Relations, read_relations
 from relmap.datasets.scans import PointScan, ScanLog
 from relmap.datasets.scans_npz import ScansNpz, write_scans_npz
 from relmap.datasets.slsjf import SlsjfSimulation
-from relmap.datasets.textfile import open_text, quoted, read_head, require_path, shown
+from relmap.datasets.textfile import open_text, quoted, require_path, shown
 from relmap.datasets.victoria_park import VictoriaPark
 
 __all__ = [
@@ -60,14 +61,11 @@ SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
 )
 """Every format of point scans, likewise."""
 
-FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in DATASETS)
-"""Names of landmark logs that ``--format`` takes."""
+FORMATS = tuple(dataset.name for dataset in DATASETS)
+SCAN_FORMATS = tuple(dataset.name for dataset in SCAN_DATASETS)
+"""Names of landmark logs and of logs of point scans that ``--format`` takes."""
 
-SCAN_FORMATS: tuple[str, ...] = tuple(dataset.name for dataset in SCAN_DATASETS)
-"""Names of logs of point scans that ``--format`` takes."""
-
-LANDMARK_LOG = "landmark log"
-SCAN_LOG = "log of point scans"
+_LANDMARK_LOG, _SCAN_LOG = "landmark log", "log of point scans"
 
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
@@ -82,12 +80,16 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
     format : str or None
         One of `FORMATS`; None: recognised by the content.
 
+    Returns
+    -------
+    ObservationLog
+
     Raises
     ------
     RelmapError
         Where there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _choose(Path(path), format, DATASETS, LANDMARK_LOG).load(Path(path))
+    return _choose(Path(path), format, DATASETS, _LANDMARK_LOG).load(Path(path))
 
 
 def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
@@ -100,12 +102,17 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
     format : str or None
         One of `SCAN_FORMATS`; None: recognised by the content.
 
+    Returns
+    -------
+    ScanLog
+        The points of a scan may be read only when they are asked for.
+
     Raises
     ------
     RelmapError
         Where there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _choose(Path(path), format, SCAN_DATASETS, SCAN_LOG).load(Path(path))
+    return _choose(Path(path), format, SCAN_DATASETS, _SCAN_LOG).load(Path(path))
 
 
 def _choose(
@@ -127,30 +134,26 @@ def _choose(
             f"{shown(path)}: may be {candidates}, expected one: name it with --format"
         )
     known = "; ".join(f"{dataset.name}: {dataset.description}" for dataset in datasets)
-    _refuse_other(path, what)
-    foreign = foreign_at(path)
-    if path.is_dir():
-        instead = f" but {foreign}" if foreign else ""
-        raise RelmapError(f"{shown(path)}: the folder holds no {what}{instead}, expected {known}")
-    if foreign:
-        raise RelmapError(f"{shown(path)}: is {foreign} and no {what}, expected {known}")
-    with open_text(path) as stream:
-        head = read_head(path, stream)
-    first = quoted(",".join(head.columns))
-    raise RelmapError(
-        f"{shown(path)}: line {head.line}: {first} begins no {what}, expected {known}"
-    )
+    raise RelmapError(f"{shown(path)}: {_found_instead(path, what)}, expected {known}")
 
 
-def _refuse_other(path: Path, what: str) -> None:
-    """Say so where the path holds a log, but not of what is wanted."""
+def _found_instead(path: Path, what: str) -> str:
+    """Say what the path holds where no format of the kind that is wanted recognises it."""
     others: tuple[Dataset[Any], ...] = DATASETS
-    other, variant = LANDMARK_LOG, "points"
-    if what == LANDMARK_LOG:
-        others, other, variant = SCAN_DATASETS, SCAN_LOG, "planes"
+    other, variant = _LANDMARK_LOG, "points"
+    if what == _LANDMARK_LOG:
+        others, other, variant = SCAN_DATASETS, _SCAN_LOG, "planes"
     for dataset in others:
         if dataset.recognises(path):
             raise RelmapError(
                 f"{shown(path)}: is a {other} ({dataset.name}), expected a {what}; "
                 f"'relmap map --variant {variant}' maps such"
             )
+    foreign = foreign_at(path)
+    if path.is_dir():
+        return f"the folder holds no {what}" + (f" but {foreign}" if foreign else "")
+    if foreign:
+        return f"is {foreign}, not a {what}"
+    with open_text(path) as stream:
+        head = read_head(path, stream)
+    return f"line {head.line}: {quoted(','.join(head.columns))} does not begin a {what}"

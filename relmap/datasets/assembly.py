@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
 
@@ -12,7 +12,7 @@ MAX_COORDINATE_M = 1e9
 """No sensor sees a landmark further away than this."""
 
 MAX_EMPTY_ITERATIONS = 1_000_000
-"""More iterations than this without a row: the numbers are no count of scans."""
+"""More iterations than this without a row: the numbers do not count scans."""
 
 
 def iteration_column(name: str) -> Column:
@@ -20,56 +20,42 @@ def iteration_column(name: str) -> Column:
     return Column(name, 0, MAX_ITERATION, integer=True)
 
 
-def id_column(name: str, required: bool) -> Column:
+def metres_column(name: str, required: bool = True) -> Column:
+    """Return a column of coordinates."""
+    return Column(name, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=required)
+
+
+def id_column(name: str, required: bool = True) -> Column:
     """Return the column of known associations; negative or empty where there is none."""
     limit = MAX_EXACT_INTEGER
     return Column(name, -limit, limit, integer=True, required=required, empty=-1.0)
 
 
 def assemble_log(
-    table: Table,
-    iteration_name: str,
-    points_robot: NDArray[np.float64],
-    ids: NDArray[np.int64] | None,
-    id_name: str = "id",
+    table: Table, iteration_name: str, points_robot: Floats, ids: Ints | None
 ) -> ObservationLog:
     """Sort the rows of a table by iteration, keeping their order within one.
 
-    Parameters
-    ----------
-    table : Table
-        With a column of iteration numbers.
-    iteration_name, id_name : str
-        Names of the columns, `id_name` for messages only.
-    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-        Of each row.
-    ids : (n,) int64 or None
-        Of each row.
-
-    Raises
-    ------
-    RelmapError
-        Where the iteration numbers leave out too many, or an id stands twice in one.
+    Points (n, 2) or (n, 3), robot frame, metres, and ids (n,) are those of the rows. RelmapError
+    where the iteration numbers leave out too many, or an id occurs twice in one iteration.
     """
     iteration = table.integers(iteration_name)
-    order = np.argsort(iteration, kind="stable")
+    order = np.argsort(iteration, kind="stable").astype(np.int64)
     _check_span(table, iteration_name, iteration[order], order)
     if ids is not None:
-        _check_unique(table, id_name, iteration, ids)
+        _check_unique(table, iteration, ids)
         ids = ids[order]
     return ObservationLog(
         points_robot=points_robot[order],
         iteration=iteration[order],
-        rows=order.astype(np.int64),
+        rows=order,
         first_iteration=int(iteration[order[0]]),
         end_iteration=int(iteration[order[-1]]) + 1,
         ids=ids,
     )
 
 
-def _check_span(
-    table: Table, name: str, ascending: NDArray[np.int64], order: NDArray[np.intp]
-) -> None:
+def _check_span(table: Table, name: str, ascending: Ints, order: Ints) -> None:
     steps = np.diff(ascending)
     empty = int(np.maximum(steps - 1, 0).sum())
     if empty > MAX_EMPTY_ITERATIONS:
@@ -82,10 +68,8 @@ def _check_span(
         )
 
 
-def _check_unique(
-    table: Table, name: str, iteration: NDArray[np.int64], ids: NDArray[np.int64]
-) -> None:
-    """Check that no landmark stands twice in one iteration."""
+def _check_unique(table: Table, iteration: Ints, ids: Ints) -> None:
+    """Check that no landmark occurs twice in one iteration."""
     known = np.flatnonzero(ids >= 0)
     order = known[np.lexsort((ids[known], iteration[known]))]
     same = (np.diff(ids[order]) == 0) & (np.diff(iteration[order]) == 0)
@@ -95,7 +79,7 @@ def _check_unique(
         row, before = int(order[k + 1]), int(order[k])
         table.fail(
             row,
-            name,
-            f"{ids[row]} stands twice in iteration {iteration[row]} (before in "
+            "id",
+            f"{ids[row]} occurs twice in iteration {iteration[row]} (before in "
             f"{table.place} {table.lines[before]}), expected each landmark once",
         )

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 
 Log = TypeVar("Log", covariant=True)
@@ -43,13 +43,13 @@ class Scan:
     ids : (n,) int64 or None
         Known association; negative where a landmark was not identified.
     rows : (n,) int64
-        0-based rows of the log that the points stand in.
+        0-based rows of the log that hold the points.
     """
 
     iteration: int
-    points_robot: NDArray[np.float64]
-    ids: NDArray[np.int64] | None
-    rows: NDArray[np.int64]
+    points_robot: Floats
+    ids: Ints | None
+    rows: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class ObservationLog:
         Two columns: a planar, 3-DoF world.
     iteration : (n,) int64, ascending
     rows : (n,) int64
-        0-based rows of the source that the observations stand in.
+        0-based rows of the source that hold the observations.
     first_iteration, end_iteration : int
         The log covers ``range(first_iteration, end_iteration)``; iterations without a row saw
         nothing.
@@ -72,13 +72,13 @@ class ObservationLog:
         Time of each iteration, seconds; None where the log has no clock.
     """
 
-    points_robot: NDArray[np.float64]
-    iteration: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    points_robot: Floats
+    iteration: Ints
+    rows: Ints
     first_iteration: int
     end_iteration: int
-    ids: NDArray[np.int64] | None = None
-    stamps_s: NDArray[np.float64] | None = None
+    ids: Ints | None = None
+    stamps_s: Floats | None = None
 
     def __len__(self) -> int:
         """Return the number of iterations, empty ones included."""
@@ -95,6 +95,11 @@ class ObservationLog:
 
     def between(self, begin: int, end: int) -> ObservationLog:
         """Return the part of the log in iterations ``range(begin, end)``.
+
+        Parameters
+        ----------
+        begin, end : int
+            In the log's own numbers; the log may end before.
 
         Raises
         ------

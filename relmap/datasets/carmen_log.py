@@ -17,15 +17,16 @@ import math
 import os
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.number_rows import NumberRows, parse_number
+from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import (
     ScanLog,
     in_time_order,
@@ -42,17 +43,19 @@ ERROR_STEPS_M = 0.12
 _HALLMARKS = {"FLASER", "ROBOTLASER1", "PARAM", "ODOM", "VERTEX2", "RLASER", "SYNC", "NEFF"}
 _MOST_BEAMS = 10_000
 _DIGITS = re.compile(r"[0-9]{1,5}")
-_VERTEX = "VERTEX2 id x y theta"
-_FLASER = "FLASER n r1..rn x y theta odom_x odom_y odom_theta t host t"
-_ROBOTLASER = "ROBOTLASER1 7 numbers n r1..rn m v1..vm 11 numbers t host t"
+_FORMS = {
+    "VERTEX2": "VERTEX2 id x y theta",
+    "FLASER": "FLASER n r1..rn x y theta odom_x odom_y odom_theta t host t",
+    "ROBOTLASER1": "ROBOTLASER1 7 numbers n r1..rn m v1..vm 11 numbers t host t",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
     """What one line holds; `limit_m` is what it says of the sensor's maximum."""
 
-    ranges_m: NDArray[np.float64]
-    bearings_rad: NDArray[np.float64]
+    ranges_m: Floats
+    bearings_rad: Floats
     pose: list[float]
     T_robot_laser: list[float]
     stamp_s: float
@@ -66,43 +69,37 @@ class CarmenLog:
     description = "a CARMEN log with FLASER or ROBOTLASER1 lines"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the first line that is no comment begins as those of CARMEN do."""
+        """Tell whether the first line other than a comment begins as those of CARMEN do."""
         if os.path.isdir(path):
             return False
-        try:
-            for _, cells in _lines(path):
-                return cells[0] in _HALLMARKS
-        except RelmapError:
-            pass
+        with suppress(RelmapError):
+            for line in _lines(path):
+                return line.cells[0] in _HALLMARKS
         return False
 
     def load(self, path: Path) -> ScanLog:
         """Read the log: planar scans, beams in order, without those that did not return.
 
         Of ``FLASER`` and ``ROBOTLASER1`` the kind is read that comes first.
-
-        Raises
-        ------
-        RelmapError
-            Where a line is not what the format promises, or the log holds no scan.
         """
         scans: list[_Scan] = []
         vertices, beams = NumberRows(path, 3), 0
         kinds = {"FLASER": _flaser, "ROBOTLASER1": _robotlaser}
-        for number, cells in _lines(path):
-            if cells[0] in kinds:
-                kinds = {cells[0]: kinds[cells[0]]}
-                scans.append(kinds[cells[0]](path, number, cells))
+        for line in _lines(path):
+            kind = line.cells[0]
+            if kind in kinds:
+                kinds = {kind: kinds[kind]}
+                scans.append(kinds[kind](line))
                 beams += len(scans[-1].ranges_m)
-                require_memory(f"{shown(path)}: line {number}", len(scans), beams)
-            elif cells[0] == "VERTEX2":
-                vertices.add(_numbers(path, number, cells[2:], 3, _VERTEX), number)
+                require_memory(f"{shown(path)}: line {line.number}", len(scans), beams)
+            elif kind == "VERTEX2":
+                vertices.add(line.numbers(line.cells[2:], 3, 5), line.number)
         if not scans:
             raise RelmapError(f"{shown(path)}: holds no scan, expected {self.description}")
         return _log(path, scans, vertices.values)
 
 
-def _log(path: Path, scans: list[_Scan], vertices: NDArray[np.float64]) -> ScanLog:
+def _log(path: Path, scans: list[_Scan], vertices: Floats) -> ScanLog:
     given = len(vertices) == len(scans)
     x, y, yaw = (vertices if given else np.array([scan.pose for scan in scans])).T
     order, stamps_s = in_time_order(path, np.array([scan.stamp_s for scan in scans]))
@@ -126,22 +123,20 @@ def _limit(scans: list[_Scan]) -> float:
     return min(full + [scan.limit_m for scan in scans])
 
 
-def _lines(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and words of every line that is neither empty nor a comment."""
-    for number, line in numbered_lines(path):
-        cells = line.split()
+def _lines(path: Path) -> Iterator[_Line]:
+    """Yield every line that is neither empty nor a comment."""
+    for number, text in numbered_lines(path):
+        cells = text.split()
         if cells and not cells[0].startswith("#"):
-            yield number, cells
+            yield _Line(path, number, cells)
 
 
-def _flaser(path: Path, number: int, cells: list[str]) -> _Scan:
-    n = _count(path, number, cells, 1, _FLASER)
-    if len(cells) != n + 11:
-        raise _bad(path, number, cells, _FLASER)
-    values = _numbers(path, number, [*cells[2:-5], cells[-3]], n + 5, _FLASER)
+def _flaser(line: _Line) -> _Scan:
+    n = line.count(1)
+    values = line.numbers([*line.cells[2:-5], *line.cells[-3:-2]], n + 5, n + 11)
     step = math.pi / (n if n % 2 == 0 else max(n - 1, 1))
     return _Scan(
-        _ranges(path, number, values[:n]),
+        line.ranges(values[:n]),
         -math.pi / 2 + step * np.arange(n, dtype=np.float64),
         values[n : n + 3],
         [0.0, 0.0, 0.0],
@@ -150,33 +145,19 @@ def _flaser(path: Path, number: int, cells: list[str]) -> _Scan:
     )
 
 
-def _robotlaser(path: Path, number: int, cells: list[str]) -> _Scan:
-    n = _count(path, number, cells, 8, _ROBOTLASER)
-    m = _count(path, number, cells, 9 + n, _ROBOTLASER, least=0)
-    if len(cells) != n + m + 24:
-        raise _bad(path, number, cells, _ROBOTLASER)
-    values = _numbers(path, number, cells[1:-2], n + m + 21, _ROBOTLASER)
+def _robotlaser(line: _Line) -> _Scan:
+    n = line.count(8)
+    m = line.count(9 + n, least=0)
+    values = line.numbers(line.cells[1:-2], n + m + 21, n + m + 24)
     laser, robot = values[n + m + 9 : n + m + 12], values[n + m + 12 : n + m + 15]
     return _Scan(
-        _ranges(path, number, values[8 : n + 8]),
+        line.ranges(values[8 : n + 8]),
         values[1] + values[3] * np.arange(n, dtype=np.float64),
         robot,
         _in_frame(laser, robot),
         values[-1],
         values[4],
     )
-
-
-def _ranges(path: Path, number: int, values: list[float]) -> NDArray[np.float64]:
-    ranges = np.array(values)
-    wrong = ranges > MAX_COORDINATE_M
-    if wrong.any():
-        beam = int(np.argmax(wrong))
-        raise RelmapError(
-            f"{shown(path)}: line {number}: the range of beam {beam} is {values[beam]:.10g}, "
-            f"expected metres up to {MAX_COORDINATE_M:g}"
-        )
-    return ranges
 
 
 def _in_frame(laser: list[float], robot: list[float]) -> list[float]:
@@ -186,26 +167,43 @@ def _in_frame(laser: list[float], robot: list[float]) -> list[float]:
     return [c * dx + s * dy, c * dy - s * dx, laser[2] - robot[2]]
 
 
-def _count(
-    path: Path, number: int, cells: list[str], at: int, expected: str, least: int = 1
-) -> int:
-    cell = cells[at] if at < len(cells) else ""
-    count = int(cell) if _DIGITS.fullmatch(cell) else -1
-    if not least <= count <= _MOST_BEAMS:
-        raise _bad(path, number, cells, expected)
-    return count
+@dataclass(frozen=True)
+class _Line:
+    """The words of one line; its methods raise RelmapError with the place of what is wrong."""
 
+    path: Path
+    number: int
+    cells: list[str]
 
-def _numbers(path: Path, number: int, cells: list[str], count: int, expected: str) -> list[float]:
-    try:
-        values = [parse_number(cell) for cell in cells]
-    except ValueError as error:
-        raise _bad(path, number, [str(error)], expected) from error
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise _bad(path, number, cells, expected)
-    return values
+    def count(self, at: int, least: int = 1) -> int:
+        """Return the number of beams or remissions in a cell."""
+        cell = self.cells[at] if at < len(self.cells) else ""
+        count = int(cell) if _DIGITS.fullmatch(cell) else -1
+        if not least <= count <= _MOST_BEAMS:
+            raise self.wrong(self.cells)
+        return count
 
+    def numbers(self, cells: list[str], count: int, words: int) -> list[float]:
+        """Return `count` finite numbers in cells of a line that has this many words."""
+        values = finite_numbers(cells)
+        if len(values) != count or len(self.cells) != words:
+            of_right_length = len(self.cells) == words
+            culprits = [cell for cell in cells if not finite_numbers([cell])]
+            raise self.wrong(culprits[:1] if of_right_length and culprits else self.cells)
+        return values
 
-def _bad(path: Path, number: int, cells: list[str], expected: str) -> RelmapError:
-    found = quoted(" ".join(cells[:8]))
-    return RelmapError(f"{shown(path)}: line {number}: {found}, expected {expected}")
+    def ranges(self, values: list[float]) -> Floats:
+        """Return the ranges of a scan, metres."""
+        ranges = np.array(values)
+        wrong = ranges > MAX_COORDINATE_M
+        if wrong.any():
+            beam = int(np.argmax(wrong))
+            raise RelmapError(
+                f"{shown(self.path)}: line {self.number}: the range of beam {beam} is "
+                f"{values[beam]:.10g}, expected metres up to {MAX_COORDINATE_M:g}"
+            )
+        return ranges
+
+    def wrong(self, cells: list[str]) -> RelmapError:
+        found, expected = quoted(" ".join(cells[:8])), _FORMS[self.cells[0]]
+        return RelmapError(f"{shown(self.path)}: line {self.number}: {found}, expected {expected}")

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import HEAD_BYTES, foreign_format
@@ -44,34 +44,21 @@ _PCD_TYPES = {
 _PCD_FORMS = ("ascii", "binary", "binary_compressed")
 _LZF_SIZES = struct.Struct("<II")
 """Bytes packed and unpacked, before the packed ones."""
-_PLY_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "i2"),
-    **dict.fromkeys(("ushort", "uint16"), "u2"),
-    **dict.fromkeys(("int", "int32"), "i4"),
-    **dict.fromkeys(("uint", "uint32"), "u4"),
-    **dict.fromkeys(("float", "float32"), "f4"),
-    **dict.fromkeys(("double", "float64"), "f8"),
-}
+_PLY_TYPES = dict(
+    {"char": "i1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"},
+    **{"uchar": "u1", "ushort": "u2", "uint": "u4", "float32": "f4", "float64": "f8"},
+    **{f"int{8 * size}": f"i{size}" for size in (1, 2, 4)},
+    **{f"uint{8 * size}": f"u{size}" for size in (1, 2, 4)},
+)
 _PLY_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the points stand in a file.
+    """How the points are stored in a file.
 
-    Attributes
-    ----------
-    count : int
-    names : sequence of str
-        The numbers that a point has.
-    types : sequence of str
-        As numpy writes them; without the order of bytes where the numbers are text.
-    text : bool
-    fields : sequence of int
-        How many numbers each field has, where all points of a field stand together, packed by LZF;
-        else empty.
+    Each number of a point has a name and a numpy type. Where the points are packed by LZF, they
+    are stored field by field, and `fields` tells how many numbers each field has; else it is empty.
     """
 
     count: int
@@ -89,13 +76,13 @@ def is_cloud(file: Path) -> bool:
         return False
 
 
-def read_cloud(file: Path) -> NDArray[np.float64]:
+def read_cloud(file: Path) -> Floats:
     """Read the points of a PCD or PLY file, plain or packed by xz.
 
     Returns
     -------
     (n, 3) float64, metres
-        Without those that are NaN, which stand for beams that did not return.
+        Without those that are NaN: beams that did not return.
 
     Raises
     ------
@@ -106,7 +93,7 @@ def read_cloud(file: Path) -> NDArray[np.float64]:
     end = _header_end(data)
     if end is None:
         found = foreign_format(data[:HEAD_BYTES])
-        what = f"is {found} and no cloud" if found else "no header of a cloud"
+        what = f"is {found}, not a point cloud" if found else "no header of a cloud"
         raise RelmapError(f"{shown(file)}: {what}, expected a PCD or PLY file")
     try:
         header = [line.split() for line in data[:end].decode("ascii").splitlines()]
@@ -193,7 +180,7 @@ def _ply(header: list[list[str]]) -> _Layout:
     return _Layout(int(lines[1][2]), names, types, not order)
 
 
-def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
+def _points(layout: _Layout, data: bytes, begin: int) -> Floats:
     """Return x, y and z of all points (n, 3); ValueError where some are missing."""
     axes = [layout.names.index(axis) for axis in "xyz"]
     if layout.count <= 0:
@@ -201,7 +188,8 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
     if layout.count > MAX_POINTS:
         raise ValueError(f"{layout.count} points, more than {MAX_POINTS}")
     if layout.text:
-        rows = _text_rows(data, begin, layout.count)
+        lines = data[begin:].split(b"\n", layout.count)[: layout.count]
+        rows = [line.decode("ascii") for line in lines]
         filled = any(row.strip() for row in rows)
         table = np.loadtxt(rows, comments=None, ndmin=2) if filled else np.empty((0, 0))
         if table.shape != (layout.count, len(layout.names)):
@@ -217,7 +205,7 @@ def _points(layout: _Layout, data: bytes, begin: int) -> NDArray[np.float64]:
     return np.column_stack([points[f"f{k}"] for k in axes]).astype(np.float64)
 
 
-def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> NDArray[np.float64]:
+def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> Floats:
     """Return some numbers (n, len(axes)) of all points; ValueError where data do not fit."""
     from relmap.datasets.lzf_kernels import unpacked_lzf
 
@@ -231,9 +219,3 @@ def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> NDArray[np
     parts = np.split(unpacked, n * np.cumsum(width)[:-1])
     columns = [parts[field_of[k]].view(types[k]).reshape(n, -1)[:, 0] for k in axes]
     return np.column_stack(columns).astype(np.float64)
-
-
-def _text_rows(data: bytes, begin: int, count: int) -> list[str]:
-    """Return the lines of all points; as many as there are where some are missing."""
-    lines = data[begin:].split(b"\n", count)[:count]
-    return [line.decode("ascii") for line in lines]

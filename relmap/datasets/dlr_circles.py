@@ -5,53 +5,33 @@
     STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi
     LANDMARK_C pX pY quality cXX cXY cYY id
 
-A step of the odometry, then the circles seen after it, numbered by hand. The file's header puts X
-to the robot's right and -Y ahead, seen from above the axes of an image. Here x is ahead and y to
-the left, so x = -pY and y = -pX. That no circle lies behind the robot, and that it drives towards
--Y, show the one sign; for the other the header is taken at its word: numbers alone cannot tell a
-building from its mirror image.
+A step of the odometry, then the circles seen after it, numbered by hand. In the file X points to
+the robot's right and -Y ahead; here x = -pY is ahead and y = -pX to the left. The data confirm the
+sign of Y (no circle lies behind the robot); that of X is the header's, since a map and its mirror
+image explain the numbers equally well.
 """
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import (
-    MAX_COORDINATE_M,
-    assemble_log,
-    id_column,
-    iteration_column,
-)
+from relmap.datasets.assembly import assemble_log, id_column, iteration_column, metres_column
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.number_rows import NumberRows, parse_number
-from relmap.datasets.table import Column, Table, checked_table
-from relmap.datasets.textfile import (
-    columns_of,
-    members_of,
-    numbered_lines,
-    only_one,
-    quoted,
-    shown,
-)
+from relmap.datasets.headers import columns_of, members_of, only_one
+from relmap.datasets.number_rows import NumberRows, finite_numbers
+from relmap.datasets.table import Table, checked_table
+from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 STEP = "STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi"
 LANDMARK = "LANDMARK_C pX pY quality cXX cXY cYY id"
 
-_COLUMNS = (
-    iteration_column("step"),
-    Column("pX", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
-    Column("pY", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
-    id_column("id", required=True),
-)
+_COLUMNS = (iteration_column("step"), metres_column("pX"), metres_column("pY"), id_column("id"))
 _WORDS = ("STEP", "LANDMARK_C", "LANDMARK")
 _ENDINGS = (".circles", ".circles.gz")
 
@@ -72,12 +52,7 @@ class DlrCircles:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, one iteration per step, ids negative where none was given.
 
-        The odometry is passed over.  A circle with several ids is not identified.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
+        The odometry is ignored. A circle with several ids counts as not identified.
         """
         table, steps = _read(_only_file(path))
         points_robot = -np.column_stack([table.columns["pY"], table.columns["pX"]])
@@ -85,14 +60,8 @@ class DlrCircles:
         return replace(log, first_iteration=0, end_iteration=steps)
 
 
-def read_ids(path: Path) -> NDArray[np.int64]:
-    """Return the ids of all circles that were identified, ascending.
-
-    Raises
-    ------
-    RelmapError
-        As `DlrCircles.load`.
-    """
+def read_ids(path: Path) -> Ints:
+    """Return the ids of all circles that were identified, ascending; fails as `DlrCircles.load`."""
     table, _ = _read(_only_file(path))
     ids = np.unique(table.integers("id"))
     return ids[ids >= 0]
@@ -104,7 +73,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def _only_file(path: Path) -> Path:
-    return only_one(path, _files_in(path) if os.path.isdir(path) else (), "*.circles")
+    return only_one(path, _files_in(path) if os.path.isdir(path) else (), "circle log", "*.circles")
 
 
 def _read(path: Path) -> tuple[Table, int]:
@@ -114,33 +83,22 @@ def _read(path: Path) -> tuple[Table, int]:
         cells = line.split()
         if not cells or cells[0].startswith("#"):
             continue
-        numbers = _numbers(path, number, line, cells)
+        problem = None
         if cells[0] == "STEP":
             steps += 1
-            continue
-        if not steps:
-            _fail(path, number, line, f"comes before the first step, expected {STEP}")
-        only_id = numbers[6] if len(numbers) == 7 else -1.0
-        rows.add([steps - 1.0, *numbers[:2], only_id], number)
-    if not len(rows):
+            if len(finite_numbers(cells[2:])) != 9:
+                problem = f"expected finite numbers: {STEP}"
+        elif cells[0] not in _WORDS:
+            problem = f"begins with neither STEP nor {_WORDS[1]}"
+        elif len(circle := finite_numbers(cells[1:])) < 7:
+            problem = f"expected finite numbers: {LANDMARK}"
+        elif not steps:
+            problem = f"comes before the first step, expected {STEP}"
+        else:
+            only_id = circle[6] if len(circle) == 7 else -1.0
+            rows.add([steps - 1.0, *circle[:2], only_id], number)
+        if problem:
+            raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}: {problem}")
+    if not len(rows.lines):
         raise RelmapError(f"{shown(path)}: holds no circle, expected lines {LANDMARK}")
     return checked_table(path, _COLUMNS, rows.values, rows.lines), steps
-
-
-def _numbers(path: Path, number: int, line: str, cells: Sequence[str]) -> list[float]:
-    """Return the numbers of a line, after its first word and the name of an image."""
-    if cells[0] not in _WORDS:
-        _fail(path, number, line, f"begins with neither STEP nor {_WORDS[1]}")
-    step = cells[0] == "STEP"
-    try:
-        numbers = [parse_number(cell) for cell in cells[2 if step else 1 :]]
-    except ValueError:
-        numbers = []
-    complete = len(numbers) == 9 if step else len(numbers) >= 7
-    if not complete or not all(map(math.isfinite, numbers)):
-        _fail(path, number, line, f"expected finite numbers: {STEP if step else LANDMARK}")
-    return numbers
-
-
-def _fail(path: Path, number: int, line: str, problem: str) -> NoReturn:
-    raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}: {problem}")

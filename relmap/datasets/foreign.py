@@ -9,7 +9,7 @@ import zlib
 from pathlib import Path
 
 HEAD_BYTES = 512
-"""Bytes at the beginning of a file that tell its format."""
+"""Bytes at the beginning of a file that identify its format."""
 ZIP = "a zip archive"
 _MOST_FILES = 20
 """Files of a folder that are looked at."""
@@ -43,7 +43,7 @@ _MAGIC = (
     (1, b"CObservation", "an MRPT rawlog"),
     (1, b"CRawlog", "an MRPT rawlog"),
 )
-"""Where in a file which bytes stand, and what it then is."""
+"""Offset and bytes that identify a format, and its name."""
 _ROS2_FOLDER = "metadata.yaml", b"rosbag2_bagfile_information"
 _KITTI = struct.Struct("<16f")
 """Four points: x, y, z and the reflectance."""

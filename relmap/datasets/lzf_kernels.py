@@ -28,7 +28,7 @@ def unpacked_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
 
 @compiled
 def _unpack(data: NDArray[np.uint8], result: NDArray[np.uint8]) -> bool:
-    """Unpack data (m,) and tell whether it fills the result (n,) just so."""
+    """Unpack data (m,) and tell whether it fills the result (n,) exactly."""
     at, done, m, n = 0, 0, len(data), len(result)
     while at < m:
         control = int(data[at])

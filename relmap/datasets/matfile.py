@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import quoted, shown
 
@@ -46,7 +46,7 @@ def is_matlab(path: Path) -> bool:
         return False
 
 
-def read_matrix(file: Path, name: str) -> NDArray[np.float64]:
+def read_matrix(file: Path, name: str) -> Floats:
     """Return a matrix of real numbers from a MATLAB file.
 
     Raises
@@ -110,7 +110,7 @@ def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
             yield content
 
 
-def _matrix(content: memoryview, order: str, name: str) -> NDArray[np.float64] | None:
+def _matrix(content: memoryview, order: str, name: str) -> Floats | None:
     """Return a matrix if it is the one of that name; ValueError where it is none of numbers."""
     parts = _elements(content, order)
     try:

@@ -6,7 +6,7 @@ DOWN. Comments above the header give the sensor's pose on the robot, and the noi
     # sensor on robot: t = 0.5 0.2 0.1 ; R (row major) = 1 0 0 0 1 0 0 0 1
     # sigma: range 0.01 m, yaw 0.001745 rad, pitch 0.001745 rad; ...
 
-The simulator's exact truth stands beside a log ``X.observations.csv.gz`` in
+The simulator's exact truth lies beside a log ``X.observations.csv.gz`` in
 ``X_ground_truth.txt`` (landmarks) and ``X_ground_truth_robot_path.txt``.
 """
 
@@ -18,25 +18,21 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import (
-    MAX_COORDINATE_M,
-    assemble_log,
-    id_column,
-    iteration_column,
-)
+from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column, iteration_column
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.number_rows import NumberRows, parse_number, read_rows
+from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
+from relmap.datasets.number_rows import NumberRows, finite_numbers, read_rows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import columns_of, only_one, only_table, shown, tables_with
+from relmap.datasets.textfile import shown
 
 _COLUMNS = (
     iteration_column("step"),
-    id_column("id", required=True),
+    id_column("id"),
     Column("range_m", 0.0, MAX_COORDINATE_M, "metres"),
     Column("yaw_rad", -math.tau, math.tau, "radians"),
     Column("pitch_rad", -math.tau, math.tau, "radians"),
@@ -67,14 +63,10 @@ class MrptLandmarks:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: points in the robot's frame, two columns where the world is planar.
 
-        It is where the pitch is free of noise and always 0, and the sensor stands upright.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
+        The world is planar if the pitch is free of noise and always 0, and the sensor is upright.
         """
-        table = read_table(only_table(path, _HALLMARK, "MRPT landmark log"), _COLUMNS)
+        file = only_one(path, tables_with(path, _HALLMARK), "MRPT landmark log", TABLES)
+        table = read_table(file, _COLUMNS)
         R_robot_sensor, t_robot_sensor = _sensor_pose(table)
         points_robot = _points_sensor(table) @ R_robot_sensor.T + t_robot_sensor
         upright = np.array_equal(R_robot_sensor[2], [0.0, 0.0, 1.0])
@@ -83,26 +75,26 @@ class MrptLandmarks:
         return assemble_log(table, "step", points_robot, table.integers("id"))
 
 
-def _points_sensor(table: Table) -> NDArray[np.float64]:
+def _points_sensor(table: Table) -> Floats:
     """Return the points, (n, 3), sensor frame, metres."""
     yaw, pitch = table.columns["yaw_rad"], table.columns["pitch_rad"]
     ahead, left = np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)
     directions = np.column_stack([ahead, left, -np.sin(pitch)])
-    points: NDArray[np.float64] = table.columns["range_m"][:, None] * directions
+    points: Floats = table.columns["range_m"][:, None] * directions
     return points
 
 
-def _sensor_pose(table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
     """Return rotation (3, 3) and translation (3,) of the sensor on the robot, metres."""
     for comment in table.comments:
         if match := _SENSOR.search(comment):
-            try:
-                t = np.array([parse_number(text) for text in match[1].split()])
-                R = np.array([parse_number(text) for text in match[2].split()]).reshape(3, 3)
-            except ValueError:
+            t = np.array(finite_numbers(match[1].split()))
+            R = np.array(finite_numbers(match[2].split()))
+            if len(t) != 3 or len(R) != 9:
                 break
+            R = R.reshape(3, 3)
             rigid = np.abs(R @ R.T - np.eye(3)).max() < _ROTATION_TOLERANCE
-            if t.shape == (3,) and np.isfinite(t).all() and rigid and np.linalg.det(R) > 0:
+            if rigid and np.linalg.det(R) > 0:
                 return R, t
             break
     raise RelmapError(
@@ -112,13 +104,11 @@ def _sensor_pose(table: Table) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 
 def _pitch_sigma(table: Table) -> float:
-    """Return the pitch noise that the comments tell, radians; NaN where they do not."""
+    """Return the pitch noise given in the comments, radians; NaN where there is none."""
     for comment in table.comments:
         if match := _PITCH_SIGMA.search(comment):
-            try:
-                return parse_number(match[1])
-            except ValueError:
-                break
+            sigma = finite_numbers([match[1]])
+            return sigma[0] if sigma else math.nan
     return math.nan
 
 
@@ -129,9 +119,7 @@ def is_ground_truth(path: Path) -> bool:
     return path.name.endswith((_LANDMARKS, _PATH))
 
 
-def read_ground_truth(
-    path: Path | str,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """Read the exact truth of a log.
 
     Parameters
@@ -152,17 +140,17 @@ def read_ground_truth(
         Where a file is missing, or a row of it is not what the format promises.
     """
     base = _truth_base(Path(path))
-    landmarks_file = Path(f"{base}{_LANDMARKS}")
-    rows = _rows(landmarks_file, "x y z 5 0 0.0 id")
-    landmarks, lines = rows.values, rows.lines
+    file = Path(f"{base}{_LANDMARKS}")
+    rows = _rows(file, "x y z 5 0 0.0 id")
+    landmarks = rows.values
     ids = landmarks[:, 6]
     different, counts = np.unique(ids, return_counts=True)
     wrong = (ids != np.rint(ids)) | np.isin(ids, different[counts > 1])
     if wrong.any():
         row = int(np.argmax(wrong))
         raise RelmapError(
-            f"{shown(landmarks_file)}: line {lines[row]}, field id: {ids[row]:.10g} is no "
-            "integer or stands twice, expected each landmark's own number"
+            f"{shown(file)}: line {rows.lines[row]}, field id: {ids[row]:.10g} is not an "
+            "integer or occurs twice, expected each landmark's own number"
         )
     path_6d = _rows(Path(f"{base}{_PATH}"), "x y z yaw pitch roll").values
     poses = poses_of(Rotation.from_euler("ZYX", path_6d[:, 3:]), path_6d[:, :3])
@@ -182,7 +170,7 @@ def _landmark_files(folder: Path) -> list[Path]:
 def _truth_base(path: Path) -> str:
     """Return what the names of both truth files begin with, folder included."""
     if os.path.isdir(path):
-        path = only_one(path, _landmark_files(path), f"*{_LANDMARKS}")
+        path = only_one(path, _landmark_files(path), "landmark truth", f"*{_LANDMARKS}")
     name = str(path)
     for ending in (_LANDMARKS, _PATH):
         if name.endswith(ending):

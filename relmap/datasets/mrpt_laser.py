@@ -1,7 +1,7 @@
 """2-D laser scans of MRPT's simulator with the exact path, as ``*.scans.csv.gz``.
 
 Header ``t_s,gt_x,gt_y,gt_theta,odo_dx,odo_dy,odo_dtheta,r0,r1,...``: one row per scan, beams from
--90 degrees (right) to +90 degrees (left). A comment above tells of the sensor::
+-90 degrees (right) to +90 degrees (left). A comment above describes the sensor::
 
     # ... ; sensor on robot x=0.2 y=0 z=0.1 yaw=0 ; ..., max range 80 m
 """
@@ -14,11 +14,12 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
-from relmap.datasets.number_rows import parse_number
+from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
+from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.scans import (
     ScanLog,
     in_time_order,
@@ -27,10 +28,9 @@ from relmap.datasets.scans import (
     require_memory,
 )
 from relmap.datasets.table import Column, Table, read_table
-from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
+from relmap.datasets.textfile import shown
 
 _HALLMARK = frozenset({"t_s", "gt_theta", "r0"})
-_KIND = "MRPT laser log"
 _BEAM = re.compile(r"r(0|[1-9]\d{0,4})$")
 _SENSOR = re.compile(r"sensor on robot x=(\S+) y=(\S+) z=\S+ yaw=(\S+)")
 _MAXIMUM = re.compile(r"max range (\S+) m\b")
@@ -49,14 +49,8 @@ class MrptLaser:
         return columns_of(path) >= _HALLMARK
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log: planar scans in the robot's frame; the reference poses are exact.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
-        """
-        file = only_table(path, _HALLMARK, _KIND)
+        """Read the log: planar scans in the robot's frame; the reference poses are exact."""
+        file = only_one(path, tables_with(path, _HALLMARK), "MRPT laser log", TABLES)
         beams = sum(bool(_BEAM.match(name)) for name in columns_of(file))
         table = read_table(file, _columns(beams))
         require_memory(shown(file), len(table.lines), len(table.lines) * beams)
@@ -82,16 +76,13 @@ def _columns(beams: int) -> list[Column]:
     ]
 
 
-def _sensor(table: Table) -> tuple[NDArray[np.float64], float]:
+def _sensor(table: Table) -> tuple[Floats, float]:
     """Return the pose x, y, yaw of the sensor on the robot, and its maximum range, metres."""
     text = "\n".join(table.comments)
     pose, maximum = _SENSOR.search(text), _MAXIMUM.search(text)
     if pose and maximum:
-        try:
-            numbers = [parse_number(cell) for cell in (*pose.groups(), maximum[1])]
-        except ValueError:
-            numbers = [math.nan]
-        if np.isfinite(numbers).all() and numbers[-1] > 0:
+        numbers = finite_numbers((*pose.groups(), maximum[1]))
+        if numbers and numbers[-1] > 0:
             return np.array(numbers[:3]), numbers[3]
     raise RelmapError(
         f"{shown(table.path)}: comments above the header: no usable sensor, expected "

@@ -1,7 +1,7 @@
 """Arrays in ``.npz`` files that may be damaged or hostile.
 
-They are not read by numpy, which makes room for whatever a header promises, and whose way to read
-a header, as a piece of Python, ends in errors of the tokeniser where it is none (version 2.4).
+They are not read by numpy (2.4), which allocates whatever a header promises and evaluates the
+header as Python, so that a damaged one raises errors of the tokeniser.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _HEADER = re.compile(
 def read_array(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int = MAX_NUMBERS
 ) -> NDArray[Any]:
-    """Return a member as an array of numbers; one of `DAMAGE` is raised where it is none.
+    """Return a member as an array of numbers; one of `DAMAGE` is raised where it is not one.
 
     Headers are matched as numpy writes them, never evaluated.
     """
@@ -46,10 +46,10 @@ def read_array(
         width = 2 if magic[6:] == b"\x01\x00" else 4
         length = int.from_bytes(stream.read(width), "little")
         if magic[:6] != b"\x93NUMPY" or length > _HEADER_BYTES:
-            raise ValueError(f"{member.filename} is no array")
+            raise ValueError(f"{member.filename} is not an array")
         header = _HEADER.fullmatch(stream.read(length))
         if header is None:
-            raise ValueError(f"{member.filename} is no array of numbers")
+            raise ValueError(f"{member.filename} is not an array of numbers")
         dtype = np.dtype(header[1].decode())
         shape = [int(side) for side in header[3].split(b",") if side.strip()]
         size = math.prod(shape) * dtype.itemsize

@@ -1,14 +1,15 @@
-"""Rows of numbers, gathered one by one at 8 bytes a number."""
+"""Lines of numbers, gathered one by one at 8 bytes a number."""
 
 from __future__ import annotations
 
+import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
@@ -28,11 +29,20 @@ def parse_number(cell: str) -> float:
     Raises
     ------
     ValueError
-        Where it is none.
+        Where the cell does not hold a number.
     """
     if "_" in cell or not cell.isascii():
         raise ValueError(cell)
     return float(cell)
+
+
+def finite_numbers(cells: Iterable[str]) -> list[float]:
+    """Return the numbers in cells; an empty list where any cell is not a finite number."""
+    try:
+        numbers = [parse_number(cell) for cell in cells]
+    except ValueError:
+        return []
+    return numbers if all(map(math.isfinite, numbers)) else []
 
 
 def read_rows(
@@ -49,44 +59,34 @@ def read_rows(
     ----------
     path : Path
     limits : sequence of float
-        The largest size of each number.
+        The largest magnitude of each number, finite.
     comment : str
         What begins a comment.
     what, expected : str
         What a row is, and what it holds, for messages.
     separator : str, optional
-        What stands between the numbers, and may stand behind the last; spaces where left out.
+        What separates the numbers and may follow the last; white space by default.
 
     Raises
     ------
     RelmapError
-        Where it cannot be read, holds no row, or a line is none.
+        Where the file cannot be read, holds no row, or a line is not a row.
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):
         cells = line.partition(comment)[0].strip().rstrip(separator).split(separator)
-        try:
-            row = [parse_number(cell) for cell in cells]
-        except ValueError:
-            row = []
+        row = finite_numbers(cells)
         if len(row) == len(limits) and (np.abs(row) <= limits).all():
             rows.add(row, number)
         elif any(cells):
             raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}, expected {expected}")
-    if not len(rows):
+    if not len(rows.lines):
         raise RelmapError(f"{shown(path)}: holds no {what}, expected {expected}")
     return rows
 
 
 class NumberRows:
-    """Rows of as many numbers each, gathered one by one at 8 bytes a number.
-
-    Parameters
-    ----------
-    path : Path
-        Where they come from, for messages.
-    width : int
-    """
+    """Rows of `width` numbers each and their lines; RelmapError where there are too many."""
 
     def __init__(self, path: Path, width: int) -> None:
         self._path = path
@@ -94,29 +94,19 @@ class NumberRows:
         self._values = array("d")
         self._lines = array("q")
 
-    def __len__(self) -> int:
-        """Return the number of rows."""
-        return len(self._lines)
-
     def add(self, row: Sequence[float], line: int) -> None:
-        """Add a row that stands in a line, counted from 1.
-
-        Raises
-        ------
-        RelmapError
-            Where there are too many.
-        """
+        """Add a row and the number of its line, counted from 1."""
         self._values.extend(row)
         self._lines.append(line)
         if len(self._values) > MAX_LISTED:
             raise too_many(self._path, line, MAX_LISTED)
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """The numbers, (n, width)."""
         return np.array(self._values, dtype=np.float64).reshape(-1, self._width)
 
     @property
-    def lines(self) -> NDArray[np.int64]:
+    def lines(self) -> Ints:
         """The line of each row, (n,)."""
         return np.array(self._lines, dtype=np.int64)

@@ -21,19 +21,21 @@ from relmap.datasets.assembly import (
     assemble_log,
     id_column,
     iteration_column,
+    metres_column,
 )
 from relmap.datasets.base import ObservationLog
-from relmap.datasets.table import Column, header_text, read_table
-from relmap.datasets.textfile import columns_of, replacing, shown
+from relmap.datasets.headers import columns_of, only_one
+from relmap.datasets.table import header_text, read_table
+from relmap.datasets.textfile import replacing, shown
 
 FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
 
 _COLUMNS = (
     iteration_column("iteration"),
-    Column("x", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
-    Column("y", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
-    Column("z", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=False),
+    metres_column("x"),
+    metres_column("y"),
+    metres_column("z", required=False),
     id_column("id", required=False),
 )
 _GZIP_LEVEL = 4
@@ -60,14 +62,9 @@ class ObservationCsv:
         return len(found & {column.name for column in _COLUMNS}) >= 2
 
     def load(self, path: Path) -> ObservationLog:
-        """Read the log.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
-        """
-        table = read_table(_file_of(path), _COLUMNS)
+        """Read the log."""
+        file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
+        table = read_table(file, _COLUMNS)
         axes = [table.columns[axis] for axis in "xyz" if axis in table.columns]
         ids = table.integers("id") if "id" in table.columns else None
         return assemble_log(table, "iteration", np.column_stack(axes), ids)
@@ -77,8 +74,14 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
     """Write a log so that reading it gives the same numbers, bit by bit.
 
     Rows are written in the log's order; iterations without a row leave no trace in the file, so
-    empty ones at either end are lost. The file appears whole or not at all. A name that ends in
-    ``.gz`` is gzipped, and the same log gives the same bytes.
+    empty ones at either end are lost. The same log gives the same bytes.
+
+    Parameters
+    ----------
+    path : Path or str
+        The file, gzipped if its name ends in ``.gz``; it appears whole or not at all.
+    log : ObservationLog
+        Coordinates in metres, robot frame.
 
     Raises
     ------
@@ -116,16 +119,3 @@ def _lines(log: ObservationLog) -> Iterator[str]:
 
 def _members(folder: Path) -> list[Path]:
     return [folder / name for name in FILE_NAMES if os.path.isfile(folder / name)]
-
-
-def _file_of(path: Path) -> Path:
-    """Return the log's file: the path itself, or the one in the folder."""
-    if not os.path.isdir(path):
-        return path
-    members = _members(path)
-    if len(members) == 1:
-        return members[0]
-    found = "both" if members else "neither"
-    raise RelmapError(
-        f"{shown(path)}: holds {found} of {' and '.join(FILE_NAMES)}, expected one of them"
-    )

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.cloud_file import is_cloud, read_cloud
 from relmap.datasets.number_rows import read_rows
@@ -39,7 +39,7 @@ class PointClouds:
     description = "a folder of .pcd or .ply files, which may be packed as .xz"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is such a file, or a folder with one that is no result of relmap's."""
+        """Tell whether it is such a file, or a folder of them that is not a result of relmap."""
         if not os.path.isdir(path):
             return is_cloud(path)
         return bool(_files(path)) and not (path / _RESULT).exists()
@@ -47,13 +47,7 @@ class PointClouds:
     def load(self, path: Path) -> ScanLog:
         """Read the log; a cloud is read when its scan is asked for.
 
-        Points whose coordinates are NaN are no returns and left out.
-
-        Raises
-        ------
-        RelmapError
-            Where there is no cloud, or the poses beside are damaged. `ScanLog.scans` raises it
-            where a cloud is damaged or empty.
+        Points whose coordinates are NaN are beams without a return and left out.
         """
         require_path(path)
         files = _files(path) if os.path.isdir(path) else [path]
@@ -81,7 +75,7 @@ def _order(path: Path) -> tuple[list[int], str]:
     return [int(digits) for digits in re.findall(r"\d+", _NAME.sub("", path.name))], path.name
 
 
-def _read_poses(file: Path, clouds: list[Path]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _read_poses(file: Path, clouds: list[Path]) -> tuple[Floats, Floats]:
     """Return the stamps (k,) and poses (k, 4, 4) of the clouds."""
     rows = read_rows(file, [sys.float_info.max] * 4, "#", "row", _ROW, ",").values
     numbers = [_order(cloud)[0] for cloud in clouds]

@@ -9,10 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.number_rows import read_rows
 from relmap.datasets.scans import poses_of
@@ -33,18 +32,26 @@ class Relations:
         The later pose in the frame of the earlier one, metres.
     """
 
-    begin_s: NDArray[np.float64]
-    end_s: NDArray[np.float64]
-    T_begin_end: NDArray[np.float64]
+    begin_s: Floats
+    end_s: Floats
+    T_begin_end: Floats
 
 
 def read_relations(path: Path) -> Relations:
     """Read a ``.relations`` file.
 
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    Relations
+
     Raises
     ------
     RelmapError
-        Where it cannot be read, holds no relation, or a line is none.
+        Where it cannot be read, holds no relation, or a line is not a relation.
     """
     table = read_rows(path, _LIMITS, "#", "relation", f"8 numbers: {_COLUMNS}").values
     T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])

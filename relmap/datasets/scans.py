@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import common_range
 from relmap.datasets.textfile import shown
@@ -37,13 +37,13 @@ class PointScan:
     stamp_s : float
         Time, seconds; the iteration where the log has no clock.
     T_reference_robot : (4, 4) float64 or None
-        The pose that the log gives for comparison; None where it gives none.
+        The pose that the log gives for comparison, if any.
     """
 
     iteration: int
-    points_robot: NDArray[np.float64]
+    points_robot: Floats
     stamp_s: float
-    T_reference_robot: NDArray[np.float64] | None
+    T_reference_robot: Floats | None
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ class ScanLog:
     """
 
     dimension: int
-    stamps_s: NDArray[np.float64]
-    points_of: Callable[[int], NDArray[np.float64]]
-    poses: NDArray[np.float64] | None = None
+    stamps_s: Floats
+    points_of: Callable[[int], Floats]
+    poses: Floats | None = None
     first_iteration: int = 0
     sensor: SensorView = SensorView()
 
@@ -113,6 +113,11 @@ class ScanLog:
     def between(self, begin: int, end: int) -> ScanLog:
         """Return the part of the log in iterations ``range(begin, end)``.
 
+        Parameters
+        ----------
+        begin, end : int
+            In the log's own numbers; the log may end before.
+
         Raises
         ------
         RelmapError
@@ -132,23 +137,15 @@ class ScanLog:
 
 
 def stored_scans(
-    points_robot: NDArray[np.float64],
-    offsets: NDArray[np.int64],
-    stamps_s: NDArray[np.float64],
-    poses: NDArray[np.float64] | None = None,
+    points_robot: Floats,
+    offsets: Ints,
+    stamps_s: Floats,
+    poses: Floats | None = None,
     sensor: SensorView | None = None,
 ) -> ScanLog:
-    """Make a log of points that are all in memory.
+    """Make a log of points (n, 2) or (n, 3) that are all in memory.
 
-    Parameters
-    ----------
-    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-    offsets : (k + 1,) int64
-        Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``.
-    stamps_s : (k,) float64
-    poses : (k, 4, 4) float64, optional
-        T_reference_robot.
-    sensor : SensorView, optional
+    Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``; see `ScanLog` for the rest.
     """
     return ScanLog(
         points_robot.shape[1],
@@ -168,22 +165,22 @@ def require_memory(where: str, scans: int, beams: int) -> None:
 
 def laser_scans(
     path: Path,
-    ranges_m: list[NDArray[np.float64]],
-    bearings_rad: list[NDArray[np.float64]],
+    ranges_m: list[Floats],
+    bearings_rad: list[Floats],
     limit_m: float,
-    T_robot_laser: NDArray[np.float64],
-    stamps_s: NDArray[np.float64],
-    poses: NDArray[np.float64],
+    T_robot_laser: Floats,
+    stamps_s: Floats,
+    poses: Floats,
 ) -> ScanLog:
     """Make a log of 2-D laser scans, without the beams that did not return.
 
     Parameters
     ----------
     path : Path
-        The log, for messages.
+        The log, for warnings.
     ranges_m, bearings_rad : list of k (b,) float64
         Beams in order, right to left; a range of 0 or less, as some lasers write errors, or of
-        `limit_m` or more is no return.
+        `limit_m` or more is not a return.
     limit_m : float
     T_robot_laser : (k, 3) float64
         x, y (metres) and yaw (radians) of the laser on the robot.
@@ -206,9 +203,7 @@ def laser_scans(
     return stored_scans(points, offsets, stamps_s, poses, sensor)
 
 
-def _laser_view(
-    bearings_rad: list[NDArray[np.float64]], limit_m: float, T_robot_laser: NDArray[np.float64]
-) -> SensorView:
+def _laser_view(bearings_rad: list[Floats], limit_m: float, T_robot_laser: Floats) -> SensorView:
     """Return what all scans have in common; nothing where the laser is not fixed on the robot."""
     if np.ptp(T_robot_laser, axis=0).max() > FIXED:
         return SensorView()
@@ -223,16 +218,14 @@ def _laser_view(
     )
 
 
-def poses_of(rotation: Rotation, t: NDArray[np.float64]) -> NDArray[np.float64]:
+def poses_of(rotation: Rotation, t: Floats) -> Floats:
     """Return poses (k, 4, 4) of k rotations and translations (k, 3)."""
     poses = np.tile(np.eye(4), (len(t), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotation.as_matrix(), t
     return poses
 
 
-def planar_poses(
-    x: NDArray[np.float64], y: NDArray[np.float64], yaw: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:
     """Return poses (k, 4, 4) in the plane z = 0."""
     poses = np.tile(np.eye(4), (len(yaw), 1, 1))
     poses[:, 0, 0] = poses[:, 1, 1] = np.cos(yaw)
@@ -242,19 +235,11 @@ def planar_poses(
     return poses
 
 
-def in_time_order(
-    path: Path, stamps_s: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     """Return the order of scans in time, and their stamps (seconds) in this order.
 
-    Where the clock is too coarse to tell them apart, the scans are counted instead.
-
-    Parameters
-    ----------
-    path : Path
-        The log, for messages.
-    stamps_s : (k,) float64, finite, seconds
-        In the order of the log.
+    The stamps (k,) are finite and in the order of the log, which is named in warnings. Where the
+    clock is too coarse to tell scans apart, they are counted instead.
     """
     late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
     if late:

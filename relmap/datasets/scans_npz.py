@@ -3,7 +3,7 @@
 ``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
 each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
 time of every scan, seconds, which is their order; a scan without a point is an empty one.
-``view_rad`` and ``range_m`` (numbers) may tell the sensor's horizontal field of view and range.
+``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.foreign import ZIP, foreign_at
+from relmap.datasets.headers import file_in
 from relmap.datasets.npz import DAMAGE, read_array
 from relmap.datasets.scans import ScanLog, SensorView, in_time_order, stored_scans
 from relmap.datasets.textfile import quoted, replacing, require_path, shown, unreadable
@@ -36,7 +38,7 @@ _DIRECTORY = struct.Struct("<4s8sLL2s")
 _DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 _LIMITS = ("view_rad", "range_m")
-"""What a log may tell of its sensor."""
+"""What a log may state about its sensor."""
 
 
 class ScansNpz:
@@ -50,42 +52,29 @@ class ScansNpz:
 
         A saved map is a zip file with arrays as well, and none.
         """
-        file = _file_of(path)
+        file = file_in(path, FILE_NAME)
         return foreign_at(file) == ZIP and not _without_arrays(file)
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log.
-
-        Raises
-        ------
-        RelmapError
-            Where an array is missing, damaged or holds what no scan can: file, array, row.
-        """
-        file = _file_of(path)
+        """Read the log."""
+        file = file_in(path, FILE_NAME)
         require_path(file)
         arrays = _read_arrays(file)
-        points, iteration, stamps_s = (arrays[name] for name in _KINDS)
         limits = {name: _limit(file, name, arrays[name]) for name in _LIMITS if name in arrays}
-        _check_shapes(file, points, iteration, stamps_s)
-        _check_values(file, points, iteration, stamps_s)
+        _check_shapes(file, arrays)
+        _check_values(file, arrays)
+        points, iteration, stamps_s = (arrays[name] for name in _KINDS)
         in_time, stamps_s = in_time_order(file, stamps_s.astype(np.float64))
         iteration = np.argsort(in_time)[iteration]
         order = np.argsort(iteration, kind="stable")
         offsets = np.searchsorted(iteration[order], np.arange(len(stamps_s) + 1))
         points_robot = points[order].astype(np.float64, copy=False)
-        return stored_scans(
-            points_robot,
-            offsets.astype(np.int64),
-            stamps_s,
-            sensor=SensorView(**limits),
-        )
+        sensor = SensorView(**limits)
+        return stored_scans(points_robot, offsets.astype(np.int64), stamps_s, sensor=sensor)
 
 
 def write_scans_npz(
-    path: Path,
-    scans: list[NDArray[np.float64]],
-    stamps_s: NDArray[np.float64],
-    sensor: SensorView | None = None,
+    path: Path, scans: list[Floats], stamps_s: Floats, sensor: SensorView | None = None
 ) -> None:
     """Write scans so that reading them gives the same numbers; the same scans give the same bytes.
 
@@ -110,10 +99,6 @@ def write_scans_npz(
     arrays = {"points": np.concatenate(scans), "iteration": iteration, "stamps_s": stamps_s}
     with replacing(path) as file:
         np.savez(file, allow_pickle=False, **arrays, **limits)
-
-
-def _file_of(path: Path) -> Path:
-    return path / FILE_NAME if os.path.isdir(path) else path
 
 
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
@@ -167,49 +152,41 @@ def _check_directory(file: Path) -> None:
 
 
 def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
-    """Return a limit of the sensor that a log tells."""
+    """Return a limit of the sensor that a log states."""
     if array.shape == () and array.dtype.kind in "fiu" and 0 < float(array) < np.inf:
         return float(array)
     raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")
 
 
-def _check_shapes(
-    file: Path,
-    points: NDArray[Any],
-    iteration: NDArray[Any],
-    stamps_s: NDArray[Any],
-) -> None:
-    arrays = {"points": points, "iteration": iteration, "stamps_s": stamps_s}
-    n, k = len(np.atleast_1d(points)), stamps_s.size
+def _check_shapes(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    points, iteration, stamps_s = (arrays[name] for name in _KINDS)
     fits = {
-        "points": points.ndim == 2 and points.shape[1] in (2, 3) and n > 0,
-        "iteration": iteration.shape == (n,),
-        "stamps_s": stamps_s.shape == (k,) and k > 0,
+        "points": points.ndim == 2 and points.shape[1] in (2, 3) and len(points) > 0,
+        "iteration": iteration.shape == (len(np.atleast_1d(points)),),
+        "stamps_s": stamps_s.ndim == 1 and len(stamps_s) > 0,
     }
-    for name, array in arrays.items():
-        if not fits[name] or array.dtype.kind not in _KINDS[name]:
+    for name, kinds in _KINDS.items():
+        if not fits[name] or arrays[name].dtype.kind not in kinds:
             raise RelmapError(
-                f"{shown(file)}: array {name}: {array.dtype} {array.shape}, "
+                f"{shown(file)}: array {name}: {arrays[name].dtype} {arrays[name].shape}, "
                 f"expected {ScansNpz.description}, with at least one point"
             )
 
 
-def _check_values(
-    file: Path,
-    points: NDArray[Any],
-    iteration: NDArray[Any],
-    stamps_s: NDArray[Any],
-) -> None:
-    good = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
-    _require(file, "points", good, "is not finite or out of range, expected metres")
-    inside = (iteration >= 0) & (iteration < len(stamps_s))
-    _require(file, "iteration", inside, f"is no scan, expected 0 to {len(stamps_s) - 1}")
-    told_apart = np.isfinite(stamps_s)
+def _check_values(file: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    points, iteration, stamps_s = (arrays[name] for name in _KINDS)
+    later = np.isfinite(stamps_s)
     order = np.argsort(stamps_s, kind="stable")
-    told_apart[order[1:]] &= np.diff(stamps_s[order]) > 0
-    _require(file, "stamps_s", told_apart, "is no later time, expected seconds, each scan its own")
+    later[order[1:]] &= np.diff(stamps_s[order]) > 0
+    last = len(stamps_s) - 1
+    near = (np.abs(points) <= MAX_COORDINATE_M).all(axis=1)
+    there = (iteration >= 0) & (iteration <= last)
+    each_its_own = "expected seconds, a different time for each scan"
+    _require(file, "points", near, "is not finite or out of range, expected metres")
+    _require(file, "iteration", there, f"is not a scan, expected 0 to {last}")
+    _require(file, "stamps_s", later, f"is not a later time, {each_its_own}")
 
 
-def _require(file: Path, array: str, good: NDArray[np.bool_], problem: str) -> None:
+def _require(file: Path, array: str, good: Bools, problem: str) -> None:
     if not good.all():
         raise RelmapError(f"{shown(file)}: array {array}, row {np.argmin(good)}: {problem}")

@@ -2,7 +2,7 @@
 
 A planar robot sees range and bearing of point beacons. ``sensor_data.mat`` holds a row for each
 observation: step (from 1), beacon id, range in metres, bearing in radians (0 ahead, positive to
-the left), and three zeros. The exact truth stands beside it:
+the left), and three zeros. The exact truth lies in the same folder:
 
 * ``store_beaconsTrue.mat``: rows of id, x, y (metres).
 * ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.
@@ -16,11 +16,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column
+from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
+from relmap.datasets.headers import file_beside, file_in
 from relmap.datasets.matfile import is_matlab, read_matrix
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
@@ -31,13 +32,13 @@ BEACONS_FILE = "store_beaconsTrue.mat"
 ROBOT_FILE = "store_robotTrue.mat"
 
 _MAX_ANGLE_RAD = 1e6
-_X, _Y = (Column(axis, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres") for axis in "xy")
+_X, _Y = metres_column("x"), metres_column("y")
 _OBSERVATION = (
     Column("step", 1, MAX_ITERATION, integer=True),
-    id_column("id", required=True),
-    Column("range_m", -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres"),
+    id_column("id"),
+    metres_column("range_m"),
     Column("bearing_rad", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"),
-    *(Column(f"unused_{k}", -MAX_COORDINATE_M, MAX_COORDINATE_M) for k in (5, 6, 7)),
+    *(metres_column(f"unused_{k}") for k in (5, 6, 7)),
 )
 _BEACON = (Column("id", 0, MAX_EXACT_INTEGER, integer=True), _X, _Y)
 _POSE = (_X, _Y, Column("phi", -_MAX_ANGLE_RAD, _MAX_ANGLE_RAD, "radians"))
@@ -53,21 +54,15 @@ class SlsjfSimulation:
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a MATLAB file, or a folder with one named ``sensor_data.mat``."""
-        return is_matlab(_log_file(path))
+        return is_matlab(file_in(path, LOG_FILE))
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar; step 1 is iteration 0.
 
-        Some bearings are beyond a full turn, which sine and cosine do not mind.  A few ranges are
-        negative, which the simulated noise made of short ones and no sensor would give: those
-        observations are left out.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, row, field.
+        Bearings may exceed a full turn. Observations whose range is negative, which the simulated
+        noise made of a few short ones, are left out.
         """
-        file = _log_file(path)
+        file = file_in(path, LOG_FILE)
         table = _table(file, read_matrix(file, "sensor_data"), _OBSERVATION, "row")
         table = _with_positive_ranges(table)
         table.columns["step"] -= 1
@@ -77,13 +72,7 @@ class SlsjfSimulation:
         return replace(log, rows=table.lines[log.rows] - 1)
 
 
-def _log_file(path: Path) -> Path:
-    return path / LOG_FILE if os.path.isdir(path) else path
-
-
-def _table(
-    file: Path, matrix: NDArray[np.float64], columns: tuple[Column, ...], place: str
-) -> Table:
+def _table(file: Path, matrix: Floats, columns: tuple[Column, ...], place: str) -> Table:
     """Check a matrix with a row for each observation, beacon or pose."""
     if matrix.shape[1] != len(columns):
         raise RelmapError(
@@ -107,9 +96,7 @@ def is_ground_truth(path: Path) -> bool:
     return path.name in (BEACONS_FILE, ROBOT_FILE) or os.path.isfile(path / BEACONS_FILE)
 
 
-def read_ground_truth(
-    path: Path | str,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """Read the exact truth of the simulation.
 
     Parameters
@@ -131,11 +118,9 @@ def read_ground_truth(
     RelmapError
         Where a file is missing, or holds what the format does not allow.
     """
-    path = Path(path)
-    folder = path if os.path.isdir(path) else path.parent
-    file = folder / BEACONS_FILE
+    file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns
-    file = folder / ROBOT_FILE
+    file = file_beside(path, ROBOT_FILE)
     robot = _table(file, read_matrix(file, file.stem).T, _POSE, "column").columns
     positions = np.column_stack([beacons["x"], beacons["y"], np.zeros(len(beacons["x"]))])
     return (

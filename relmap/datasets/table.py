@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.datasets.headers import Head, read_head
 from relmap.datasets.number_rows import parse_number, too_many
-from relmap.datasets.textfile import Head, open_text, quoted, read_head, require_utf8, shown
+from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
-"""Beyond this a float64 no longer tells neighbouring integers apart."""
+"""Beyond this float64 cannot represent every integer."""
 
 MAX_NUMBERS = 1 << 25
 """Numbers in a table at most: some seven million observations."""
@@ -28,22 +28,9 @@ _MOST_NAMES = 12
 
 @dataclass(frozen=True)
 class Column:
-    """One column that a table may have.
+    """A column that a table may have: its values are from `low` to `high`, both allowed.
 
-    Attributes
-    ----------
-    name : str
-        As it stands in the header.
-    low, high : float
-        The least and the greatest value, both allowed.
-    unit : str
-        For messages; empty for a count.
-    integer : bool
-        Whether only whole numbers are allowed.
-    required : bool
-        Whether the table must have it.
-    empty : float or None
-        What an empty cell stands for; None where it is an error.
+    The `unit` is for messages; `empty` is what an empty cell stands for, None where it is an error.
     """
 
     name: str
@@ -64,29 +51,19 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table as read: every column checked.
+    """A table as read: every column that the file has, checked.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    comments : tuple of str
-        Its comment lines, without the ``#``.
-    columns : dict of (n,) float64
-        By name; only those the file has.
-    lines : (n,) int64
-        1-based line of the file that each row stands in.
-    place : str
-        What messages call that number: a line, or a row where the file has no lines.
+    `lines` holds the 1-based line of the file for each row; messages call it `place`: a line, or
+    a row where the file has no lines.
     """
 
     path: Path
     comments: tuple[str, ...]
-    columns: dict[str, NDArray[np.float64]]
-    lines: NDArray[np.int64]
+    columns: dict[str, Floats]
+    lines: Ints
     place: str = "line"
 
-    def integers(self, name: str) -> NDArray[np.int64]:
+    def integers(self, name: str) -> Ints:
         """Return a column of whole numbers."""
         return self.columns[name].astype(np.int64)
 
@@ -99,58 +76,44 @@ class Table:
 def read_table(path: Path, columns: Sequence[Column]) -> Table:
     """Read a CSV file whose header names some of the columns, in any order.
 
-    Empty lines are passed over, and so are lines above the header that start with ``#``.
+    Empty lines are skipped, and so are lines above the header that start with ``#``.
 
     Raises
     ------
     RelmapError
         Where header, row, cell or the file itself is not as the columns say.
     """
+    parts, count = [], 0
     with open_text(path) as stream:
         head = read_head(path, stream)
-        rows = _Rows(path, _columns_in_file(path, head, columns))
+        found = _columns_in_file(path, head, columns)
         line = head.line + 1
         while batch := stream.readlines(_BATCH_CHARACTERS):
-            rows.add(batch, line)
+            values, lines = _parsed(path, batch, line, found)
             line += len(batch)
-    if not rows.values:
+            count += values.size
+            if count > MAX_NUMBERS:
+                raise too_many(path, int(lines[-1]), MAX_NUMBERS)
+            parts.append((values, lines))
+    if not count:
         raise RelmapError(f"{shown(path)}: holds a header but no row, expected at least one")
-    values = np.concatenate(rows.values)
-    by_name = {column.name: values[:, k].copy() for k, column in enumerate(rows.columns)}
-    return Table(path, head.comments, by_name, np.concatenate(rows.lines))
+    values = np.concatenate([values for values, _ in parts])
+    by_name = {column.name: values[:, k].copy() for k, column in enumerate(found)}
+    return Table(path, head.comments, by_name, np.concatenate([lines for _, lines in parts]))
 
 
 def checked_table(
-    path: Path,
-    columns: Sequence[Column],
-    values: NDArray[np.float64],
-    lines: NDArray[np.int64],
-    place: str = "line",
+    path: Path, columns: Sequence[Column], values: Floats, lines: Ints, place: str = "line"
 ) -> Table:
-    """Make a table of numbers that are no CSV file.
+    """Make a table of numbers (n, columns) from another file than CSV, where each is as it must be.
 
-    Parameters
-    ----------
-    path : Path
-        Where they come from.
-    columns : sequence of Column
-    values : (n, len(columns)) float64
-    lines : (n,) int64
-        1-based place of each row in the file.
-    place : str
-        What to call it.
-
-    Raises
-    ------
-    RelmapError
-        Where a number is not as its column says.
+    See `Table` for lines and place.
     """
     by_name = {column.name: values[:, k].copy() for k, column in enumerate(columns)}
     table = Table(path, (), by_name, lines, place)
-    for row, k in _first_outside(values, columns):
-        value = float(values[row, k])
-        problem = _problem(columns[k], value)
-        table.fail(row, columns[k].name, f"{value:.10g} {problem}, expected {columns[k].expected}")
+    for row, k, problem in _first_outside(values, columns):
+        column = columns[k]
+        table.fail(row, column.name, f"{values[row, k]:.10g} {problem}, expected {column.expected}")
     return table
 
 
@@ -187,67 +150,52 @@ def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[
     return [known[cell] for cell in head.columns]
 
 
-class _Rows:
-    """Parses batches of lines and keeps their values and line numbers."""
+def _parsed(
+    path: Path, batch: list[str], first_line: int, columns: Sequence[Column]
+) -> tuple[Floats, Ints]:
+    """Return the numbers (n, columns) in lines of a file, and the line of each row."""
+    values = parse_fast(batch, len(columns))
+    lines = np.arange(first_line, first_line + len(batch))
+    if values is None:
+        filled = [k for k, text in enumerate(batch) if text.strip()]
+        batch, lines = [batch[k] for k in filled], lines[filled]
+        rows = [_exact(path, text, int(n), columns) for text, n in zip(batch, lines, strict=True)]
+        values = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
+    for row, k, problem in _first_outside(values, columns):
+        cell = batch[row].split(",")[k]
+        raise _wrong_cell(path, int(lines[row]), columns[k], cell, problem)
+    return values, lines
 
-    def __init__(self, path: Path, columns: list[Column]) -> None:
-        self.columns = columns
-        self.values: list[NDArray[np.float64]] = []
-        self.lines: list[NDArray[np.int64]] = []
-        self._path = path
-        self._count = 0
 
-    def add(self, batch: list[str], first_line: int) -> None:
-        values = parse_fast(batch, len(self.columns))
-        numbers = np.arange(first_line, first_line + len(batch))
-        if values is None:
-            filled = [k for k, text in enumerate(batch) if text.strip()]
-            batch, numbers = [batch[k] for k in filled], numbers[filled]
-            rows = [self._exact(text, int(n)) for text, n in zip(batch, numbers, strict=True)]
-            values = np.array(rows, dtype=np.float64).reshape(-1, len(self.columns))
-        self._check(values, batch, numbers)
-        if len(values):
-            self._count += values.size
-            if self._count > MAX_NUMBERS:
-                raise too_many(self._path, int(numbers[-1]), MAX_NUMBERS)
-            self.values.append(values)
-            self.lines.append(numbers)
-
-    def _exact(self, text: str, line: int) -> list[float]:
-        require_utf8(self._path, line, text)
-        cells = text.split(",")
-        if len(cells) != len(self.columns):
-            raise RelmapError(
-                f"{shown(self._path)}: line {line}: {len(cells)} fields in {quoted(text)}, "
-                f"expected {len(self.columns)}: {_names(self.columns, ',')}"
-            )
-        return [self._number(c, cell, line) for c, cell in zip(self.columns, cells, strict=True)]
-
-    def _number(self, column: Column, cell: str, line: int) -> float:
-        cell = cell.strip()
-        if not cell and column.empty is not None:
-            return column.empty
-        try:
-            return parse_number(cell)
-        except ValueError:
-            self._fail(line, column, cell, "is empty" if not cell else "is not a number")
-
-    def _check(
-        self, values: NDArray[np.float64], batch: list[str], lines: NDArray[np.int64]
-    ) -> None:
-        for row, k in _first_outside(values, self.columns):
-            problem = _problem(self.columns[k], float(values[row, k]))
-            self._fail(int(lines[row]), self.columns[k], batch[row].split(",")[k], problem)
-
-    def _fail(self, line: int, column: Column, cell: str, problem: str) -> NoReturn:
+def _exact(path: Path, text: str, line: int, columns: Sequence[Column]) -> list[float]:
+    """Return the numbers in a line."""
+    require_utf8(path, line, text)
+    cells = text.split(",")
+    if len(cells) != len(columns):
         raise RelmapError(
-            f"{shown(self._path)}: line {line}, field {column.name}: {quoted(cell)} {problem}, "
-            f"expected {column.expected}"
+            f"{shown(path)}: line {line}: {len(cells)} fields in {quoted(text)}, "
+            f"expected {len(columns)}: {_names(columns, ',')}"
         )
+    row = []
+    for column, cell in zip(columns, map(str.strip, cells), strict=True):
+        if not cell and column.empty is not None:
+            row.append(column.empty)
+            continue
+        try:
+            row.append(parse_number(cell))
+        except ValueError:
+            problem = "is not a number" if cell else "is empty"
+            raise _wrong_cell(path, line, column, cell, problem) from None
+    return row
 
 
-def _first_outside(values: NDArray[np.float64], columns: Sequence[Column]) -> list[tuple[int, int]]:
-    """Return row and column of the first cell that its column does not allow, if any."""
+def _wrong_cell(path: Path, line: int, column: Column, cell: str, problem: str) -> RelmapError:
+    where = f"{shown(path)}: line {line}, field {column.name}"
+    return RelmapError(f"{where}: {quoted(cell)} {problem}, expected {column.expected}")
+
+
+def _first_outside(values: Floats, columns: Sequence[Column]) -> list[tuple[int, int, str]]:
+    """Return row and column of the first cell that its column does not allow, if any, and why."""
     found = []
     for k, column in enumerate(columns):
         cells = values[:, k]
@@ -255,20 +203,17 @@ def _first_outside(values: NDArray[np.float64], columns: Sequence[Column]) -> li
         if column.integer:
             good &= cells == np.rint(cells)
         if not good.all():
-            found.append((int(np.argmin(good)), k))
+            row = int(np.argmin(good))
+            problem = "is out of range"
+            if not np.isfinite(cells[row]):
+                problem = "is not finite"
+            elif column.integer and cells[row] != np.rint(cells[row]):
+                problem = "is not an integer"
+            found.append((row, k, problem))
     return sorted(found)[:1]
 
 
-def _problem(column: Column, value: float) -> str:
-    """Say why a column does not allow a value."""
-    if not math.isfinite(value):
-        return "is not finite"
-    if column.integer and value != round(value):
-        return "is not an integer"
-    return "is out of range"
-
-
-def parse_fast(batch: list[str], width: int) -> NDArray[np.float64] | None:
+def parse_fast(batch: list[str], width: int) -> Floats | None:
     """Return the numbers of plain lines, (n, width); None where a line is anything else."""
     if not batch[0].strip():
         return None

@@ -7,9 +7,8 @@ import io
 import os
 import stat
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, TextIO
 
@@ -26,14 +25,14 @@ MAX_LINES = 10_000_000
 """It has no more lines, whatever they hold: each takes memory many times its own bytes."""
 
 MAX_LINE_BYTES = 1 << 16
-"""A longer line is no row of a table."""
+"""A longer line is not a row of a table."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _SHOWN_CHARACTERS = 60
 
 
 def shown(value: object) -> str:
-    """Return a text or path for a one-line message: as it stands if printable, else quoted."""
+    """Return a text or path for a one-line message: unchanged if printable, else quoted."""
     text = str(value)
     return text if text.isprintable() else repr(text)
 
@@ -47,13 +46,7 @@ def quoted(text: str) -> str:
 
 
 def require_path(path: Path) -> int:
-    """Return the mode of what stands at the path.
-
-    Raises
-    ------
-    RelmapError
-        Where nothing can be had there, or neither a file nor a folder.
-    """
+    """Return the mode of a file or folder; RelmapError where the path is neither."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError) as error:
@@ -154,13 +147,7 @@ class _GuardedBytes(io.RawIOBase):
 
 
 def require_utf8(path: Path, number: int, line: str) -> None:
-    """Check a line as `open_text` gives it.
-
-    Raises
-    ------
-    RelmapError
-        Where the line holds bytes that are not UTF-8.
-    """
+    """Raise RelmapError where a line as `open_text` gives it holds bytes that are not UTF-8."""
     if line.isascii():
         return
     try:
@@ -172,23 +159,31 @@ def require_utf8(path: Path, number: int, line: str) -> None:
         ) from error
 
 
+def why_not_written(error: Exception) -> str:
+    """Return why the operating system refuses to write a path."""
+    if isinstance(error, FileExistsError | NotADirectoryError):
+        return "a file stands where a folder must be"
+    return shown(getattr(error, "strerror", None) or error)
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a file beside the path, and put it in the path's place once it is whole.
+    """Open a temporary file that replaces the path once it is complete and on disk.
 
     Raises
     ------
     RelmapError
-        Where it cannot be written.
+        Where it cannot be written; no part of it is left behind.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
             yield file
+            file.flush()
+            os.fsync(file.fileno())  # some file systems report only here that the disk is full
         part.replace(path)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RelmapError(f"{shown(path)}: cannot be written: {shown(reason)}") from error
+        raise RelmapError(f"cannot write {shown(path)}: {why_not_written(error)}") from error
     finally:
         with suppress(OSError, ValueError):
             part.unlink(missing_ok=True)
@@ -200,106 +195,3 @@ def numbered_lines(path: Path) -> Iterator[tuple[int, str]]:
         for number, line in enumerate(stream, 1):
             require_utf8(path, number, line)
             yield number, line
-
-
-def only_one(path: Path, found: Sequence[Path], named: str) -> Path:
-    """Return the path itself if it is no folder, else the one file that was found in it.
-
-    Raises
-    ------
-    RelmapError
-        Where there are none or several.
-    """
-    if not os.path.isdir(path):
-        return path
-    if len(found) != 1:
-        names = ", ".join(shown(file.name) for file in found) or "none"
-        raise RelmapError(f"{shown(path)}: expected one {named} in the folder: {names}")
-    return found[0]
-
-
-def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
-    """Return the members of a folder whose names end so, in order."""
-    try:
-        return [member for member in sorted(folder.iterdir()) if member.name.endswith(endings)]
-    except OSError as error:
-        raise unreadable(folder, error) from error
-
-
-@dataclass(frozen=True)
-class Head:
-    """What stands above the rows of a table.
-
-    Attributes
-    ----------
-    comments : tuple of str
-        The lines that start with ``#``, without it.
-    columns : tuple of str
-        The cells of the header.
-    line : int
-        1-based line of the header.
-    """
-
-    comments: tuple[str, ...]
-    columns: tuple[str, ...]
-    line: int
-
-
-def read_head(path: Path, stream: TextIO) -> Head:
-    """Read comments and header from a stream of `open_text`, up to the first row.
-
-    Raises
-    ------
-    RelmapError
-        Where the file is empty, holds no header or is not text.
-    """
-    comments = []
-    number = 0
-    for number, line in enumerate(stream, 1):
-        require_utf8(path, number, line)
-        text = line.strip()
-        if text.startswith("#"):
-            comments.append(text.lstrip("#").strip())
-        elif text:
-            return Head(tuple(comments), tuple(cell.strip() for cell in text.split(",")), number)
-    problem = "holds no header" if number else "is empty"
-    raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
-
-
-def columns_of(path: Path) -> frozenset[str]:
-    """Return the header's cells of a table; none where the file cannot be read as one."""
-    try:
-        with open_text(path) as stream:
-            return frozenset(read_head(path, stream).columns)
-    except RelmapError:
-        return frozenset()
-
-
-def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
-    """Return the files whose header has all the columns: the path itself, or those in the folder.
-
-    In a folder only names that end in ``.csv`` or ``.csv.gz`` are looked into.
-    """
-    if not os.path.isdir(path):
-        return [path] if columns <= columns_of(path) else []
-    members = members_of(path, (".csv", ".csv.gz"))
-    return [member for member in members if columns <= columns_of(member)]
-
-
-def only_table(path: Path, columns: frozenset[str], kind: str) -> Path:
-    """Return the one table to read: the path itself if a file, else the only one in the folder.
-
-    Raises
-    ------
-    RelmapError
-        Where the folder holds none or several whose header has all the columns.
-    """
-    if not os.path.isdir(path):
-        return path
-    found = tables_with(path, columns)
-    if len(found) == 1:
-        return found[0]
-    if not found:
-        raise RelmapError(f"{shown(path)}: holds no {kind}, expected one *.csv or *.csv.gz")
-    names = ", ".join(shown(member.name) for member in found)
-    raise RelmapError(f"{shown(path)}: holds {len(found)} {kind}s, expected one of {names}")

@@ -2,7 +2,7 @@
 
 ``trees_per_scan.csv.gz``: header ``scan,t_ms,range_m,bearing_rad,diameter_m``; bearing 0 at the
 laser's right, pi/2 straight ahead. The robot frame is the LASER's (x ahead, y left), 3.78 m ahead
-of the rear axle's centre and 0.50 m to its left. Two files beside it are read where they stand:
+of the rear axle's centre and 0.50 m to its left. Two files beside it are read if they exist:
 
 * ``VictoriaParkSinSincronizar.mat``: ``TLsr`` (1, scans), the time of every scan, seconds.
 * ``data_sensor_clean_clean.mat``: t ms, range, bearing, x_est, y_est, tree id, associated by
@@ -18,15 +18,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.headers import TABLES, columns_of, file_beside, only_one, tables_with
 from relmap.datasets.matfile import read_matrix
 from relmap.datasets.table import Column, Table, header_text, read_table
-from relmap.datasets.textfile import columns_of, only_table, shown, tables_with
+from relmap.datasets.textfile import shown
 
 CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
 """Holds the time of every scan, those without a tree too."""
@@ -42,7 +43,6 @@ _COLUMNS = (
     Column("diameter_m", 0.0, 1000.0, "metres"),
 )
 _HALLMARK = frozenset({"scan", "range_m", "bearing_rad"})
-_KIND = "Victoria Park log"
 
 _SAME_SCAN_S = 5e-4
 _SAME_TREE_M = 0.05
@@ -67,16 +67,11 @@ class VictoriaPark:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, laser frame, one iteration per scan.
 
-        Trees have ids where the association file stands beside, -1 for a tree it does not have.
+        Trees have ids if the association file lies in the same folder, -1 for a tree it lacks.
         Without the clock file the log ends with the last scan that has a tree, and the time of a
         scan without one is interpolated.
-
-        Raises
-        ------
-        RelmapError
-            Where the content is not what the format promises: file, line, field.
         """
-        file = only_table(path, _HALLMARK, _KIND)
+        file = only_one(path, tables_with(path, _HALLMARK), "Victoria Park log", TABLES)
         table = read_table(file, _COLUMNS)
         points_robot = _points(table.columns["range_m"], table.columns["bearing_rad"])
         log = assemble_log(table, "scan", points_robot, None)
@@ -92,7 +87,7 @@ def is_reference(path: Path) -> bool:
     return path.name == ASSOCIATION_FILE or os.path.isfile(path / ASSOCIATION_FILE)
 
 
-def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
     """Read the trees' places from the association file: an EKF's, not a surveyed truth.
 
     The file holds the filter's estimate at every observation, which moves by 0.45 m (median) and
@@ -114,9 +109,7 @@ def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.
     RelmapError
         Where the association file is missing or damaged.
     """
-    path = Path(path)
-    folder = path if os.path.isdir(path) else path.parent
-    rows = _read_association(folder / ASSOCIATION_FILE)
+    rows = _read_association(file_beside(path, ASSOCIATION_FILE))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     rows = rows[rows[:, 5] >= 0]
     ids, last_from_end = np.unique(rows[::-1, 5], return_index=True)
@@ -125,10 +118,10 @@ def read_reference_map(path: Path | str) -> tuple[NDArray[np.int64], NDArray[np.
     return ids.astype(np.int64), positions
 
 
-def _points(range_m: NDArray[np.float64], bearing_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _points(range_m: Floats, bearing_rad: Floats) -> Floats:
     """Return the points, (n, 2), laser frame, metres."""
     ahead, left = np.sin(bearing_rad), -np.cos(bearing_rad)
-    points: NDArray[np.float64] = range_m[:, None] * np.column_stack([ahead, left])
+    points: Floats = range_m[:, None] * np.column_stack([ahead, left])
     return points
 
 
@@ -159,7 +152,7 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
     return replace(log, stamps_s=stamps_s, first_iteration=0, end_iteration=len(stamps_s))
 
 
-def _match_ids(log: ObservationLog, file: Path) -> NDArray[np.int64]:
+def _match_ids(log: ObservationLog, file: Path) -> Ints:
     """Return each observation's tree number, -1 where the association file has none.
 
     Both files hold detections of the same scans: equal time stamp, and the nearest point.
@@ -185,13 +178,13 @@ def _match_ids(log: ObservationLog, file: Path) -> NDArray[np.int64]:
     return ids
 
 
-def _nearest(ascending: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:
+def _nearest(ascending: Floats, values: Floats) -> Ints:
     """Return the index of the element nearest to each value."""
     middles = (ascending[1:] + ascending[:-1]) / 2
     return np.asarray(np.searchsorted(middles, values), dtype=np.int64)
 
 
-def _read_association(file: Path) -> NDArray[np.float64]:
+def _read_association(file: Path) -> Floats:
     """Return t ms, range m, bearing rad, x m, y m, id, as (n, 6)."""
     rows = read_matrix(file, file.stem)
     good = rows.shape[1] == 6 and bool(np.isfinite(rows).all())

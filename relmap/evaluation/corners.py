@@ -18,7 +18,6 @@ TURN = np.cos(np.deg2rad(20.0))
 APART_M = 0.5
 """A mapped corner farther than this from every true one like it is none of them."""
 ROUNDS = 4
-FIGURES = ("corner_rmse_m", "coverage", "landmarks_per_true")
 OFTEN = 10
 """Scans that must have seen a corner before it counts as missing."""
 
@@ -43,7 +42,7 @@ class MatchedCorners(Matched):
 def judge_corners(
     planes: PlaneTable, truth: Truth, poses: NDArray[np.float64], true_poses: NDArray[np.float64]
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Return `FIGURES`, what they and the path's rest on, and why some are missing."""
+    """Judge a map of walls; see `relmap.evaluation.landmarks.judge_landmarks`."""
     counts = {
         "planes": len(planes.plane),
         "mapped_planes": int((planes.status == "static").sum()),
@@ -51,19 +50,23 @@ def judge_corners(
         "matched_poses": len(poses),
     }
     if not len(truth.ends):
-        return dict.fromkeys(FIGURES), counts, []
+        return {}, counts, []
     due = np.flatnonzero(truth.corner_scans.ravel() >= OFTEN)
     matched = match_corners(planes, truth, poses, true_poses)
     if matched is None:
         n_false, coverage = len(_corners(planes)[0]), 0.0 if len(due) and len(poses) else None
         counts |= {"matched_corners": 0, "false_corners": n_false, "due_corners": len(due)}
         note = f"no corner RMSE: {_why_unmatched(planes, true_poses)}"
-        return dict.fromkeys(FIGURES) | {"coverage": coverage}, counts, [note]
+        return {"coverage": coverage}, counts, [note]
     corner = 2 * matched.wall + matched.end
     counts |= {"matched_corners": len(corner), "false_corners": matched.n_false}
     coverage = float(np.isin(due, corner).mean()) if len(due) else None
-    figures = (matched.rmse_m, coverage, len(corner) / len(np.unique(corner)))
-    return dict(zip(FIGURES, figures, strict=True)), counts | {"due_corners": len(due)}, []
+    figures = {
+        "corner_rmse_m": matched.rmse_m,
+        "coverage": coverage,
+        "landmarks_per_true": len(corner) / len(np.unique(corner)),
+    }
+    return figures, counts | {"due_corners": len(due)}, []
 
 
 def _corners(planes: PlaneTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -14,8 +14,6 @@ from relmap.evaluation.metrics import Matched
 from relmap.evaluation.truth import Truth
 from relmap.io.results import Result
 
-FIGURES = ("landmark_rmse_m", "coverage", "landmarks_per_true", "purity")
-
 
 @dataclass(frozen=True, eq=False)
 class Identified:
@@ -61,7 +59,17 @@ class Overlay:
 def judge_landmarks(
     result: Result, truth: Truth, log: ObservationLog | None, n_poses: int
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Return `FIGURES`, what they and the path's rest on, and why some are missing."""
+    """Judge a map of points.
+
+    Returns
+    -------
+    figures : dict
+        Those of `Evaluation` that are about landmarks, where they are known.
+    counts : dict
+        What the figures rest on.
+    notes : list of str
+        Why figures are missing.
+    """
     identified = identify(result, log)
     matched = match_landmarks(result, truth, identified)
     counts = {
@@ -71,7 +79,7 @@ def judge_landmarks(
         "matched_poses": n_poses,
     }
     if identified is None or matched is None:
-        return dict.fromkeys(FIGURES), counts, []
+        return {}, counts, []
     counts |= {
         "matched_landmarks": len(matched.position),
         "identified_observations": int((identified.true_id >= 0).sum()),
@@ -83,29 +91,48 @@ def judge_landmarks(
     _, ids = _standing_for(result, identified)
     often = metrics.seen_often(identified.seen_id, identified.seen_iteration)
     due = np.intersect1d(often, truth.landmark_ids[truth.status == "static"])
-    figures = (
-        matched.rmse_m,
-        len(np.intersect1d(due, ids)) / len(due) if len(due) else None,
-        len(ids) / len(np.unique(ids)) if len(ids) else None,
-        metrics.purity(identified.landmark, identified.true_id),
-    )
-    return dict(zip(FIGURES, figures, strict=True)), counts, notes
+    figures = {
+        "landmark_rmse_m": matched.rmse_m,
+        "coverage": len(np.intersect1d(due, ids)) / len(due) if len(due) else None,
+        "landmarks_per_true": len(ids) / len(np.unique(ids)) if len(ids) else None,
+        "purity": metrics.purity(identified.landmark, identified.true_id),
+    }
+    return figures, counts, notes
 
 
 def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:
-    """Bring the truth into the map frame; None where nothing tells which landmark is which.
+    """Bring the truth into the map frame, or where there is no map into that of the path.
+
+    Parameters
+    ----------
+    result : Result
+    truth : Truth
+    log : ObservationLog, optional
+        The log that was mapped.
+
+    Returns
+    -------
+    Overlay or None
+        None where nothing tells which landmark is which, or the paths share no three instants.
 
     Raises
     ------
     RelmapError
         Where the log is not the one that was mapped.
     """
-    matched = match_landmarks(result, truth, identify(result, log))
-    if matched is None:
-        return None
-    R, t = matched.R, matched.t
+    if result.mapped.any():
+        matched = match_landmarks(result, truth, identify(result, log))
+        if matched is None:
+            return None
+        R, t = matched.R, matched.t
+        pairs = np.stack([matched.position, (matched.truth - t) @ R], axis=1)
+    else:
+        mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
+        if len(mine) < 3:
+            return None
+        R, t = metrics.align(result.poses[mine, :3, 3], truth.poses[other, :3, 3])
+        pairs = np.empty((0, 2, 3))
     placed = truth.landmarks_map[np.isfinite(truth.landmarks_map).all(axis=1)]
-    pairs = np.stack([matched.position, (matched.truth - t) @ R], axis=1)
     return Overlay((placed - t) @ R, (truth.poses[:, :3, 3] - t) @ R, pairs)
 
 
@@ -125,8 +152,7 @@ def identify(result: Result, log: ObservationLog | None) -> Identified | None:
             return None
         seen = (tracks.landmark, tracks.iteration)
         return Identified(tracks.landmark, tracks.landmark, tracks.iteration, *seen)
-    order = np.argsort(log.rows, kind="stable")
-    at = order[np.searchsorted(log.rows[order], tracks.row)]
+    at = _find(log.rows, tracks.row)
     return Identified(tracks.landmark, log.ids[at], tracks.iteration, log.ids, log.iteration)
 
 
@@ -143,13 +169,9 @@ def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
         raise RelmapError("summary.json of the result: scans is not a pair of iteration numbers")
     part = log.between(*scans)
     tracks = result.tracks
-    order = np.argsort(part.rows, kind="stable")
-    at = np.searchsorted(part.rows[order], tracks.row)
-    same = [part.first_iteration, part.end_iteration] == scans and bool((at < len(order)).all())
-    if same:
-        at = order[at]
-        same = np.array_equal(part.rows[at], tracks.row)
-        same = same and np.array_equal(part.iteration[at], tracks.iteration)
+    at = _find(part.rows, tracks.row)
+    same = [part.first_iteration, part.end_iteration] == scans and bool((at >= 0).all())
+    same = same and np.array_equal(part.iteration[at], tracks.iteration)
     if not same:
         raise RelmapError("the log is not the one that was mapped: its rows or iterations differ")
     return part

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.datasets import Relations, read_relations
+from relmap.datasets.scans import planar_poses
 from relmap.datasets.textfile import open_text
 
 RELATIONS = ".relations"
@@ -90,8 +91,4 @@ def _poses_at(
     """Return planar poses at some times, between those of the scans."""
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     x, y, angle = (np.interp(when, stamps_s, values) for values in (*poses[:, :2, 3].T, yaw))
-    at = np.tile(np.eye(4), (len(when), 1, 1))
-    at[:, 0, 0] = at[:, 1, 1] = np.cos(angle)
-    at[:, 1, 0], at[:, 0, 1] = np.sin(angle), -np.sin(angle)
-    at[:, 0, 3], at[:, 1, 3] = x, y
-    return at
+    return planar_poses(x, y, angle)

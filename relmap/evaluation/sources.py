@@ -14,7 +14,8 @@ from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS, open
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.datasets.textfile import quoted, require_path, shown
-from relmap.evaluation.run import Log, stamps_of
+from relmap.evaluation.feeding import Log
+from relmap.evaluation.run import stamps_of
 from relmap.evaluation.truth import Truth, Variant, read_truth
 from relmap.simulation import Building, FigureEight, simulate_building, simulate_figure_eight
 from relmap.simulation.noise import Noise
@@ -47,12 +48,10 @@ class Source(Protocol):
 
     def load(self) -> Data[Log]:
         """Return the data."""
-        ...
 
     @property
     def about(self) -> str:
         """What it is, in a few words."""
-        ...
 
 
 @dataclass(frozen=True)

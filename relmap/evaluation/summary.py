@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 import relmap
+from relmap.core.landmarks import Submap
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -25,46 +27,55 @@ MANY = 100
 SHOWN = 5
 """Weakest segments and merges that are listed."""
 STATUS = ("static", "dynamic", "unmapped")
+SEGMENT = {name: name for name in ("first_iteration", "residual", "middle")}
+MERGE = {name: name for name in ("landmark", "apart_m", "residual")} | {"seen_again_as": "track"}
 
 
-def summary_of(result: Result, log: ObservationLog | ScanLog, n_groups: int) -> dict[str, Any]:
-    """Return what a summary tells of any result.
+def summary_of(
+    mapper: PointMapper | PlaneMapper,
+    result: Result,
+    log: ObservationLog | ScanLog,
+    offset: int,
+    n_groups: int,
+) -> dict[str, Any]:
+    """Return what a summary tells of a map.
 
     Parameters
     ----------
+    mapper : PointMapper or PlaneMapper
     result : Result
+        What it made of the log.
     log : ObservationLog or ScanLog
-        What was mapped.
+    offset : int
+        The log's number of the mapper's first iteration.
     n_groups : int
+
+    Returns
+    -------
+    dict
+        Ready for JSON: counts, submaps and how well scans and segments fit the map.
     """
-    k = len(log)
-    counts = {"iterations": k}
-    if isinstance(result, PlaneResult):
-        counts |= _counts_of_walls(result) | {"groups": n_groups}
-    elif isinstance(log, ObservationLog):
-        counts |= _counts_of_points(result, log) | {
-            "groups": n_groups,
-            "iterations_without_observation": k - len(np.unique(log.iteration)),
-        }
-    return {
-        "dimensions": result.summary["dimensions"],
-        "scans": [log.first_iteration, log.first_iteration + k],
-        "versions": versions(),
-        "counts": counts | {"iterations_without_pose": k - len(result.poses)},
-    }
+    counts = _counts_of_walls(result) if isinstance(result, PlaneResult) else _counts(result, log)
+    counts["groups"] = n_groups
+    counts["iterations_without_pose"] = len(log) - len(result.poses)
+    told: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
+    told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
+    told["refinement"] = weakness(mapper.refined, offset)
+    if isinstance(mapper, PlaneMapper):
+        return told | {"weak_links": (mapper.weak_links + offset).tolist()}
+    return told | {"rejected_iterations": rejected_iterations(mapper.rejected + offset)}
 
 
-def _counts_of_points(result: Result, log: ObservationLog) -> dict[str, int]:
+def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:
+    assert isinstance(log, ObservationLog)
     table = result.landmarks
-    static, dynamic, unmapped = (int((table.status == status).sum()) for status in STATUS)
     return {
         "observations": len(log.points_robot),
+        "iterations_without_observation": len(log) - len(np.unique(log.iteration)),
         "landmarks": len(table.landmark),
         "mapped": int(result.mapped.sum()),
-        "static": static,
-        "dynamic": dynamic,
         "moving_bins": len(np.unique(table.moving_bin[table.moving_bin >= 0])),
-        "unmapped": unmapped,
+        **_by_status(table.status),
     }
 
 
@@ -74,39 +85,28 @@ def _counts_of_walls(result: PlaneResult) -> dict[str, int]:
         "observations": len(result.tracks.row),
         "planes": len(planes.plane),
         "corners": len(corners.landmark),
-        **{f"planes_{status}": int((planes.status == status).sum()) for status in STATUS},
-        **{f"corners_{status}": int((corners.status == status).sum()) for status in STATUS},
+        **_by_status(planes.status, "planes_"),
+        **_by_status(corners.status, "corners_"),
     }
 
 
-def submaps_told(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
-    """Return one row for each submap, the map itself first; of walls also paths and weak links."""
-    rows = []
-    for submap in mapper.submaps:
-        row: dict[str, Any] = {
-            "landmarks": len(submap.landmark_ids),
-            "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
-        }
-        if isinstance(submap, WallSubmap):
-            scans, metres = len(submap.poses), submap.length_m
-            row |= {"scans": scans, "metres": metres, "refined": submap.refined}
-        rows.append(row)
-    told: dict[str, Any] = {"submaps": rows}
-    if isinstance(mapper, PlaneMapper):
-        told["weak_links"] = (mapper.weak_links + offset).tolist()
-    return told
+def _by_status(status: NDArray[np.str_], prefix: str = "") -> dict[str, int]:
+    return {f"{prefix}{name}": int((status == name).sum()) for name in STATUS}
 
 
-def residuals_told(mapper: PointMapper | PlaneMapper, offset: int) -> dict[str, Any]:
-    """Return what is told of how well scans and segments of a map fit it."""
-    told: dict[str, Any] = {"refinement": weakness(mapper.refined, offset)}
-    if isinstance(mapper, PointMapper):
-        told["rejected_iterations"] = rejected_iterations(mapper.rejected + offset)
-    return told
+def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "landmarks": len(submap.landmark_ids),
+        "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
+    }
+    if isinstance(submap, WallSubmap):
+        scans, metres = len(submap.poses), submap.length_m
+        row |= {"scans": scans, "metres": metres, "refined": submap.refined}
+    return row
 
 
 def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
-    """Return how many iterations were rejected, and which; of many the first and the last."""
+    """Return how many iterations were rejected, and the first and last of them."""
     numbers = rejected.tolist()
     if len(numbers) > MANY:
         numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
@@ -121,7 +121,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     Parameters
     ----------
     refined : sequence of Refined
-        Of the submaps, the largest is told of.
+        Of the submaps; only the largest is described.
     first_iteration : int
         The log's number of the mapper's first iteration.
 
@@ -134,6 +134,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
         return None
     submap = max(refined, key=lambda submap: len(submap.landmarks))
     segments, merges = submap.segments, submap.merges
+    segments = replace(segments, first_iteration=first_iteration + segments.first_iteration)
     return {
         "converged": all(each.converged for each in refined),
         "noise_m": submap.noise_m,
@@ -141,30 +142,18 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
         "anchor_iteration": first_iteration + submap.anchor_iteration,
         "segments": len(segments.residual),
         "segment_residual_median": float(np.median(segments.residual)),
-        "weakest_segments": [
-            {
-                "first_iteration": first_iteration + int(segments.first_iteration[row]),
-                "residual": float(segments.residual[row]),
-                "middle": segments.middle[row].tolist(),
-            }
-            for row in _largest(segments.residual)
-        ],
+        "weakest_segments": _weakest(segments, SEGMENT),
         "merges": len(merges.residual),
-        "weakest_merges": [
-            {
-                "landmark": int(merges.landmark[row]),
-                "seen_again_as": int(merges.track[row]),
-                "apart_m": float(merges.apart_m[row]),
-                "residual": float(merges.residual[row]),
-            }
-            for row in _largest(merges.residual)
-        ],
+        "weakest_merges": _weakest(merges, MERGE),
     }
 
 
-def _largest(values: NDArray[np.float64]) -> list[int]:
-    rows: list[int] = np.argsort(-values, kind="stable")[:SHOWN].tolist()
-    return rows
+def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
+    """Return the rows of the largest residuals: names in the summary, names in the table."""
+    rows = np.argsort(-table.residual, kind="stable")[:SHOWN]
+    return [
+        {told: getattr(table, name)[row].tolist() for told, name in columns.items()} for row in rows
+    ]
 
 
 def timing(

@@ -5,28 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
+import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from relmap.io.files import atomic_write
 from relmap.io.tables import csv_text
 
-T = TypeVar("T")
+D = TypeVar("D")
 Verdict = Literal["borne out", "partly borne out", "not borne out"]
-
-
-class Watch(Protocol):
-    """Yields the items of a long loop as they are, and may show how far it is."""
-
-    def __call__(self, items: Sequence[T], /) -> Iterable[T]:
-        """Wrap the items."""
-        ...
-
-
-def unwatched(items: Sequence[T], /) -> Iterable[T]:
-    """Yield the items and show nothing."""
-    return items
+Watch = Callable[[Sequence[Any]], Iterable[Any]]
+"""Yields the items of a long loop as they are, and may show progress; `iter` shows nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +28,7 @@ class Table:
     rows: Sequence[Sequence[object]]
 
     def write(self, path: Path) -> None:
-        """Write it; a `RelmapError` says where the file cannot be written."""
+        """Write the table; a `RelmapError` says where the file cannot be written."""
         atomic_write(path, csv_text(self.columns, self.rows))
 
 
@@ -47,12 +38,10 @@ class Outcome:
 
     Attributes
     ----------
-    draw : callable
-        Returns the picture.
     table : Table
         The data that are drawn.
-    value, unit : float, str
-        The number that the verdict hangs on most, and what it is.
+    value : float
+        The number on which the verdict depends most; see `PaperFigure.unit`.
     ours : str
         What was found, in a sentence or two.
     verdict : str
@@ -61,17 +50,15 @@ class Outcome:
         Further files: the end of the name, and what writes the file of that path.
     """
 
-    draw: Callable[[], Figure]
     table: Table
     value: float
-    unit: str
     ours: str
     verdict: Verdict
     more: Mapping[str, Callable[[Path], object]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
-class PaperFigure:
+class PaperFigure(Generic[D]):
     """One figure of the paper.
 
     Attributes
@@ -84,16 +71,26 @@ class PaperFigure:
         What the paper says with it, in one sentence of our own.
     criterion : str
         When the claim counts as borne out.
+    unit : str
+        What the value of an outcome is.
     run : callable
-        Does the runs: whether small ones are enough; where real data are, for the figure that needs
-        them; what wraps the long loop.  It raises a `RelmapError` where the data cannot be used.
+        Does the runs and returns their data. It takes whether small ones are enough, where real
+        data are, for the figure that needs them, and what wraps the long loop; it raises a
+        `RelmapError` where the data cannot be used.
+    judge : callable
+        Returns the outcome of the data.
+    draw : callable
+        Returns the picture of the data.
     """
 
     name: str
     title: str
     claim: str
     criterion: str
-    run: Callable[[bool, Path | None, Watch], Outcome]
+    unit: str
+    run: Callable[[bool, Path | None, Watch], D]
+    judge: Callable[[D], Outcome]
+    draw: Callable[[D], Figure]
 
     @property
     def heading(self) -> str:
@@ -106,20 +103,6 @@ class PaperFigure:
         return f"figure{int(self.name):02d}" if self.name.isdigit() else self.name
 
 
-@dataclass(frozen=True, eq=False)
-class Made:
-    """A figure with what came out, or None where there is nothing, for the reason in `note`.
-
-    `files` are what was written, by name; the picture is one of them.
-    """
-
-    figure: PaperFigure
-    outcome: Outcome | None
-    note: str = ""
-    files: tuple[str, ...] = ()
-    picture: bytes = b""
-
-
 def judged(*held: bool) -> Verdict:
     """Return the verdict on a claim of which each part held or did not."""
     if all(held):
@@ -128,5 +111,10 @@ def judged(*held: bool) -> Verdict:
 
 
 def sentence(text: str) -> str:
-    """Return a text with a capital letter and a full stop."""
-    return f"{text[:1].upper()}{text[1:]}."
+    """Return a text as one line with a capital letter and a full stop."""
+    return f"{text[:1].upper()}{text[1:]}.".replace("\n", " ")
+
+
+def n_log_n(n: NDArray[Any]) -> NDArray[np.float64]:
+    """Return n log2 n, the bound of figures 12 and 15."""
+    return np.asarray(n * np.log2(n), dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.figures.point_chart import (
-    FEWEST_MEMBERS,
     ChartedRun,
     ChartPicture,
     chart_picture,
@@ -27,138 +27,135 @@ from relmap.plots.sheet import BLUE, ORANGE, RED, blank, finish
 RIGHT, MOSTLY = 0.99, 0.9
 LARGEST, NEARLY = 0.99, 0.9
 NOT_SEEN, SEEN, SEED, SEED_INTERVAL, AREA = "#ffffff", "#5f6670", "#d9822b", "#fbe9cf", BLUE
-COLUMNS = ("row", "landmark", "iteration", "in_seed_interval")
 
 
-def of_chart(chart: ChartPicture, run: ChartedRun) -> Outcome:
-    """Judge a chart by what was truly visible."""
-    truly = run.truly_visible(chart)
-    right = float(np.mean(truly == chart.visible))
+def _judge_chart(data: tuple[ChartPicture, ChartedRun]) -> Outcome:
+    chart, run = data
+    right = float(np.mean(run.truly_visible(chart) == chart.visible))
     return Outcome(
-        lambda: plot_unsorted(chart),
-        Table(COLUMNS, visible_rows(chart, np.arange(len(chart.order)))),
+        _cells(chart, np.argsort(chart.landmarks)),
         right,
-        "share of the cells that are right",
-        f"The chart around landmark {chart.seed} has {len(chart.order)} landmarks and "
+        f"The chart around landmark {chart.seed} has {len(chart.landmarks)} landmarks and "
         f"{chart.visible.sum()} observations over {chart.visible.shape[1]} iterations; "
         f"{right:.2%} of its cells are right.",
         judged(right >= RIGHT, right >= MOSTLY),
     )
 
 
-def of_sorted(chart: ChartPicture) -> Outcome:
-    """Judge a chart by its order."""
+def _judge_sorted(chart: ChartPicture) -> Outcome:
     shared = chart.common_interval
     falls = bool(np.all(np.diff(shared) <= 0))
     inside, outside = shared[: chart.members], shared[chart.members :]
     below = f", those below {np.median(outside):g}" if len(outside) else ""
     return Outcome(
-        lambda: plot_sorted(chart),
-        Table(COLUMNS, visible_rows(chart, chart.order)),
+        _cells(chart, np.arange(len(shared))),
         float(np.median(inside)),
-        "iterations shared with the seed by the median member of its group",
         f"Members of the group of landmark {chart.seed} share {np.median(inside):g} of its "
-        f"{chart.seed_interval.sum()} iterations (median){below}. "
+        f"{chart.visible[0].sum()} iterations (median){below}. "
         f"The shared iterations {'never' if falls else 'do'} rise down the chart: it is sorted so.",
         judged(falls),
     )
 
 
-def all_charts(run: ChartedRun, watch: Watch) -> list[ChartPicture]:
-    """Return the chart of every landmark that comes and goes within the run and makes a group."""
-    charts = []
+def _run_groups(quick: bool, data: Path | None, watch: Watch) -> list[ChartPicture]:
+    """Return the chart that is shown, and those of all landmarks that come, go and make a group."""
+    run, charts = charted_run(quick), [shown_chart(quick)]
     for seed, begin, end in watch(run.visits):
         try:
             charts.append(chart_picture(run.store, seed, begin, end))
         except RelmapError:  # it was not seen with three others
             continue
-    return [chart for chart in charts if len(chart.order) >= FEWEST_MEMBERS]
+    return charts
 
 
-def of_groups(shown: ChartPicture, charts: list[ChartPicture]) -> Outcome:
-    """Judge the paper's rule by the groups of many landmarks."""
-    seeds = []
-    for chart in charts:
-        stops = paper_stops(chart.area)
-        seeds.append((chart.seed, stops, int(chart.area[stops - 1]),
-                      chart.members, int(chart.area[chart.members - 1])))  # fmt: skip
+def _judge_groups(charts: list[ChartPicture]) -> Outcome:
+    shown, charts = charts[0], charts[1:]
+    sizes = [(paper_stops(chart.area), chart.members) for chart in charts]
+    seeds = [
+        (chart.seed, stop, int(chart.area[stop - 1]), members, int(chart.area[members - 1]))
+        for chart, (stop, members) in zip(charts, sizes, strict=True)
+    ]
     areas = np.array([(row[2], row[4]) for row in seeds], dtype=np.float64)
     share = float(np.mean(areas[:, 0] / areas[:, 1]))
     early = float(np.mean(areas[:, 0] < areas[:, 1]))
-    numbered = zip(shown.landmarks[shown.order], shown.common_interval, shown.area, strict=True)
+    numbered = zip(shown.landmarks, shown.common_interval, shown.area, strict=True)
     rows = [(row, *values, int(row < shown.members)) for row, values in enumerate(numbered)]
     columns = ("seed", "rule_members", "rule_area", "largest_members", "largest_area")
     return Outcome(
-        lambda: plot_group(shown),
         Table(("row", "landmark", "common_interval", "area", "member"), rows),
         share,
-        "area at which the paper's rule stops over the largest",
         f"Landmark {shown.seed} grows a group of {shown.members} landmarks x "
         f"{shown.group_interval.sum()} iterations. Over {len(charts)} landmarks the paper's rule "
         f"reaches {share:.0%} of the largest area on average and stops too early in {early:.0%} of "
         "the charts; so relmap takes the largest area of the whole chart.",
         judged(share >= LARGEST, share >= NEARLY),
-        {"-seeds.csv": Table(columns, list(seeds)).write},
+        {"-seeds.csv": Table(columns, seeds).write},
     )
 
 
-def visible_rows(chart: ChartPicture, order: NDArray[np.int64]) -> list[tuple[int, ...]]:
-    """Return a line per observation in the chart, its rows in the order given."""
+def _cells(chart: ChartPicture, order: NDArray[np.int64]) -> Table:
+    """Return a line for each observation in the chart, its rows in the order given."""
     row, column = np.nonzero(chart.visible[order])
-    landmark, within = chart.landmarks[order][row], chart.seed_interval[column].astype(int)
-    columns = np.column_stack([row, landmark, chart.begin + column, within])
-    return [tuple(line) for line in columns.tolist()]
+    within = chart.visible[0, column].astype(int)
+    columns = [row, chart.landmarks[order][row], chart.begin + column, within]
+    return Table(
+        ("row", "landmark", "iteration", "in_seed_interval"), np.column_stack(columns).tolist()
+    )
 
 
-def plot_unsorted(chart: ChartPicture) -> Figure:
+def _plot_unsorted(data: tuple[ChartPicture, ChartedRun]) -> Figure:
     """Draw which landmark was visible when, in the order of their numbers (Fig. 9)."""
-    figure = blank(8.0, _height_in(chart))
+    chart, _ = data
+    order = np.argsort(chart.landmarks)
     cells = chart.visible.astype(int)
-    cells[chart.landmarks == chart.seed] *= 2
+    cells[0] *= 2
+    figure = _blank(chart, 8.0)
     title = f"Figure 9: the point chart around landmark {chart.seed}, in order of first sight"
-    _draw(figure.subplots(), chart, cells, np.arange(len(cells)), title)
+    _draw(figure.subplots(), chart, cells[order], order, title)
     _legend(figure, chart)
     return figure
 
 
-def plot_sorted(chart: ChartPicture) -> Figure:
+def _plot_sorted(chart: ChartPicture) -> Figure:
     """Draw the chart sorted by common interval, that of the seed shaded (Fig. 10)."""
-    figure = blank(8.0, _height_in(chart))
+    figure = _blank(chart, 8.0)
     axes = figure.subplots()
     title = f"Figure 10: sorted by the iterations shared with landmark {chart.seed}"
-    _draw(axes, chart, _sorted_cells(chart), chart.order, title)
+    rows = np.arange(len(chart.landmarks))
+    _draw(axes, chart, _sorted_cells(chart), rows, title)
     beside = axes.secondary_yaxis("right")
-    beside.set_yticks(np.arange(len(chart.order)), chart.common_interval.tolist(), fontsize=7)
+    beside.set_yticks(rows, chart.common_interval.tolist(), fontsize=7)
     beside.tick_params(length=0)
     beside.set_ylabel(f"iterations in common with landmark {chart.seed}")
     _legend(figure, chart, {"its observation interval": SEED_INTERVAL})
     return figure
 
 
-def plot_group(chart: ChartPicture) -> Figure:
+def _plot_group(charts: list[ChartPicture]) -> Figure:
     """Draw the group grown down the sorted chart, and how its area changes (Fig. 11)."""
-    figure = blank(9.6, _height_in(chart))
+    chart = charts[0]
+    figure = _blank(chart, 9.6)
     axes, beside = figure.subplots(1, 2, sharey=True, width_ratios=[3.0, 1.0])
     cells = _sorted_cells(chart)
     cells[: chart.members, chart.group_interval] = 4
     iterations = int(chart.group_interval.sum())
     group = f"{chart.members} members x {iterations} iterations"
     title = f"Figure 11: the group of landmark {chart.seed}: {group}"
-    _draw(axes, chart, cells, chart.order, title)
+    _draw(axes, chart, cells, np.arange(len(cells)), title)
     _draw_area(beside, chart)
     of_group = {"its observation interval": SEED_INTERVAL, "members x common interval": AREA}
     _legend(figure, chart, of_group)
     return figure
 
 
-def _height_in(chart: ChartPicture) -> float:
-    return 1.5 + 0.14 * max(len(chart.landmarks), 15)
+def _blank(chart: ChartPicture, width_in: float) -> Figure:
+    return blank(width_in, 1.5 + 0.14 * max(len(chart.landmarks), 15))
 
 
 def _sorted_cells(chart: ChartPicture) -> NDArray[np.int64]:
     """Return what to paint in each cell (n, i): an index of the colours above."""
-    cells = np.where(chart.visible[chart.order], 1, np.where(chart.seed_interval, 3, 0))
-    cells[0, chart.seed_interval] = 2
+    cells = np.where(chart.visible, 1, np.where(chart.visible[0], 3, 0))
+    cells[0, chart.visible[0]] = 2
     return cells
 
 
@@ -177,8 +174,7 @@ def _draw(
     axes.hlines(np.arange(1, n) - 0.5, columns[0], columns[-1], color="white", linewidth=0.8)
     axes.grid(visible=False)
     axes.set_yticks(np.arange(n), chart.landmarks[rows].tolist(), fontsize=7)
-    seed_row = int(np.flatnonzero(chart.landmarks[rows] == chart.seed)[0])
-    axes.get_yticklabels()[seed_row].set(color=ORANGE, fontweight="bold")
+    axes.get_yticklabels()[rows.tolist().index(0)].set(color=ORANGE, fontweight="bold")
     axes.invert_yaxis()
 
 
@@ -206,40 +202,46 @@ def _legend(figure: Figure, chart: ChartPicture, more: dict[str, str] | None = N
     figure.legend(handles=patches, loc="outside lower center", **style)
 
 
-FIGURES = (
-    PaperFigure(
-        name="9",
-        title="the point chart",
-        claim="A chart tells for every landmark in which iterations it was visible.",
-        criterion=(
-            f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
-            f"partly: {MOSTLY:.0%}"
-        ),
-        run=lambda quick, data, watch: of_chart(shown_chart(quick), charted_run(quick)),
+CHART = PaperFigure(
+    name="9",
+    title="the point chart",
+    claim="A chart shows for every landmark in which iterations it was visible.",
+    criterion=(
+        f"without ids, {RIGHT:.0%} of the cells of the chart are as the simulator says; "
+        f"partly: {MOSTLY:.0%}"
     ),
-    PaperFigure(
-        name="10",
-        title="the chart, sorted",
-        claim=(
-            "Sorted by the iterations shared with one landmark, those that share many stand high "
-            "and those that were seen little or with gaps stand low."
-        ),
-        criterion="the shared iterations never rise from one row to the next",
-        run=lambda quick, data, watch: of_sorted(shown_chart(quick)),
-    ),
-    PaperFigure(
-        name="11",
-        title="a group grown in the chart",
-        claim=(
-            "Landmarks are added down the sorted chart, four at least, for as long as members "
-            "times common interval grows; so the group has the largest such area."
-        ),
-        criterion=(
-            "over all landmarks that come and go in the run, the area at which the rule stops is "
-            f"on average {LARGEST:.0%} of the largest there is down the chart; partly: {NEARLY:.0%}"
-        ),
-        run=lambda quick, data, watch: of_groups(
-            shown_chart(quick), all_charts(charted_run(quick), watch)
-        ),
-    ),
+    unit="share of the cells that are right",
+    run=lambda quick, data, watch: (shown_chart(quick), charted_run(quick)),
+    judge=_judge_chart,
+    draw=_plot_unsorted,
 )
+SORTED = PaperFigure(
+    name="10",
+    title="the chart, sorted",
+    claim=(
+        "Sorted by the iterations shared with one landmark, those that share many stand high "
+        "and those that were seen little or with gaps stand low."
+    ),
+    criterion="the shared iterations never rise from one row to the next",
+    unit="iterations shared with the seed by the median member of its group",
+    run=lambda quick, data, watch: shown_chart(quick),
+    judge=_judge_sorted,
+    draw=_plot_sorted,
+)
+GROUP = PaperFigure(
+    name="11",
+    title="a group grown in the chart",
+    claim=(
+        "Landmarks are added down the sorted chart, four at least, for as long as members "
+        "times common interval grows; so the group has the largest such area."
+    ),
+    criterion=(
+        "over all landmarks that come and go in the run, the area at which the rule stops is "
+        f"on average {LARGEST:.0%} of the largest there is down the chart; partly: {NEARLY:.0%}"
+    ),
+    unit="area at which the paper's rule stops over the largest",
+    run=_run_groups,
+    judge=_judge_groups,
+    draw=_plot_group,
+)
+FIGURES = (CHART, SORTED, GROUP)

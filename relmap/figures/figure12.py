@@ -1,4 +1,4 @@
-"""Figure 12: how many comparisons it takes to tell what moves."""
+"""Figure 12: how many comparisons it takes to find what moves."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from relmap.core.grouping.dynamics import Binning
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, unwatched
-from relmap.figures.timing import n_log_n
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, n_log_n
 from relmap.plots.sheet import GREY, blank, finish, write_in_full
 from relmap.simulation import simulate_figure_eight
 
@@ -21,10 +20,10 @@ SIGMA_M = 0.05
 BLOCK = 30
 """Iterations in which the landmarks are seen."""
 MISPLACED = 0.02
-"""Share of them that the static bin may hold wrongly or lack, and be right all the same."""
+"""Largest share of them that a right static bin may hold wrongly or lack."""
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 PAPERS_SHARE = 0.4
-"""Of the landmarks: up to here the paper has no more than n log n comparisons."""
+"""Share of the landmarks up to which the paper has no more than n log n comparisons."""
 SIZES, QUICK_SIZES = (20, 30, 50, 80, 130, 200, 320, 500, 800), (20, 50, 130, 320, 800)
 WORLDS, QUICK_WORLDS = 40, 6
 OFTEN = 0.95
@@ -32,7 +31,7 @@ OFTEN = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Comparisons:
-    """What sorting landmarks into static and dynamic ones took, and whether it came out right.
+    """Comparisons to sort landmarks into static and dynamic ones, and whether the result is right.
 
     Attributes
     ----------
@@ -58,19 +57,32 @@ class Comparisons:
 
     @property
     def within_n_log_n(self) -> int:
-        """How many of the shares, from the smallest on, have no median above n log2 n."""
+        """Number of shares, from the smallest on, without a median above n log2 n."""
         within = np.all(self.median <= n_log_n(self.n), axis=1)
         return int(np.logical_and.accumulate(within).sum())
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Sort blocks of landmarks of many worlds."""
+def _run(quick: bool, data: Path | None, watch: Watch) -> Comparisons:
     sizes = QUICK_SIZES if quick else SIZES
-    return outcome(sorted_worlds(sizes, QUICK_WORLDS if quick else WORLDS, watch))
+    return sorted_worlds(sizes, QUICK_WORLDS if quick else WORLDS, watch)
 
 
-def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = unwatched) -> Comparisons:
-    """Sort blocks of all sizes, with all shares moving, in each world."""
+def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = iter) -> Comparisons:
+    """Sort blocks of all sizes, with all shares moving, in each world.
+
+    Parameters
+    ----------
+    sizes : tuple of int, ascending
+        Landmarks of a block.
+    worlds : int
+        How many, with seeds 0 and up.
+    watch : callable, optional
+        Wraps the seeds, to show progress.
+
+    Returns
+    -------
+    Comparisons
+    """
     shape = (len(SHARES), len(sizes), worlds)
     counts, right = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     for seed in watch(range(worlds)):
@@ -85,8 +97,7 @@ def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = unwatched)
     return Comparisons(np.array(sizes), np.array(SHARES), counts, right)
 
 
-def outcome(data: Comparisons) -> Outcome:
-    """Judge all worlds."""
+def _judge(data: Comparisons) -> Outcome:
     few = data.dynamic <= PAPERS_SHARE + 1e-9
     ratios = (data.median / n_log_n(data.n)).max(axis=1)
     often = data.right.mean(axis=(1, 2))
@@ -102,10 +113,8 @@ def outcome(data: Comparisons) -> Outcome:
     ]  # fmt: skip
     header = ("dynamic", "landmarks", "world", "comparisons", "static_bin_right")
     return Outcome(
-        lambda: plot_comparisons(data),
         Table(header, rows),
         ratio,
-        "most comparisons over n log2 n at up to 40 % moving",
         f"Up to {PAPERS_SHARE:.0%} moving, the median world takes at most {ratio:.2f} n log₂ n "
         f"comparisons, and the static bin is right in {found:.0%} of the worlds. Beyond, relmap "
         "never takes n² comparisons: it stops at n log₂ n, and what suffers is how often the bin "
@@ -117,12 +126,12 @@ def outcome(data: Comparisons) -> Outcome:
 def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return landmarks that a robot sees in each of `BLOCK` iterations, without noise.
 
-    Those that are dynamic but stand still for the time are left out: nothing tells them.
+    Dynamic ones that stand still all the time are left out: they cannot be recognised.
 
     Returns
     -------
-    (n, i, 3) float64, robot frame, metres; (n,) bool
-        The second tells which are static.
+    places : (n, i, 3) float64, robot frame, metres
+    static : (n,) bool
     """
     world = simulate_figure_eight(6 * largest, BLOCK, sigma=0.0, dynamic=0.4, seed=seed)
     log = world.log
@@ -130,8 +139,8 @@ def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArr
     ids, counts = np.unique(log.ids, return_counts=True)
     ids = ids[counts == BLOCK]
     by_landmark = np.lexsort((log.iteration, log.ids))
-    of_them = by_landmark[np.isin(log.ids[by_landmark], ids)]
-    block = log.points_robot[of_them].reshape(len(ids), BLOCK, 3)
+    rows = by_landmark[np.isin(log.ids[by_landmark], ids)]
+    block = log.points_robot[rows].reshape(len(ids), BLOCK, 3)
     R, t = world.trajectory[:, :3, :3], world.trajectory[:, :3, 3]
     place = np.einsum("ijk,nik->nij", R, block) + t
     static = world.status[ids] == "static"
@@ -151,8 +160,8 @@ def block_of(
     return pool[rows] + rng.normal(0, SIGMA_M, (n, BLOCK, 3)), static[rows]
 
 
-def plot_comparisons(data: Comparisons) -> Figure:
-    """Draw the comparisons over the number of landmarks, and how often it goes well (Fig. 12)."""
+def _plot(data: Comparisons) -> Figure:
+    """Draw the comparisons over the number of landmarks, and how often the static bin is right."""
     figure = blank(11.5, 5.2)
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
     _draw_comparisons(left, data)
@@ -172,7 +181,7 @@ def _draw_comparisons(axes: Axes, data: Comparisons) -> None:
         style = {"color": colour, "markersize": size, "linewidth": 1.3}
         axes.plot(n, median, "o-", label=f"{100 * share:.0f} % dynamic", **style)
     axes.set(xscale="log", yscale="log", ylim=(n[0], 3 * n_log_n(n[-1:])[0]))
-    write_in_full(axes.xaxis, n)
+    write_in_full(axes.xaxis)
     title = f"Figure 12: comparisons, median of {data.right.shape[2]} worlds\n{_held(data)}"
     finish(axes, title, "landmarks n", "comparisons of two landmarks")
     axes.legend(fontsize=8, loc="lower right")
@@ -203,7 +212,7 @@ def _draw_right(axes: Axes, data: Comparisons) -> None:
 
 FIGURE = PaperFigure(
     name="12",
-    title="comparisons to tell what moves",
+    title="comparisons to find what moves",
     claim=(
         "With up to 40 % of the landmarks moving, binning them takes no more than n log n "
         "comparisons; from about 47 % on it takes n²."
@@ -213,5 +222,8 @@ FIGURE = PaperFigure(
         f"and in {OFTEN:.0%} of all worlds the static bin is right (at most {MISPLACED:.0%} of the "
         "landmarks misplaced); partly where one of the two holds"
     ),
+    unit="most comparisons over n log2 n at up to 40 % moving",
     run=_run,
+    judge=_judge,
+    draw=_plot,
 )

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from relmap.evaluation.evaluate import Evaluation, evaluate
 from relmap.evaluation.landmarks import identify, match_landmarks
-from relmap.evaluation.metrics import rms
 from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import truth_of
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
@@ -32,7 +31,7 @@ RIM_M = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class EightPicture:
+class EightMap:
     """A map of the figure eight, brought into the frame of the truth.
 
     Attributes
@@ -40,19 +39,22 @@ class EightPicture:
     landmarks_map, path_map : (m, 3), (k, 3) float64, metres
         As mapped; the path is that of the robot, NaN where it is not known.
     true_landmarks_map, true_path_map : (t, 3), (p, 3) float64, metres
-    rmse_m : float
-        Of the landmarks.
+    found : Evaluation
     """
 
     landmarks_map: NDArray[np.float64]
     path_map: NDArray[np.float64]
     true_landmarks_map: NDArray[np.float64]
     true_path_map: NDArray[np.float64]
-    rmse_m: float
+    found: Evaluation
+
+    @property
+    def rmse_m(self) -> float:
+        """RMSE of the landmarks, metres."""
+        return self.found.landmark_rmse_m or 0.0
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Map the loop."""
+def _run(quick: bool, data: Path | None, watch: Watch) -> EightMap:
     world = simulate_figure_eight(QUICK_DENSITY if quick else DENSITY, sigma=SIGMA_M)
     mapper = PointMapper()
     result = run_mapper(
@@ -61,40 +63,37 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
     truth = truth_of(world)
     matched = match_landmarks(result, truth, identify(result, world.log))
     assert matched is not None
-    R, t = matched.R, matched.t  # the map is drawn in the frame of the truth
-    picture = EightPicture(
+    R, t = matched.R, matched.t
+    return EightMap(
         result.landmarks.position[result.mapped] @ R.T + t,
         broken_at_gaps(result.stamps_s, result.poses[:, :3, 3] @ R.T + t),
         world.landmarks_map,
         world.trajectory[:, :3, 3],
-        rms(matched.position @ R.T + t - matched.truth) or 0.0,
+        evaluate(result, truth, world.log),
     )
-    return outcome(picture, evaluate(result, truth, world.log))
 
 
-def outcome(picture: EightPicture, found: Evaluation) -> Outcome:
-    """Judge a map of the eight."""
+def _judge(data: EightMap) -> Outcome:
     places = {
-        "mapped landmark": picture.landmarks_map,
-        "path from the map": picture.path_map[np.isfinite(picture.path_map[:, 0])],
-        "true landmark": picture.true_landmarks_map,
-        "true path": picture.true_path_map,
+        "mapped landmark": data.landmarks_map,
+        "path from the map": data.path_map[np.isfinite(data.path_map[:, 0])],
+        "true landmark": data.true_landmarks_map,
+        "true path": data.true_path_map,
     }
     rows = [(name, *point) for name, points in places.items() for point in points.tolist()]
-    covered, per_true = found.coverage or 0.0, found.landmarks_per_true or np.inf
+    found, covered = data.found, data.found.coverage or 0.0
+    per_true = found.landmarks_per_true or np.inf
     return Outcome(
-        lambda: plot_eight(picture),
         Table(("what", "x", "y", "z"), rows),
-        picture.rmse_m,
-        "RMSE of the landmarks in m",
-        f"{len(picture.landmarks_map)} landmarks mapped without ids, {covered:.0%} of those seen "
-        f"ten times, RMSE {picture.rmse_m:.4f} m, {per_true:.3f} landmarks for each true one; the "
+        data.rmse_m,
+        f"{len(data.landmarks_map)} landmarks mapped without ids, {covered:.0%} of those seen "
+        f"ten times, RMSE {data.rmse_m:.4f} m, {per_true:.3f} landmarks for each true one; the "
         f"path is {'-' if found.ate_m is None else format(found.ate_m, '.3f')} m off.",
-        judged(picture.rmse_m < SIGMA_M and covered >= COVERED, per_true <= ONCE),
+        judged(data.rmse_m < SIGMA_M and covered >= COVERED, per_true <= ONCE),
     )
 
 
-def plot_eight(data: EightPicture) -> Figure:
+def _plot(data: EightMap) -> Figure:
     """Draw the eight in space, and beside it from above and from the side."""
     figure = blank(12.5, 6.0)
     grid = figure.add_gridspec(2, 3, width_ratios=[1.3, 0.06, 1.0], height_ratios=[1.6, 1.0])
@@ -123,7 +122,7 @@ def plot_eight(data: EightPicture) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, data: EightPicture, pair: list[int]) -> None:
+def _draw(axes: Axes, data: EightMap, pair: list[int]) -> None:
     """Draw map and truth on the axes named by `pair`; three of them are a view in space."""
     places = (data.true_path_map, data.path_map, data.true_landmarks_map, data.landmarks_map)
     true_path, path, true, mapped = (place[:, pair].T for place in places)
@@ -146,5 +145,8 @@ FIGURE = PaperFigure(
         f"{COVERED:.0%} of the landmarks seen ten times, and it has at most {ONCE:g} landmarks for "
         "each true one; partly where one of the two holds"
     ),
+    unit="RMSE of the landmarks in m",
     run=_run,
+    judge=_judge,
+    draw=_plot,
 )

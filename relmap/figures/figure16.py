@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from relmap.comparison.baselines import ekf
 from relmap.comparison.compare import landmark_error_curve
-from relmap.comparison.methods import relmap
-from relmap.comparison.methods.base import Method, Setup
+from relmap.comparison.methods.base import Setup
+from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import setup_for
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
+from relmap.evaluation.feeding import Method
 from relmap.evaluation.sources import EightSource
-from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, unwatched
-from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish
+from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
+from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, write_in_full
 from relmap.points.mapper import PointMapper
 
 SIGMA_M = 0.05
 SEEDS, QUICK_SEEDS = 10, 1
-QUICK_ITERATIONS = 300
+ITERATIONS, QUICK_ITERATIONS = 900, 300
 EVERY = 10
 EVERY_REFINED = 100
 """Iterations between two points of the curve of a method that refines for each."""
@@ -62,66 +61,58 @@ class Curve:
         return float(np.median(self.rmse_m[:, -1]))
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorCurves:
-    """Curves by noise and method, in the order in which they are drawn."""
-
-    COLUMNS: ClassVar = ("noise", "seed", "method", "iteration", "landmark_rmse_m")
-
-    of: Mapping[str, Mapping[str, Curve]]
-
-    def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield a line for each point of each curve, as `COLUMNS` name them."""
-        for noise, methods in self.of.items():
-            for method, curve in methods.items():
-                for seed, k in np.ndindex(curve.rmse_m.shape):
-                    place = int(curve.iteration[k]), float(curve.rmse_m[seed, k])
-                    yield noise, seed, method.replace(",", ""), *place
-
-    def ratio(self, noise: str, method: str, other: str) -> float:
-        """Return the error of one method over that of another at the end of the run.
-
-        It is the median of the seeds' ratios: both methods saw the same worlds.
-        """
-        ends = (self.of[noise][name].rmse_m[:, -1] for name in (method, other))
-        return float(np.median(np.divide(*ends)))
+ErrorCurves = Mapping[str, Mapping[str, Curve]]
+"""By noise and method, in the order in which they are drawn."""
 
 
-class RefinedByShape(relmap.Relmap):
+class RefinedByShape(PointMapper):
     """relmap with every observation kept; its map is refined, on a copy, whenever it is asked for.
 
-    Bounded noise is told from Gaussian noise by the residuals, so nothing is told of it.
+    The residuals show whether the noise is bounded, so it is not given the kind of noise.
     """
 
     def __init__(self) -> None:
-        super().__init__(PointMapper(MapperConfig(keep_observations=True)), refine=True)
+        super().__init__(MapperConfig(keep_observations=True))
 
     @property
     def map(self) -> LandmarkMap:
         """The map as it would be if the run ended here."""
-        ended = deepcopy(self._mapper)
+        ended = deepcopy(self)
         ended.finish()
         ended.refine()
-        return ended.map
+        return super(RefinedByShape, ended).map
 
 
 METHODS: dict[str, tuple[Callable[[Setup], Method], int]] = {
-    MRPT: (ekf.STANDING.make, EVERY),
-    FITTED: (ekf.FITTED.make, EVERY),
-    PAPER: (relmap.LITERAL.make, EVERY),
-    LIVE: (relmap.LIVE.make, EVERY),
+    MRPT: (find_method("ekf-mrpt").make, EVERY),
+    FITTED: (find_method("ekf").make, EVERY),
+    PAPER: (find_method("relmap-points-paper").make, EVERY),
+    LIVE: (find_method("relmap-points-live").make, EVERY),
     SHAPED: (lambda setup: RefinedByShape(), EVERY_REFINED),
 }
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Run all methods over the same worlds."""
-    iterations = QUICK_ITERATIONS if quick else 900
-    return outcome(error_curves(QUICK_SEEDS if quick else SEEDS, iterations, watch))
+def _run(quick: bool, data: Path | None, watch: Watch) -> ErrorCurves:
+    iterations = QUICK_ITERATIONS if quick else ITERATIONS
+    return error_curves(QUICK_SEEDS if quick else SEEDS, iterations, watch)
 
 
-def error_curves(seeds: int, iterations: int, watch: Watch = unwatched) -> ErrorCurves:
-    """Run all methods on figure eights of both noises, seeds 0 and up."""
+def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurves:
+    """Run all methods on figure eights of both noises.
+
+    Parameters
+    ----------
+    seeds : int
+        Number of worlds of each noise, with seeds 0 and up.
+    iterations : int
+        Of each.
+    watch : callable, optional
+        Wraps the worlds, to show progress.
+
+    Returns
+    -------
+    ErrorCurves
+    """
     found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
     at: dict[str, NDArray[np.int64]] = {}
     cells = [(noise, seed) for noise in NOISES for seed in range(seeds)]
@@ -132,41 +123,49 @@ def error_curves(seeds: int, iterations: int, watch: Watch = unwatched) -> Error
             method = make(setup_for(world, SIGMA_M))
             at[name], rmse_m = landmark_error_curve(method, world.log, world.truth, every)
             found.setdefault((noise, name), []).append(rmse_m)
-    return ErrorCurves(
-        {
-            noise: {name: Curve(at[name], np.array(found[noise, name])) for name in METHODS}
-            for noise in NOISES
-        }
-    )
+    return {
+        noise: {name: Curve(at[name], np.array(found[noise, name])) for name in METHODS}
+        for noise in NOISES
+    }
 
 
-def outcome(data: ErrorCurves) -> Outcome:
-    """Judge by the errors at the end."""
-    gaussian, flat = (data.ratio(noise, MRPT, PAPER) for noise in NOISES)
-    live = [data.ratio(noise, MRPT, LIVE) for noise in NOISES]
+def _judge(data: ErrorCurves) -> Outcome:
+    """Judge by the errors at the end, median of the seeds' ratios: all saw the same worlds."""
+
+    def ratio(noise: str, method: str, other: str) -> float:
+        ends = (data[noise][name].rmse_m[:, -1] for name in (method, other))
+        return float(np.median(np.divide(*ends)))
+
+    rows = [
+        (noise, seed, method.replace(",", ""),
+         int(curve.iteration[k]), float(curve.rmse_m[seed, k]))
+        for noise, methods in data.items()
+        for method, curve in methods.items()
+        for seed, k in np.ndindex(curve.rmse_m.shape)
+    ]  # fmt: skip
+    gaussian, flat = (ratio(noise, MRPT, PAPER) for noise in NOISES)
+    live = [ratio(noise, MRPT, LIVE) for noise in NOISES]
     wide = flat >= WIDE
     return Outcome(
-        lambda: plot_errors(data),
-        Table(data.COLUMNS, list(data.rows())),
+        Table(("noise", "seed", "method", "iteration", "landmark_rmse_m"), rows),
         flat,
-        "error of the EKF over that of relmap with the paper's settings under flat noise",
         "Error of the EKF as MRPT ships it over relmap's: with the paper's settings "
         f"{gaussian:.2f} under Gaussian and {flat:.2f} under flat noise of the same variance, by "
         f"default {live[0]:.2f} and {live[1]:.2f}. The wide margin under flat noise is "
-        f"{'there' if wide else 'not there'}. relmap refined by the shape of the noise makes use "
-        f"of it: under flat noise it has {data.ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
-        f"that EKF and {data.ratio(FLAT, SHAPED, FITTED):.2f} times that of one linearised at the "
+        f"{'there' if wide else 'not there'}. relmap refined by the shape of the noise uses "
+        f"it: under flat noise it has {ratio(FLAT, SHAPED, MRPT):.2f} times the error of "
+        f"that EKF and {ratio(FLAT, SHAPED, FITTED):.2f} times that of one linearised at the "
         "best fit.",
         judged(gaussian >= 1 / SIMILAR, wide),
     )
 
 
-def plot_errors(data: ErrorCurves) -> Figure:
+def _plot(data: ErrorCurves) -> Figure:
     """Draw a panel for each noise: medians of the seeds, and each seed thinly."""
-    figure = blank(6.2 * len(data.of), 6.2)
-    panels = figure.subplots(1, len(data.of), sharey=True, squeeze=False)[0]
+    figure = blank(6.2 * len(data), 6.2)
+    panels = figure.subplots(1, len(data), sharey=True, squeeze=False)[0]
     style: dict[str, Any] = {"frameon": False, "fontsize": 9, "bbox_to_anchor": (0.5, -0.1)}
-    for axes, (noise, methods) in zip(panels, data.of.items(), strict=True):
+    for axes, (noise, methods) in zip(panels, data.items(), strict=True):
         for (name, curve), colour in zip(methods.items(), COLOURS, strict=False):
             _draw(axes, name, curve, colour)
         seeds = len(next(iter(methods.values())).rmse_m)
@@ -174,9 +173,7 @@ def plot_errors(data: ErrorCurves) -> Figure:
         finish(axes, f"{noise} noise ({what})", "iteration", "")
         axes.legend(loc="upper center", **style)
     panels[0].set(yscale="log", ylabel="landmark RMSE after rigid alignment [m]")
-    panels[0].yaxis.set_major_locator(LogLocator(10, (1, 2, 3, 5)))
-    panels[0].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    panels[0].yaxis.set_minor_formatter(NullFormatter())
+    write_in_full(panels[0].yaxis, (1, 2, 3, 5))
     figure.suptitle("Figure 16: landmark error over the run", fontsize=11)
     return figure
 
@@ -202,5 +199,8 @@ FIGURE = PaperFigure(
         f"flat noise of the same variance the EKF's is at least {WIDE:g} times as large; partly "
         "where one of the two holds"
     ),
+    unit="error of the EKF over that of relmap with the paper's settings under flat noise",
     run=_run,
+    judge=_judge,
+    draw=_plot,
 )

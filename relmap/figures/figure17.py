@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -25,7 +24,7 @@ from relmap.evaluation.truth import Truth
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps
-from relmap.plots.sheet import Limits, blank, draw_limits, finish, legend_below, limits_of
+from relmap.plots.sheet import blank, draw_limits, finish, legend_below, limits_of
 from relmap.points.mapper import PointMapper
 
 FORMAT = "victoria-park"
@@ -71,14 +70,18 @@ class Panel:
 
 
 def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
-    """Lay the reference on the map of a stretch of the drive, by rigid alignment.
+    """Bring the reference onto the map of a stretch of the drive, by rigid alignment.
 
     Parameters
     ----------
     result : Result
         Of mapping the log.
     log : ObservationLog
-        With the published ids, which judge the map and make the reference.
+        With the published ids, for the evaluation and for the reference.
+
+    Returns
+    -------
+    Panel
 
     Raises
     ------
@@ -105,8 +108,7 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     return Panel(title, trees, reference_map, often, path, rmse_m, evaluation.coverage or 0.0)
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Map both stretches."""
+def _run(quick: bool, data: Path | None, watch: Watch) -> list[Panel]:
     if data is None:
         raise RelmapError("figure 17 needs the Victoria Park data: --data PATH")
     log = victoria_park(data)
@@ -115,12 +117,21 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
         part = log.between(*interval)
         result = run_mapper(PointMapper(), part, "nearest", refine=True).result
         panels.append(compare_with_reference(result, part))
-    return outcome(panels)
+    return panels
 
 
 @cache
 def victoria_park(path: Path) -> ObservationLog:
-    """Read the data, from their folder or from one that holds it.
+    """Read the data.
+
+    Parameters
+    ----------
+    path : Path
+        Their folder, or one that holds it.
+
+    Returns
+    -------
+    ObservationLog
 
     Raises
     ------
@@ -131,21 +142,7 @@ def victoria_park(path: Path) -> ObservationLog:
     return open_log(inner if inner.is_dir() else path, FORMAT)
 
 
-def outcome(panels: list[Panel]) -> Outcome:
-    """Judge both stretches."""
-    worst = max(panel.rmse_m for panel in panels)
-    return Outcome(
-        lambda: plot_panels(panels),
-        Table(("stretch", "what", "seen_ten_times", "x", "y"), rows_of(panels)),
-        worst,
-        "RMSE of the trees in m in the worse stretch",
-        " ".join(sentence(panel.title.replace("\n", ", ")) for panel in panels),
-        judged(*(panel.rmse_m < CLOSE_M and panel.coverage >= COVERED for panel in panels)),
-    )
-
-
-def rows_of(panels: list[Panel]) -> list[tuple[object, ...]]:
-    """Return a line for each tree, mapped or of the reference, and each pose; metres."""
+def _judge(panels: list[Panel]) -> Outcome:
     rows: list[tuple[object, ...]] = []
     for number, panel in enumerate(panels):
         rows += [(number, "tree", "", *place) for place in panel.trees_map.tolist()]
@@ -153,16 +150,23 @@ def rows_of(panels: list[Panel]) -> list[tuple[object, ...]]:
         rows += [(number, "reference", int(often), *place) for often, place in reference]
         path = panel.path_map[np.isfinite(panel.path_map[:, 0])]
         rows += [(number, "pose", "", *place) for place in path.tolist()]
-    return rows
+    return Outcome(
+        Table(("stretch", "what", "seen_ten_times", "x", "y"), rows),
+        max(panel.rmse_m for panel in panels),
+        " ".join(sentence(panel.title.replace("\n", ", ")) for panel in panels),
+        judged(*(panel.rmse_m < CLOSE_M and panel.coverage >= COVERED for panel in panels)),
+    )
 
 
-def plot_panels(panels: Sequence[Panel]) -> Figure:
+def _plot(panels: list[Panel]) -> Figure:
     """Draw relmap's trees over those of the reference.
 
     Each stretch has a panel, all in one scale, turned so that the truck drives up the page.
     """
     panels = [_turned(panel) for panel in panels]
-    limits = [_limits(panel) for panel in panels]
+    places = [np.concatenate([panel.trees_map, panel.reference_map]) for panel in panels]
+    pairs = zip(places, panels, strict=True)
+    limits = [limits_of(trees, panel.path_map, RIM_M) for trees, panel in pairs]
     tall_m = max(float(high[1] - low[1]) for low, high in limits)
     wide_m = [max(high[0] - low[0], tall_m * NARROWEST_IN / HEIGHT_IN) for low, high in limits]
     width_in = HEIGHT_IN * sum(wide_m) / tall_m + len(panels)
@@ -189,11 +193,6 @@ def _turned(panel: Panel) -> Panel:
     places = (panel.trees_map, panel.reference_map, panel.path_map)
     trees, reference, path = ((place - start) @ R.T for place in places)
     return replace(panel, trees_map=trees, reference_map=reference, path_map=path)
-
-
-def _limits(panel: Panel) -> Limits:
-    trees = np.concatenate([panel.trees_map, panel.reference_map])
-    return limits_of(trees, panel.path_map, RIM_M)
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
@@ -223,5 +222,8 @@ FIGURE = PaperFigure(
         f"below {CLOSE_M:g} m and {COVERED:.0%} of the trees seen ten times are mapped; partly "
         "where one stretch is so"
     ),
+    unit="RMSE of the trees in m in the worse stretch",
     run=_run,
+    judge=_judge,
+    draw=_plot,
 )

@@ -1,73 +1,210 @@
-"""Beyond figure 7: from which noise on planes have the better map, from the same points."""
+"""Beyond figure 7: from which noise on planes have the better map, from the same points.
+
+The points lie fixed on the walls of a building (`surface_points`).  The plane mapper segments each
+scan; the point mapper takes the points themselves for landmarks.  Both have default settings and no
+odometry.  Points with given ids show what is lost where the association has to be found.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass, fields
+from itertools import product
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.feeding import Association
+from relmap.evaluation.run import run_mapper
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
-from relmap.figures.crossing import HALF, METHODS, Crossing, Method, run_crossing
+from relmap.figures.figure06 import longest
+from relmap.figures.surface_points import SurfacePoints, wall_points
+from relmap.io.results import Result
+from relmap.planes import PlaneMapper
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below
+from relmap.points.mapper import PointMapper
+from relmap.segmentation import PlaneSegmenter
 
+Method = Literal["planes", "points", "points, ids given"]
+METHODS: tuple[Method, ...] = get_args(Method)
+HALF = 0.5
+"""A map that holds less than this share of the corners or points has failed."""
 FULL = ((0.2, 0.3, 0.4), (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), range(5))
 """Spacings in metres, noises in units of them, seeds."""
+QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
 COLOURS: dict[Method, str] = {"planes": BLUE, "points": RED, "points, ids given": ORANGE}
 BAR = 1.2
-"""Map error of planes at Fig. 7's noise, in units of sigma, that is aimed at."""
+"""Largest map error of planes aimed at with the noise of figure 7, in units of sigma."""
 PANELS = {
     "map_rmse_m": ("error of the map", "RMSE of corners or points [m]"),
     "ate_m": ("error of the path", "ATE of the poses there are [m]"),
     "coverage": ("how much is mapped", "corners or points seen ten times [%]"),
 }
-QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
 
 
-def _run(quick: bool, data: Path | None, watch: Watch) -> Outcome:
-    """Map points of walls both ways, over spacings, noises and seeds."""
+@dataclass(frozen=True)
+class CrossingRow:
+    """One run.
+
+    Attributes
+    ----------
+    method : str
+    spacing_m, noise, sigma : float
+        Noise is sigma in units of the spacing.
+    seed : int
+    map_rmse_m : float or None
+        Of corners or points after rigid alignment; None where nothing could be compared.
+    coverage : float
+        Share of the corners or points seen ten times that stand in the map.
+    ate_m : float or None
+        Absolute trajectory error, over the poses that there are.
+    poses : float
+        Share of the scans that have a pose in the map's largest submap.
+    """
+
+    method: Method
+    spacing_m: float
+    noise: float
+    sigma: float
+    seed: int
+    map_rmse_m: float | None
+    coverage: float
+    ate_m: float | None
+    poses: float
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """All runs with points of one spacing, in the order of `METHODS` within each cell."""
+
+    spacing_m: float
+    runs: tuple[CrossingRow, ...]
+
+    @property
+    def noise(self) -> NDArray[np.float64]:
+        """All noises in units of the spacing, ascending; (n,)."""
+        return np.unique([row.noise for row in self.runs])
+
+    def values(self, name: str, method: Method) -> NDArray[np.float64]:
+        """Return an attribute of all runs of a method, (noises, seeds); infinite where None."""
+        found = [
+            [getattr(row, name) for row in self.runs if (row.method, row.noise) == (method, noise)]
+            for noise in self.noise
+        ]
+        return np.array([[np.inf if v is None else v for v in values] for values in found])
+
+    def median(self, name: str, method: Method) -> NDArray[np.float64]:
+        """Return the median over the seeds, (noises,), of what `values` returns."""
+        return np.asarray(np.median(self.values(name, method), axis=1))
+
+    def failed(self, method: Method) -> NDArray[np.bool_]:
+        """Return at which noises the median run of a method maps too little, (noises,)."""
+        return self.median("coverage", method) < HALF
+
+    def planes_ahead(self, method: Method) -> tuple[float, float] | None:
+        """Return the noises, over the spacing, between which planes have the better map.
+
+        Of several such intervals it is the longest.  It begins where the medians of the map error
+        cross, on straight lines between two noises, or at the first noise at which points fail; it
+        ends with the last noise at which planes are still ahead.  None where they never are.
+        """
+        planes, points = (
+            np.where(self.failed(which), np.inf, self.median("map_rmse_m", which))
+            for which in (METHODS[0], method)
+        )
+        ahead = planes < points
+        if not ahead.any():
+            return None
+        noise, (k, end) = self.noise, longest(ahead)
+        begin, last = float(noise[k]), float(noise[end - 1])
+        if k == 0 or not np.isfinite(points[k - 1] + planes[k - 1] + points[k] + planes[k]):
+            return begin, last
+        before, after = points[k - 1] - planes[k - 1], points[k] - planes[k]
+        return float(noise[k - 1] + (noise[k] - noise[k - 1]) * before / (before - after)), last
+
+    def fails_at(self, method: Method) -> float | None:
+        """Return the noise, over the spacing, from which on a method maps too little, if any."""
+        works = np.flatnonzero(~self.failed(method))
+        beyond = self.noise[works[-1] + 1 if len(works) else 0 :]
+        return float(beyond[0]) if len(beyond) else None
+
+
+def run_crossing(
+    spacings_m: Iterable[float],
+    noises: Iterable[float],
+    seeds: Iterable[int],
+    iterations: int | None = None,
+    progress: Watch = iter,
+) -> list[Crossing]:
+    """Map the same points as planes and as points, for all spacings, noises and seeds.
+
+    Parameters
+    ----------
+    spacings_m : iterable of float
+        Of the points on the walls, metres.
+    noises : iterable of float
+        In units of the spacing.
+    seeds : iterable of int
+        Of building, points and noise.
+    iterations : int, optional
+        Scans of a run; one loop where left out.
+    progress : callable, optional
+        Wraps the list of cells, to show progress.
+
+    Returns
+    -------
+    list of Crossing
+        One for each spacing.
+    """
+    runs: dict[float, list[CrossingRow]] = {}
+    for spacing_m, noise, seed in progress(list(product(spacings_m, noises, seeds))):
+        seen = wall_points(spacing_m, noise, seed, iterations)
+        runs.setdefault(spacing_m, []).extend(map_of(method, seen)[1] for method in METHODS)
+    return [Crossing(spacing_m, tuple(each)) for spacing_m, each in runs.items()]
+
+
+def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, CrossingRow]:
+    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
+    if method == "planes":
+        run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
+        found = evaluate(run.result, seen.walls_truth)
+        rmse_m = found.corner_rmse_m
+    else:
+        association: Association = "nearest" if method == "points" else "known"
+        run = run_mapper(PointMapper(), seen.points, association, refine=True)
+        found = evaluate(run.result, seen.points_truth, seen.points)
+        rmse_m = found.landmark_rmse_m
+    about = (method, seen.spacing_m, seen.noise, seen.sigma, seen.seed)
+    matched = found.counts["matched_poses"] / len(seen.scans)
+    row = CrossingRow(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
+    return run.result, row
+
+
+def _run(quick: bool, data: Path | None, watch: Watch) -> list[Crossing]:
     spacings_m, noises, seeds = QUICK if quick else FULL
-    return outcome(run_crossing(spacings_m, noises, seeds, progress=watch))
+    return run_crossing(spacings_m, noises, seeds, progress=watch)
 
 
-def outcome(data: Crossing) -> Outcome:
-    """Judge all runs."""
-    points = METHODS[1]
-    ahead = [data.planes_ahead(points, spacing_m) for spacing_m in data.spacings_m]
-    lost = [data.fails_at(points, spacing_m) for spacing_m in data.spacings_m]
+def _judge(data: list[Crossing]) -> Outcome:
+    ahead = [each.planes_ahead("points") for each in data]
     begins = [interval[0] for interval in ahead if interval is not None]
+    rows = [["" if v is None else v for v in astuple(run)] for each in data for run in each.runs]
     return Outcome(
-        lambda: plot_crossing(data),
-        Table(data.COLUMNS, list(data.rows())),
+        Table([field.name for field in fields(CrossingRow)], rows),
         max(begins, default=float("nan")),
-        "noise over spacing from which on planes have the better map",
-        " ".join(map(sentence, said(data).splitlines())),
-        judged(len(begins) == len(ahead), None not in lost),
+        " ".join(sentence(_said(each)) for each in data),
+        judged(len(begins) == len(ahead), None not in [each.fails_at("points") for each in data]),
     )
 
 
-def plot_crossing(data: Crossing) -> Figure:
-    """Draw errors and what is mapped over the noise: a row for each spacing of the points."""
-    spacings = data.spacings_m
-    figure = blank(13.5, 0.9 + 3.7 * len(spacings))
-    grid = figure.subplots(len(spacings), len(PANELS), squeeze=False)
-    for row, spacing_m in zip(grid, spacings, strict=True):
-        for axes, name in zip(row, PANELS, strict=True):
-            _draw_panel(axes, data, name, spacing_m)
-    legend_below(figure, 5, grid[0, 0])
-    title = "Planes and points from the same raw points, over sigma / spacing"
-    figure.suptitle(f"{title}\n{said(data)}", fontsize=11)
-    return figure
-
-
-def said(data: Crossing) -> str:
-    """Return where planes overtake points, a line for each spacing."""
-    return "\n".join(_said(data, spacing_m) for spacing_m in data.spacings_m)
-
-
-def _said(data: Crossing, spacing_m: float) -> str:
-    lowest, highest = data.noises(spacing_m)[0], data.noises(spacing_m)[-1]
+def _said(data: Crossing) -> str:
+    """Say where planes overtake points."""
+    lowest, highest = data.noise[[0, -1]]
 
     def at(begin: float | None, last: float = highest) -> str:
         if begin is None:
@@ -75,27 +212,39 @@ def _said(data: Crossing, spacing_m: float) -> str:
         text = f"from {begin:.2f}" + (" or below" if begin <= lowest else "")
         return text + (f" to {last:g}" if last < highest else "")
 
-    own, known = (data.planes_ahead(method, spacing_m) for method in METHODS[1:])
-    fails, planes_fail = (at(data.fails_at(method, spacing_m)) for method in ("points", "planes"))
+    own, known = (data.planes_ahead(method) for method in METHODS[1:])
+    fails, planes_fail = (at(data.fails_at(method)) for method in ("points", "planes"))
     return (
-        f"points {spacing_m:g} m apart: planes have the better map {at(*own or (None,))}, "
+        f"points {data.spacing_m:g} m apart: planes have the better map {at(*own or (None,))}, "
         f"{at(*known or (None,))} if the ids of points were given; "
         f"points lose half {fails}, planes {planes_fail}"
     )
 
 
-def _draw_panel(axes: Axes, data: Crossing, name: str, spacing_m: float) -> None:
-    noise = np.array(data.noises(spacing_m))
+def _plot(data: list[Crossing]) -> Figure:
+    """Draw errors and what is mapped over the noise: a row for each spacing of the points."""
+    figure = blank(13.5, 0.9 + 3.7 * len(data))
+    grid = figure.subplots(len(data), len(PANELS), squeeze=False)
+    for row, each in zip(grid, data, strict=True):
+        for axes, name in zip(row, PANELS, strict=True):
+            _draw_panel(axes, each, name)
+    legend_below(figure, 5, grid[0, 0])
+    title = "Planes and points from the same raw points, over sigma / spacing"
+    figure.suptitle("\n".join([title, *map(_said, data)]), fontsize=11)
+    return figure
+
+
+def _draw_panel(axes: Axes, data: Crossing, name: str) -> None:
     share = name == "coverage"
     scale = 100 if share else 1
     for method, colour in COLOURS.items():
-        runs = data.values(name, method, spacing_m) * scale
+        runs, median = data.values(name, method) * scale, data.median(name, method) * scale
         runs = np.where(np.isfinite(runs), runs, np.nan)
-        median = data.median(name, method, spacing_m) * scale
-        lost = data.median("coverage", method, spacing_m) < HALF
-        median = np.where(np.isfinite(median) & (share | ~lost), median, np.nan)
-        axes.plot(noise, runs, ".", color=colour, markersize=4, alpha=0.5)
-        axes.plot(noise, median, "o-", color=colour, markersize=5, label=f"{method}, median")
+        shown = np.isfinite(median) & (share | ~data.failed(method))
+        label = f"{method}, median"
+        axes.plot(data.noise, runs, ".", color=colour, markersize=4, alpha=0.5)
+        median = np.where(shown, median, np.nan)
+        axes.plot(data.noise, median, "o-", color=colour, markersize=5, label=label)
     axes.plot([], [], ".", color=GREY, label="one seed")
     if share:
         axes.axhline(100 * HALF, color=GREY, linestyle=":", linewidth=1.2)
@@ -103,9 +252,10 @@ def _draw_panel(axes: Axes, data: Crossing, name: str, spacing_m: float) -> None
     else:
         axes.set_yscale("log")
     if name == "map_rmse_m":
-        axes.plot(noise, BAR * noise * spacing_m, ":", color=GREY, label=f"{BAR} sigma")
+        bar = BAR * data.noise * data.spacing_m
+        axes.plot(data.noise, bar, ":", color=GREY, label=f"{BAR} sigma")
     title, unit = PANELS[name]
-    finish(axes, f"{title}, points {spacing_m:g} m apart", "noise: sigma / spacing", unit)
+    finish(axes, f"{title}, points {data.spacing_m:g} m apart", "noise: sigma / spacing", unit)
 
 
 FIGURE = PaperFigure(
@@ -119,5 +269,8 @@ FIGURE = PaperFigure(
         "at every spacing of the points there is a noise from which on planes have the better map, "
         "and one at which points lose half of it; partly where one of the two holds"
     ),
+    unit="noise over spacing from which on planes have the better map",
     run=_run,
+    judge=_judge,
+    draw=_plot,
 )

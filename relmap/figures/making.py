@@ -1,27 +1,86 @@
-"""Run figures and write what comes out: pictures, data, verdicts and one page."""
+"""All figures; run some and write what comes out: pictures, data, verdicts and one page."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from relmap.core.errors import RelmapError
-from relmap.figures.base import Made, PaperFigure, Table, Watch, unwatched
-from relmap.figures.figure17 import victoria_park
-from relmap.figures.page import page
-from relmap.figures.registry import NEEDS_DATA
+from relmap.figures import (
+    figure04,
+    figure05,
+    figure06,
+    figure07,
+    figure09_11,
+    figure12,
+    figure13,
+    figure14_15,
+    figure16,
+    figure17,
+    figure_crossing,
+)
+from relmap.figures.base import PaperFigure, Table, Watch
+from relmap.figures.page import Made, page
 from relmap.io.files import atomic_write
 from relmap.plots.sheet import write_png
 
-PAGE = "index.html"
-VERDICTS = "verdicts.csv"
+FIGURES: tuple[PaperFigure[Any], ...] = (
+    figure04.FIGURE,
+    figure05.FIGURE,
+    figure06.FIGURE,
+    figure07.FIGURE,
+    figure_crossing.FIGURE,
+    *figure09_11.FIGURES,
+    figure12.FIGURE,
+    figure13.FIGURE,
+    *figure14_15.FIGURES,
+    figure16.FIGURE,
+    figure17.FIGURE,
+)
+"""In the paper's order."""
+NEEDS_DATA = "17"
 NO_DATA = "needs the Victoria Park data: give their folder with --data PATH"
 
 
-def check_data(figures: Sequence[PaperFigure], data: Path | None) -> None:
-    """Make sure that something can be run before anything is.
+def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
+    """Return the figures of these names in the paper's order, each once.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Where it is empty, all figures of the paper.
+
+    Raises
+    ------
+    RelmapError
+        Where there is no such figure.
+    """
+    if not names:
+        return [figure for figure in FIGURES if figure.name.isdigit()]
+    wanted = {name.lstrip("0"): name for name in names}
+    for bare, name in wanted.items():
+        if bare in ("1", "2", "3", "8"):
+            raise RelmapError(
+                f"figure {name} of the paper is a sketch without results; "
+                "those with results are 4 to 7 and 9 to 17"
+            )
+        if bare not in [figure.name for figure in FIGURES]:
+            raise RelmapError(f"no figure {name!r}; figures are 4 to 7, 9 to 17, and crossing")
+    return [figure for figure in FIGURES if figure.name in wanted]
+
+
+def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
+    """Make sure, before anything is run, that the real data can be used.
+
+    Parameters
+    ----------
+    figures : sequence of PaperFigure
+        Those to be run.
+    data : Path or None
+        Where the real data are.
 
     Raises
     ------
@@ -30,15 +89,27 @@ def check_data(figures: Sequence[PaperFigure], data: Path | None) -> None:
     """
     names = [figure.name for figure in figures]
     if data is not None and NEEDS_DATA in names:
-        victoria_park(data)
+        figure17.victoria_park(data)
     elif names == [NEEDS_DATA]:
         raise RelmapError(f"figure {NEEDS_DATA} {NO_DATA}")
 
 
 def make_figure(
-    figure: PaperFigure, folder: Path, quick: bool, data: Path | None, watch: Watch = unwatched
+    figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch = iter
 ) -> Made:
-    """Run a figure and write its picture and its data; where the run fails, its note says so.
+    """Run a figure and write its picture and its data; where the run fails, the note says why.
+
+    Parameters
+    ----------
+    figure : PaperFigure
+    folder : Path
+        Where the files go.
+    quick, data, watch
+        As `PaperFigure.run` takes them.
+
+    Returns
+    -------
+    Made
 
     Raises
     ------
@@ -48,11 +119,12 @@ def make_figure(
     if data is None and figure.name == NEEDS_DATA:
         return Made(figure, None, NO_DATA)
     try:
-        outcome = figure.run(quick, data, watch)
+        found = figure.run(quick, data, watch)
+        outcome = figure.judge(found)
     except (RelmapError, RuntimeError, np.linalg.LinAlgError) as error:
         return Made(figure, None, "failed: " + " ".join(str(error).split())[:200])
     picture = folder / f"{figure.stem}.png"
-    write_png(picture, outcome.draw)
+    write_png(picture, lambda: figure.draw(found))
     outcome.table.write(picture.with_suffix(".csv"))
     for ending, write in outcome.more.items():
         write(folder / f"{figure.stem}{ending}")
@@ -61,7 +133,15 @@ def make_figure(
 
 
 def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
-    """Write the page and the table of verdicts on figures that `make_figure` made.
+    """Write the page, index.html, and the table of verdicts, verdicts.csv.
+
+    Parameters
+    ----------
+    folder : Path
+    made : sequence of Made
+        What `make_figure` returned.
+    quick : bool
+        Whether the runs were small.
 
     Raises
     ------
@@ -70,5 +150,5 @@ def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
     """
     done = [(each.figure.name, each.outcome) for each in made if each.outcome is not None]
     rows = [(name, found.value, found.verdict) for name, found in done]
-    Table(("figure", "value", "verdict"), rows).write(folder / VERDICTS)
-    atomic_write(folder / PAGE, page(made, quick))
+    Table(("figure", "value", "verdict"), rows).write(folder / "verdicts.csv")
+    atomic_write(folder / "index.html", page(made, quick))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 from relmap.evaluation.summary import versions
-from relmap.figures.base import Made
+from relmap.figures.base import Outcome, PaperFigure
 
 SKIPPED = "not run"
 DENSITY = 1.5
@@ -39,16 +41,37 @@ img { display: block; max-width: 100%; height: auto; margin: .8rem auto; }
 code { font-size: .92em; }
 @media (max-width: 50rem) { .beside { grid-template-columns: 1fr; gap: .6rem; } }
 """
-BADGES = {
-    "borne out": "yes",
-    "partly borne out": "partly",
-    "not borne out": "no",
-    SKIPPED: "none",
-}
+BADGES = {"borne out": "yes", "partly borne out": "partly", "not borne out": "no", SKIPPED: "none"}
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """A figure with what came out, or None where there is nothing, for the reason in `note`.
+
+    `files` are what was written, by name; the picture is one of them.
+    """
+
+    figure: PaperFigure[Any]
+    outcome: Outcome | None
+    note: str = ""
+    files: tuple[str, ...] = ()
+    picture: bytes = b""
 
 
 def page(entries: Sequence[Made], quick: bool) -> str:
-    """Return the page as HTML with everything in it, in the order of the entries."""
+    """Return the page as HTML with everything in it.
+
+    Parameters
+    ----------
+    entries : sequence of Made
+        In the order of the page.
+    quick : bool
+        Whether the runs were small.
+
+    Returns
+    -------
+    str
+    """
     small = "small runs (--quick): figures and verdicts of the full size may differ"
     size = small if quick else "runs of full size"
     said = ", ".join(f"{name} {version}" for name, version in versions().items())
@@ -61,7 +84,7 @@ def page(entries: Sequence[Made], quick: bool) -> str:
         "<h1>The paper's figures from runs of relmap</h1>",
         "<p>What &ldquo;A Relative Mapping Algorithm&rdquo; claims with each figure, what this "
         "software does, and whether the claim is borne out: computed from the data by the rule "
-        "that stands below each figure.</p>",
+        "below each figure.</p>",
         f'<p class="small">{escape(size)}. {escape(said)}. Times are processor time of one '
         "machine.</p>",
         _summary(entries),
@@ -77,31 +100,19 @@ def _badge(entry: Made) -> str:
 
 
 def _summary(entries: Sequence[Made]) -> str:
-    rows = [
-        f'<tr><td><a href="#f{entry.figure.name}">{escape(entry.figure.heading)}</a></td>'
-        f"<td>{escape(entry.figure.title)}</td>"
-        f"{_figure(entry)}"
-        f'<td class="verdict">{_badge(entry)}</td></tr>'
-        for entry in entries
-    ]
     names = ("figure", "shows", "our figure", "what that is", "the claim is")
     head = f"<tr>{''.join(f'<th>{name}</th>' for name in names)}</tr>"
-    return f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
+    return f"<table><thead>{head}</thead><tbody>{''.join(map(_row, entries))}</tbody></table>"
 
 
-def _figure(entry: Made) -> str:
-    """Return the two cells that hold our figure, and what it is."""
-    found = entry.outcome
-    value, told = ("", entry.note) if found is None else (f"{found.value:.3g}", found.unit)
-    return f"<td>{value}</td><td>{escape(told)}</td>"
-
-
-def _shown_width(png: bytes) -> int:
-    """Return the width, in pixels of the page, at which the text of a picture is as large as ours.
-
-    The width of a PNG stands in its header, big-endian, after 16 bytes.
-    """
-    return round(int.from_bytes(png[16:20], "big") / DENSITY)
+def _row(entry: Made) -> str:
+    figure, found = entry.figure, entry.outcome
+    value, unit = ("", entry.note) if found is None else (f"{found.value:.3g}", figure.unit)
+    return (
+        f'<tr><td><a href="#f{figure.name}">{escape(figure.heading)}</a></td>'
+        f"<td>{escape(figure.title)}</td><td>{value}</td><td>{escape(unit)}</td>"
+        f'<td class="verdict">{_badge(entry)}</td></tr>'
+    )
 
 
 def _section(entry: Made) -> str:
@@ -118,7 +129,8 @@ def _section(entry: Made) -> str:
     if outcome is not None:
         picture = b64encode(entry.picture).decode()
         names = ", ".join(f"<code>{escape(name)}</code>" for name in entry.files)
-        width = _shown_width(entry.picture)
+        # The header of a PNG holds its width, big-endian, after 16 bytes.
+        width = round(int.from_bytes(entry.picture[16:20], "big") / DENSITY)
         parts.append(f'<img alt="{named}" width="{width}" src="data:image/png;base64,{picture}">')
         parts.append(f'<p class="small">Beside this page: {names}</p>')
     return "".join([*parts, "</section>"])

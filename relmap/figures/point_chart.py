@@ -18,9 +18,9 @@ from relmap.core.state.store import ObservationStore
 from relmap.datasets.base import ObservationLog
 from relmap.simulation import simulate_figure_eight
 
-QUICK_ITERATIONS = 300
+ITERATIONS, QUICK_ITERATIONS = 900, 300
 VISIT = 100
-"""Iterations for which the seed is in view, as nearly as may be."""
+"""Iterations for which the seed is in view, as nearly as possible."""
 MARGIN = 20
 """Iterations that are shown before and after."""
 FEWEST_MEMBERS = 4
@@ -33,45 +33,41 @@ class ChartPicture:
 
     Attributes
     ----------
-    seed : int
     begin : int
         First iteration of the window.
-    landmarks : (n,) int64, ascending
-        All that were visible together with the seed, and the seed.
+    landmarks : (n,) int64
+        The seed and all that were visible together with it, sorted by the interval they have in
+        common with the seed: the seed first.
     visible : (n, i) bool
         One column for each iteration of the window.
-    order : (n,) int64
-        Rows sorted by the interval they have in common with the seed.
     members : int
-        The group is the first so many of `order`.
+        How many landmarks, from the first on, make the group.
     """
 
-    seed: int
     begin: int
     landmarks: NDArray[np.int64]
     visible: NDArray[np.bool_]
-    order: NDArray[np.int64]
     members: int
 
     @property
-    def seed_interval(self) -> NDArray[np.bool_]:
-        """In which iterations of the window the seed was visible; (i,)."""
-        return np.asarray(self.visible[self.order[0]])
+    def seed(self) -> int:
+        """The landmark around which the chart is."""
+        return int(self.landmarks[0])
 
     @property
     def common_interval(self) -> NDArray[np.int64]:
-        """Iterations that each landmark has in common with the seed, in sorted order; (n,)."""
-        return np.asarray((self.visible & self.seed_interval).sum(axis=1)[self.order])
+        """Iterations that each landmark has in common with the seed; (n,)."""
+        return np.asarray((self.visible & self.visible[0]).sum(axis=1))
 
     @property
     def group_interval(self) -> NDArray[np.bool_]:
         """In which iterations all members of the group were visible; (i,)."""
-        return np.asarray(self.visible[self.order[: self.members]].all(axis=0))
+        return np.asarray(self.visible[: self.members].all(axis=0))
 
     @property
     def area(self) -> NDArray[np.int64]:
-        """Members x common interval of the first 1, 2, ... landmarks in sorted order; (n,)."""
-        together = np.logical_and.accumulate(self.visible[self.order], axis=0)
+        """Members x common interval of the first 1, 2, ... landmarks; (n,)."""
+        together = np.logical_and.accumulate(self.visible, axis=0)
         return np.asarray(np.arange(1, len(together) + 1) * together.sum(axis=1))
 
 
@@ -84,31 +80,19 @@ def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> C
         Where the seed was not seen with enough others to be grouped.
     """
     chart = PointChart.around(seed, store, begin, end)
-    n = len(chart.landmarks)
-    rows, unmapped = np.arange(n), np.zeros(n)
-    group = grow_group(chart, rows, unmapped, FEWEST_MEMBERS, 0) if n else None
+    rows, unmapped = np.arange(len(chart.landmarks)), np.zeros(len(chart.landmarks))
+    group = grow_group(chart, rows, unmapped, FEWEST_MEMBERS, 0) if len(rows) else None
     if group is None:
         raise RelmapError(f"landmark {seed} makes no group in iterations {begin} to {end - 1}")
-    by_number = np.argsort(chart.landmarks)
-    landmarks, iterations = store.seen(begin, end)
-    charted = np.isin(landmarks, chart.landmarks)
-    visible = np.zeros((n, end - begin), dtype=bool)
-    row = np.searchsorted(chart.landmarks[by_number], landmarks[charted])
-    visible[row, iterations[charted] - begin] = True
-    order = np.argsort(by_number)[chart.sorted_by_common_interval(rows, unmapped)]
-    return ChartPicture(
-        seed, begin, chart.landmarks[by_number], visible, order, members=len(group.rows)
-    )
+    landmarks = chart.landmarks[chart.sorted_by_common_interval(rows, unmapped)]
+    seen, iterations = store.seen(begin, end)
+    window = np.arange(begin, end)
+    visible = np.array([np.isin(window, iterations[seen == each]) for each in landmarks])
+    return ChartPicture(begin, landmarks, visible, members=len(group.rows))
 
 
 def paper_stops(area: NDArray[np.int64]) -> int:
-    """Return how many members the paper's rule takes: up to the first that adds no area.
-
-    Parameters
-    ----------
-    area : (n,) int64
-        Members x common interval of the first 1, 2, ... landmarks.
-    """
+    """Return how many members the paper's rule takes: up to the first that adds no area (n,)."""
     falls = np.flatnonzero(np.diff(area[FEWEST_MEMBERS - 1 :]) <= 0)
     return int(falls[0]) + FEWEST_MEMBERS if len(falls) else len(area)
 
@@ -122,7 +106,7 @@ class ChartedRun:
     log : ObservationLog
         With the true ids.
     store : ObservationStore
-        With the landmarks as they were told apart.
+        With the landmarks as the association tells them apart.
     """
 
     log: ObservationLog
@@ -140,27 +124,27 @@ class ChartedRun:
         return [visit for visit in visits if visit[1] >= MARGIN and visit[2] <= latest]
 
     def truly_visible(self, chart: ChartPicture) -> NDArray[np.bool_]:
-        """Return what the simulator says to the cells (n, i) of a chart.
+        """Return which cells (n, i) of a chart are truly visible.
 
-        A row is of the true landmark that most of its observations are of.
+        A row is of the true landmark to which most of its observations belong.
         """
-        assert self.log.ids is not None
+        ids = self.log.ids
+        assert ids is not None
         end = chart.begin + chart.visible.shape[1]
         landmarks, iterations = self.store.seen(0, self.store.n_iterations)
         assert np.array_equal(iterations, self.log.iteration)
         within = (iterations >= chart.begin) & (iterations < end)
         truly = np.zeros_like(chart.visible)
         for row, landmark in enumerate(chart.landmarks):
-            ids = self.log.ids[within & (landmarks == landmark)]
-            own = within & (self.log.ids == np.bincount(ids).argmax())
+            own = within & (ids == np.bincount(ids[within & (landmarks == landmark)]).argmax())
             truly[row, iterations[own] - chart.begin] = True
         return truly
 
 
 @cache
 def charted_run(quick: bool) -> ChartedRun:
-    """Drive the figure eight and register every scan; kept for the next figure."""
-    iterations = QUICK_ITERATIONS if quick else 900
+    """Drive the figure eight, briefly or in full, and register every scan; cached."""
+    iterations = QUICK_ITERATIONS if quick else ITERATIONS
     log = simulate_figure_eight(density=25, iterations=iterations).log
     store, registration = ObservationStore(), Constellation(MapperConfig().max_missed)
     for scan in log.scans():

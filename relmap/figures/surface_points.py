@@ -17,7 +17,7 @@ from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, stored_scans
 from relmap.evaluation.sources import truth_of
 from relmap.evaluation.truth import Truth
-from relmap.simulation import Building, BuildingScan
+from relmap.simulation import Building, BuildingScan, simulate_building
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +27,15 @@ class SurfacePoints:
     Attributes
     ----------
     scans : ScanLog
-        Without telling which point is which.
+        Without the identities of the points.
     points : ObservationLog
         The same points, ids for the evaluation only.
     walls_truth, points_truth : Truth
     spacing_m : float
         Each square of this side on a wall has one point.
-    sigma : float
-        Standard deviation of each coordinate, metres.
+    noise : float
+        Standard deviation of each coordinate in units of the spacing.
+    seed : int
     """
 
     scans: ScanLog
@@ -42,72 +43,72 @@ class SurfacePoints:
     walls_truth: Truth
     points_truth: Truth
     spacing_m: float
-    sigma: float
+    noise: float
+    seed: int
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of each coordinate, metres."""
+        return self.noise * self.spacing_m
+
+
+def wall_points(
+    spacing_m: float, noise: float, seed: int, iterations: int | None = None
+) -> SurfacePoints:
+    """Return a drive through a building past fixed points; see `scan_surface_points`."""
+    building = simulate_building(points=1, sigma=0.0, seed=seed, iterations=iterations)
+    return scan_surface_points(building, spacing_m, noise, seed)
 
 
 def scan_surface_points(
-    building: Building, spacing_m: float, sigma: float, seed: int
+    building: Building, spacing_m: float, noise: float, seed: int
 ) -> SurfacePoints:
     """Let a robot that drives through a building see fixed points of its walls.
 
     Parameters
     ----------
     building : Building
-        Its way, and what it sees of which wall; its own points are not used.
+        Its path and visible walls are used, its own points are not.
     spacing_m : float
         Side of the squares that have one point each, somewhere in them, metres.
-    sigma : float
-        Standard deviation of the normal noise of each coordinate, metres.
+    noise : float
+        Standard deviation of the normal noise of each coordinate, in units of the spacing.
     seed : int
         Seed of points and noise.
+
+    Returns
+    -------
+    SurfacePoints
 
     Raises
     ------
     RelmapError
         Where the spacing is not positive or the noise is negative.
     """
-    if not (0 < spacing_m < np.inf and 0 <= sigma < np.inf):
+    if not (0 < spacing_m < np.inf and 0 <= noise < np.inf):
         raise RelmapError(
-            f"spacing is {spacing_m} and sigma {sigma}; "
-            "they must be a positive length and a length of 0 or more, metres"
+            f"spacing is {spacing_m} and noise {noise}; "
+            "they must be a positive length, metres, and a multiple of it, 0 or more"
         )
     rng = np.random.default_rng(seed)
     places, wall, along = _points_on(building.walls, spacing_m, rng)
-    seen = [
-        rng.permutation(_in_view(scan, T, building.walls, wall, along))
-        for scan, T in zip(building.scans, building.trajectory, strict=True)
-    ]
+    pairs = list(zip(building.scans, building.trajectory, strict=True))
+    seen = [rng.permutation(_in_view(scan, T, building.walls, wall, along)) for scan, T in pairs]
+    sigma, counts = noise * spacing_m, [len(rows) for rows in seen]
     points = np.concatenate(
         [
             (places[rows] - T[:3, 3]) @ T[:3, :3] + sigma * rng.standard_normal((len(rows), 3))
             for rows, T in zip(seen, building.trajectory, strict=True)
         ]
     )
-    counts = [len(rows) for rows in seen]
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    log = ObservationLog(
-        points,
-        np.repeat(np.arange(len(seen)), counts),
-        np.arange(len(points)),
-        0,
-        len(seen),
-        np.concatenate(seen),
-        building.stamps_s,
-    )
-    return SurfacePoints(
-        stored_scans(points, offsets, building.stamps_s, building.trajectory),
-        log,
-        truth_of(building),
-        Truth(
-            np.arange(len(places)),
-            places,
-            np.full(len(places), "static"),
-            building.stamps_s,
-            building.trajectory,
-        ),
-        spacing_m,
-        sigma,
-    )
+    stamps_s, poses = building.stamps_s, building.trajectory
+    iteration = np.repeat(np.arange(len(seen)), counts)
+    ids = np.concatenate(seen)
+    log = ObservationLog(points, iteration, np.arange(len(points)), 0, len(seen), ids, stamps_s)
+    scans = stored_scans(points, np.cumsum([0, *counts]), stamps_s, poses)
+    status = np.full(len(places), "static")
+    points_truth = Truth(np.arange(len(places)), places, status, stamps_s, poses)
+    return SurfacePoints(scans, log, truth_of(building), points_truth, spacing_m, noise, seed)
 
 
 def _points_on(

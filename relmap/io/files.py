@@ -10,13 +10,21 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import poses_of
-from relmap.datasets.textfile import numbered_lines, open_text, quoted, require_utf8, shown
+from relmap.datasets.textfile import (
+    numbered_lines,
+    open_text,
+    quoted,
+    replacing,
+    require_utf8,
+    shown,
+    why_not_written,
+)
 from relmap.io.tables import MAX_RESULT_M
 
 MAX_TEXT = 1 << 26
@@ -24,7 +32,7 @@ MAX_TEXT = 1 << 26
 
 
 def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
-    """Write a whole file or nothing: an earlier file of that name stays until the new one stands.
+    """Write a whole file or nothing: an earlier file of that name stays until then.
 
     Parameters
     ----------
@@ -38,24 +46,8 @@ def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     RelmapError
         Where the file cannot be written; no part of it is left behind.
     """
-    data = content.encode() if isinstance(content, str) else content
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        try:
-            with partial.open("xb") as stream:
-                stream.write(data)
-                _flush_to_disk(stream.fileno())
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
-    except OSError as error:
-        raise RelmapError(f"cannot write {shown(path)}: {_reason(error)}") from error
-
-
-def _reason(error: OSError) -> str:
-    if isinstance(error, FileExistsError | NotADirectoryError):
-        return "a file stands where a folder must be"
-    return shown(error.strerror or error)
+    with replacing(path) as file:
+        file.write(content.encode() if isinstance(content, str) else content)
 
 
 @contextmanager
@@ -95,7 +87,7 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
         for name in set(stale) - written:
             (folder / name).unlink(missing_ok=True)
     except OSError as error:
-        raise RelmapError(f"cannot write into {shown(folder)}: {_reason(error)}") from error
+        raise RelmapError(f"cannot write into {shown(folder)}: {why_not_written(error)}") from error
     except RelmapError as error:
         raise RelmapError(str(error).replace(str(staging), str(folder))) from error
     finally:
@@ -115,14 +107,9 @@ def _move_files(staging: Path, folder: Path) -> None:
                 f"cannot write {shown(folder / name)}: a folder of that name is there"
             )
         with (staging / name).open("rb") as stream:
-            _flush_to_disk(stream.fileno())
+            os.fsync(stream.fileno())
     for name in names:
         (staging / name).replace(folder / name)
-
-
-def _flush_to_disk(descriptor: int) -> None:
-    # Some file systems tell only here that the disk is full.
-    os.fsync(descriptor)
 
 
 def read_text(path: Path) -> str:
@@ -143,7 +130,7 @@ def read_text(path: Path) -> str:
     return text
 
 
-def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
+def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
     """Write a trajectory as a TUM file: ``t x y z qx qy qz qw``, in full precision.
 
     Parameters
@@ -173,7 +160,7 @@ def write_tum(path: Path, stamps_s: NDArray[np.float64], poses: NDArray[np.float
     atomic_write(path, "\n".join(lines) + "\n")
 
 
-def read_tum(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def read_tum(path: Path) -> tuple[Floats, Floats]:
     """Read a TUM file.
 
     Parameters
@@ -213,7 +200,7 @@ def _tum_row(where: str, line: str) -> list[float]:
         except ValueError:
             raise RelmapError(f"{where}: {quoted(cell)} is not a number") from None
     if not (np.isfinite(row).all() and max(map(abs, row[1:4])) <= MAX_RESULT_M):
-        raise RelmapError(f"{where}: {quoted(line)} holds a number that no pose can have")
+        raise RelmapError(f"{where}: {quoted(line)} holds a number that is out of range for a pose")
     if not 0.1 < max(map(abs, row[4:])) < 10:
         raise RelmapError(f"{where}: the quaternion qx qy qz qw is not of unit length")
     return row

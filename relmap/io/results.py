@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable, Submap
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
@@ -58,9 +58,9 @@ class Tracks:
     landmark : (n,) int64
     """
 
-    iteration: NDArray[np.int64]
-    row: NDArray[np.int64]
-    landmark: NDArray[np.int64]
+    iteration: Ints
+    row: Ints
+    landmark: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +84,8 @@ class Result:
 
     landmarks: LandmarkTable
     tracks: Tracks
-    stamps_s: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    stamps_s: Floats
+    poses: Floats
     summary: dict[str, Any]
     submaps: tuple[Submap, ...] = ()
 
@@ -95,7 +95,7 @@ class Result:
         return self.summary.get("dimensions") == 2
 
     @property
-    def mapped(self) -> NDArray[np.bool_]:
+    def mapped(self) -> Bools:
         """Which landmarks have a place in the map, (n,)."""
         return np.asarray(np.isfinite(self.landmarks.position).all(axis=1))
 
@@ -144,7 +144,7 @@ def submaps_text(submaps: tuple[Submap, ...]) -> str:
     return csv_text(list(SUBMAP_COLUMNS), rows)
 
 
-def ply_text(points_map: NDArray[np.float64]) -> str:
+def ply_text(points_map: Floats) -> str:
     """Return points (n, 3), metres, as an ASCII PLY file in full precision."""
     header = (
         "ply\nformat ascii 1.0\ncomment map frame, metres\n"
@@ -161,6 +161,15 @@ def json_text(content: dict[str, Any]) -> str:
 
 def read_result(folder: Path) -> Result:
     """Read a result folder.
+
+    Parameters
+    ----------
+    folder : Path
+
+    Returns
+    -------
+    Result
+        Without its submaps.
 
     Raises
     ------
@@ -188,6 +197,6 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 
 def shifted(table: T, iterations: int) -> T:
-    """Return a table of landmarks or walls with its iteration numbers raised by so many."""
+    """Return a table of landmarks or walls with `iterations` added to its iteration numbers."""
     numbers = ("first_iteration", "last_iteration")
     return replace(table, **{name: getattr(table, name) + iterations for name in numbers})

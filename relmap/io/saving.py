@@ -1,7 +1,7 @@
 """Saved states: the columns of a mapper's parts in an ``.npz`` of numpy, which is not compressed.
 
-Beside the columns there are ``header``, a text in JSON with all that is no array, and ``checksum``
-over everything.
+Beside the columns there are ``header``, a JSON text with everything that is not an array, and
+``checksum`` over everything.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
     parts : list
         See `relmap.core.state.saved`.
     about : dict
-        What else the file should tell, fit for JSON.
+        What else the file should hold, fit for JSON.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
     ----------
     path : Path
     begin : callable
-        Makes the parts, new ones, for what the file tells beside the state.
+        Makes new parts from what the file holds besides the state.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
         if header["format"] != FORMAT:
             raise RelmapError(_of_other_format(path, f"{header['format']!r:.20}"))
         if not np.array_equal(arrays.pop("checksum"), checksum(arrays)):
-            raise ValueError("its checksum is another")
+            raise ValueError("its checksum does not match")
         del arrays["header"]
         reader = StateReader(arrays | header["values"])
         for part in begin(header):
@@ -95,7 +95,9 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
             "map its log again"
         ) from error
     except (*DAMAGE, AttributeError, ArithmeticError) as error:
-        raise RelmapError(f"saved map {path} is damaged or none: {reason(error)}") from error
+        raise RelmapError(
+            f"saved map {path} is damaged or not a saved map: {reason(error)}"
+        ) from error
 
 
 def _of_other_format(path: Path, told: str) -> str:

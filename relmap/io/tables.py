@@ -53,7 +53,7 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def read_table(path: Path, columns: Mapping[str, Kind]) -> dict[str, NDArray[Any]]:
-    """Read the named columns of a CSV file with a header line; other columns are passed over.
+    """Read the named columns of a CSV file with a header line; other columns are skipped.
 
     Parameters
     ----------

@@ -38,10 +38,10 @@ WIDTH_IN, HEIGHT_IN, DPI = 11.0, 9.0, 110
 GIF_DPI = 72
 FPS = 8
 HOLD = 16
-"""Frames for which the last one stays."""
+"""Frames for which the last one is shown."""
 MARGIN_M = 0.8
 LEGEND_IN = 0.45
-"""The legend is so far below its panel."""
+"""Distance of the legend below its panel."""
 
 
 def write_bench_gif(
@@ -57,7 +57,7 @@ def write_bench_gif(
     path : Path
     frames : sequence of BenchFrame
     progress : callable, optional
-        Wraps the frames, to show how far it is.
+        Wraps the frames, to show progress.
     title : str, optional
 
     Raises
@@ -82,10 +82,16 @@ def write_bench_gif(
 
 
 def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
-    """Draw four panels.
+    """Draw mapped against true walls, the robot's points, the segmented planes, and the groups.
 
-    Mapped against true walls; the robot's view of points; the segmented planes; the map with group
-    connectivity.
+    Parameters
+    ----------
+    frame : BenchFrame
+    title : str, optional
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     figure = blank(WIDTH_IN, HEIGHT_IN, DPI, layout=None)
     _draw(figure, frame, _limits_of([frame]), title)

@@ -5,28 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
-from relmap.evaluation import metrics
-from relmap.evaluation.run import segment_scan
+from relmap.evaluation.feeding import segment_scan
 from relmap.evaluation.truth import Truth
 from relmap.planes import PlaneMapper
-from relmap.plots.path import fit_poses
+from relmap.plots.path import fit_to_truth
 from relmap.segmentation import PlaneSegmenter
 
 FRAMES = 80
-"""An animation has about so many, spread over the run."""
+"""Frames of an animation, about, spread over the run."""
 
 
 COLUMNS = ("what", "number", "x0", "y0", "x1", "y1")
 
 
 def rows_of(shapes: Mapping[str, NDArray[np.float64]]) -> Iterator[tuple[object, ...]]:
-    """Yield a line for each line (n, 2, 2) or known place (n, 2), as `COLUMNS` name them."""
+    """Yield a row for each line (n, 2, 2) and known place (n, 2), as `COLUMNS` name them."""
     for what, each in shapes.items():
         rest = () if each.ndim == 3 else ("", "")
         flat = each.reshape(-1, 4 - len(rest))
@@ -62,8 +60,6 @@ class BenchFrame:
         Empty where they are not known.
     """
 
-    COLUMNS: ClassVar = COLUMNS
-
     iteration: int
     points_robot: NDArray[np.float64]
     label: NDArray[np.int64]
@@ -95,7 +91,7 @@ class BenchRecorder:
         Those of the run.
     truth : Truth, optional
     every : int
-        A frame is kept after each so many scans; 0: none but the last, when asked for.
+        Scans from one frame to the next; 0: none is kept but the last, when asked for.
     view : SensorView, optional
         Where the sensor is on the robot; the segmenter sees from there.
     before_s : iterable of float
@@ -170,12 +166,9 @@ class BenchRecorder:
     def _world(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the motion R (2, 2), t (2,) from the map into the frame of the world."""
         placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
-        if self._truth is not None and len(placed):
-            stamps_s = np.array(self._stamps_s)[placed]
-            mine, other = metrics.match_stamps(stamps_s, self._truth.stamps_s)
-            if len(mine):
-                return fit_poses(poses[placed[mine]], self._truth.poses[other])
-        return np.eye(2), np.zeros(2)
+        stamps_s = np.array(self._stamps_s)[placed]
+        found = self._truth and fit_to_truth(stamps_s, poses[placed], self._truth)
+        return found or (np.eye(2), np.zeros(2))
 
     def _links(self, walls: NDArray[np.int64], middles: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return lines (l, 2, 2) from the middle of each group to its walls' middles."""
@@ -188,5 +181,5 @@ class BenchRecorder:
 
 
 def frame_step(n_scans: int, frames: int = FRAMES) -> int:
-    """Return after how many scans each a frame is kept, for about so many frames of a run."""
+    """Return the number of scans from one frame to the next, for about `frames` in all."""
     return max(1, math.ceil(n_scans / frames))

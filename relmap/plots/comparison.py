@@ -15,7 +15,7 @@ OURS = "relmap"
 """What the names of relmap's own methods begin with."""
 ROW_IN = 0.34
 MANY = 30.0
-"""Where the figures span more, only powers of ten are written."""
+"""Ratio of the largest to the smallest figure above which only powers of ten are written."""
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
@@ -58,7 +58,7 @@ def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
     known = np.array([value for value in values if value] or [1.0])
     least = known.min() / 2
     axes.set_xlim(least, 4 * known.max())
-    write_in_full(axes.xaxis, known, (1, 2, 5) if known.max() < MANY * known.min() else (1,))
+    write_in_full(axes.xaxis, (1, 2, 5) if known.max() < MANY * known.min() else (1,))
     for row, ((method, _), value) in enumerate(zip(rows, values, strict=True)):
         if not value:
             axes.text(least * 1.05, row, "no figure", va="center", fontsize=7, color=GREY)

@@ -5,27 +5,30 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.evaluation.metrics import match_stamps
+from relmap.evaluation.truth import Truth
+
 GAP = 3.0
-"""Times between poses, in usual ones, after which the path is not drawn through."""
+"""Time between poses, in median ones, over which no path is drawn."""
 JUMP = 5.0
-"""Steps, in those around them, that are none."""
+"""Step, in medians of those around it, that counts as a jump."""
 AROUND = 5
-"""So many steps before and after are held against each."""
+"""Steps before and after with which each is compared."""
 USUAL = 0.9
-"""This quantile of all steps, times `GAP`, is no jump yet."""
+"""Steps up to `GAP` times this quantile of all steps are no jumps."""
 
 
 def broken_at_gaps(
     stamps_s: NDArray[np.float64], position: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return positions (p + k, d) with NaN where the path is not known, so that none is drawn."""
+    """Return positions (k + gaps, d) with NaN where times (k,) are missing: no path is drawn."""
     step_s = np.diff(stamps_s)
     usual_s = np.median(step_s) if len(step_s) else 0.0
     return _broken(position, step_s > GAP * usual_s)
 
 
 def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions (p + k, d) with NaN where the path leaps, for want of its times."""
+    """Return positions (k + jumps, d) with NaN where the path leaps, for want of its times."""
     step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
     if not len(step_m):
         return position
@@ -42,11 +45,41 @@ def _broken(position: NDArray[np.float64], gap: NDArray[np.bool_]) -> NDArray[np
 def fit_poses(
     poses: NDArray[np.float64], others: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the planar motion R (2, 2), t (2,) that brings poses (k, 4, 4) onto others best.
+    """Return the planar motion that brings poses onto others best.
 
-    The turn is the mean one of the poses, so that one pose is enough.
+    Its rotation is the mean one of the poses, so that one pose is enough.
+
+    Parameters
+    ----------
+    poses, others : (k, 4, 4) float64
+
+    Returns
+    -------
+    R, t : (2, 2), (2,) float64
+        ``others ~ poses @ R.T + t`` of the positions.
     """
     turn = np.einsum("kij,klj->il", others[:, :2, :2], poses[:, :2, :2])
     angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
     R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return R, (others[:, :2, 3] - poses[:, :2, 3] @ R.T).mean(axis=0)
+
+
+def fit_to_truth(
+    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], truth: Truth
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return the planar motion that brings poses onto the true ones of the same times.
+
+    Parameters
+    ----------
+    stamps_s : (k,) float64, seconds
+    poses : (k, 4, 4) float64
+        ``T_map_robot``.
+    truth : Truth
+
+    Returns
+    -------
+    R, t : (2, 2), (2,) float64
+        As `fit_poses` returns them; None where no times are the same.
+    """
+    mine, other = match_stamps(stamps_s, truth.stamps_s)
+    return fit_poses(poses[mine], truth.poses[other]) if len(mine) else None

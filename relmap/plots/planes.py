@@ -1,4 +1,4 @@
-"""The picture of mapped walls, over the true ones where they are known."""
+"""Pictures of walls: as mapped, over the true ones where they are known, and as simulated."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from relmap.evaluation.corners import MatchedCorners
 from relmap.evaluation.truth import Truth
 from relmap.planes.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
-from relmap.plots.sheet import BLUE, PALE, Sheet, blank, to_png
+from relmap.plots.sheet import BLUE, INK, PALE, RED, Sheet, blank, legend_below, to_png
+from relmap.simulation import Building
 
 WALL = BLUE
 CORNER = "#0b7a3b"
@@ -35,16 +36,20 @@ def plot_submaps(
         Those to be drawn, the map itself first.
     n_submaps : int
         How many there are.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     if len(submaps) < 2:
         title = None if n_submaps < 2 else f"the largest of {n_submaps} submaps"
         return plot_planes(*submaps[0], title=title)
     columns = int(np.ceil(np.sqrt(len(submaps))))
     rows = -(-len(submaps) // columns)
-    figure = blank(PANEL_IN * columns, PANEL_IN * rows + 0.8, dpi=110, layout=None)
+    figure = blank(PANEL_IN * columns, PANEL_IN * rows + 0.8, dpi=110)
     for number, (planes, poses) in enumerate(submaps):
         axes = figure.add_subplot(rows, columns, number + 1, aspect="equal", adjustable="datalim")
-        n_walls, n_corners = draw_map(axes, planes, poses)
+        n_walls, n_corners = _draw_map(axes, planes, poses)
         name = "map" if number == 0 else f"submap {number}"
         axes.set_title(
             f"{name}: {len(poses)} scans, {n_walls} walls, {n_corners} corners", fontsize=8
@@ -53,15 +58,12 @@ def plot_submaps(
         axes.tick_params(labelsize=6)
     left = n_submaps - len(submaps)
     also = f", {left} of a few scans not drawn" if left else ""
-    figure.suptitle(f"{n_submaps} submaps that nothing ties to one another{also}", fontsize=11)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=3, frameon=False, fontsize=8)
-    height = figure.get_figheight()
-    figure.tight_layout(rect=(0.0, 0.3 / height, 1.0, 1.0 - 0.1 / height))
+    figure.suptitle(f"{n_submaps} separate submaps{also}", fontsize=11)
+    legend_below(figure, 3, axes)
     return figure
 
 
-def draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
+def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return how many walls and corners."""
     mapped = planes.status == "static"
     draw_walls(axes, planes.ends[mapped], "wall")
@@ -103,8 +105,33 @@ def plot_planes(
     axes = sheet.views[0][0]
     if truth is not None:
         draw_true_walls(axes, true_ends)
-    n_walls, n_corners = draw_map(axes, planes, poses)
+    n_walls, n_corners = _draw_map(axes, planes, poses)
     sheet.finish(title or f"{n_walls} walls, {n_corners} corners, {len(poses)} poses")
+    return sheet.figure
+
+
+def plot_building(building: Building) -> Figure:
+    """Draw a simulated building and the path from above, with the points of the first scan.
+
+    Parameters
+    ----------
+    building : Building
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    ends = building.walls[:, :4].reshape(-1, 2, 2)
+    way = building.trajectory[:, :3, 3]
+    T_map_robot = building.trajectory[0]
+    seen = building.scans[0].points @ T_map_robot[:3, :3].T + T_map_robot[:3, 3]
+    sheet = Sheet(_in_space(ends.reshape(-1, 2)), way, planar=True)
+    axes = sheet.views[0][0]
+    draw_walls(axes, ends, "wall", INK, zorder=3.0)
+    axes.plot(*way[:, :2].T, color=BLUE, linewidth=1.2, zorder=4, label="path of the robot")
+    axes.plot(*way[0, :2], "o", color=BLUE, markersize=5, zorder=5, label="start", linestyle="")
+    axes.plot(*seen[:, :2].T, ".", color=RED, markersize=0.8, zorder=2, label="first scan")
+    sheet.finish(f"{len(ends)} sides of walls, {len(building.scans)} scans")
     return sheet.figure
 
 
@@ -133,3 +160,4 @@ def _in_space(flat: NDArray[np.float64]) -> NDArray[np.float64]:
 
 write_planes_png = to_png(plot_planes)
 write_submaps_png = to_png(plot_submaps)
+write_building_png = to_png(plot_building)

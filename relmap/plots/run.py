@@ -23,7 +23,7 @@ WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
 """Residual, in units of what the noise explains, above which a place is ringed."""
 MOST_LINKS = 6000
-"""So many links between groups and members are drawn; of more groups only a part is shown."""
+"""Most links between groups and members that are drawn; of more groups a part is shown."""
 
 
 def plot_run(
@@ -129,10 +129,12 @@ def _draw_groups(
 
 def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
     """Ring the segments and merges that fit the refined map much worse than noise explains."""
-    told = result.summary.get("refinement") or {}
-    segments = [place for place in told.get("weakest_segments", ()) if place["residual"] > WEAK]
+    refinement = result.summary.get("refinement") or {}
+    segments, merges = (
+        [place for place in refinement.get(kind, ()) if place["residual"] > WEAK]
+        for kind in ("weakest_segments", "weakest_merges")
+    )
     place_of = dict(zip(result.landmarks.landmark.tolist(), result.landmarks.position, strict=True))
-    merges = [merge for merge in told.get("weakest_merges", ()) if merge["residual"] > WEAK]
     for label, marker, places in (
         ("stretch that fits badly", "o", [[*place["middle"], 0.0][:3] for place in segments]),
         ("doubtful merge", "D", [place_of[merge["landmark"]] for merge in merges]),

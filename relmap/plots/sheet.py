@@ -14,7 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PathCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
+from matplotlib.legend import Legend
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from relmap.io.files import atomic_write
@@ -29,20 +30,20 @@ PALE = "#e4e4e4"
 INK = "#333333"
 WIDTH_IN = 7.5
 HEIGHT_IN = 8.0
-"""The views together are at most so large; the figure has margins around them."""
-LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, GAP_IN = 0.8, 1.3, 0.5, 1.2, 0.55
+"""Largest size of the views together; the figure has margins around them."""
+BESIDE_IN, ABOVE_IN, BELOW_IN, NARROWEST_IN = 2.1, 0.9, 0.6, 6.5
 NARROWEST = 0.15
-"""No view is narrower than this share of its length."""
+"""Least width of a view as a share of its length."""
 BULK = (0.05, 0.95)
 """Between these quantiles lie most of the places that are drawn."""
 FAR = 1.0
-"""How far beyond most of them a place may be and be shown, in units of their extent."""
+"""Largest distance beyond most of them at which a place is shown, in units of their extent."""
 Limits = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest coordinates, metres."""
 
 
 def blank(width_in: float, height_in: float, dpi: int = 150, layout: Any = "constrained") -> Figure:
-    """Return an empty figure; in this layout its panels keep out of each other's way."""
+    """Return an empty figure; the constrained layout keeps its panels from overlapping."""
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout=layout)
     FigureCanvasAgg(figure)
     return figure
@@ -57,16 +58,16 @@ def finish(axes: Axes, title: str, x: str, y: str) -> None:
     axes.set_axisbelow(True)
 
 
-def legend_below(figure: Figure, ncols: int, *panels: Axes) -> None:
-    """Explain below the panels of a constrained figure what these of them show."""
-    told = [axes.get_legend_handles_labels() for axes in panels]
-    named = {label: handle for shown in told for handle, label in zip(*shown, strict=True)}
+def legend_below(figure: Figure, ncols: int, *panels: Axes) -> Legend:
+    """Put a legend of some panels below all panels of a constrained figure, and return it."""
+    shown = [axes.get_legend_handles_labels() for axes in panels]
+    named = {label: handle for pair in shown for handle, label in zip(*pair, strict=True)}
     style: dict[str, Any] = {"ncols": ncols, "frameon": False, "fontsize": 9}
-    figure.legend(list(named.values()), list(named), loc="outside lower center", **style)
+    return figure.legend(list(named.values()), list(named), loc="outside lower center", **style)
 
 
 def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: float = 0.0) -> Limits:
-    """Return the limits (d,), (d,) of what is to be shown, with a rim.
+    """Return the limits of what is to be shown, with a rim.
 
     Parameters
     ----------
@@ -75,6 +76,10 @@ def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: floa
     way : (k, d) float64, metres
         Shown as a whole, where it is not NaN.
     rim_m : float
+
+    Returns
+    -------
+    low, high : (d,) float64, metres
     """
     way = way[np.isfinite(way).all(axis=1)]
     if len(places):
@@ -89,19 +94,15 @@ def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: floa
 
 
 def draw_limits(axes: Axes, limits: Limits) -> None:
-    """Have a panel of two equal axes show what lies within limits."""
+    """Have a panel show what lies within limits (2,), (2,), in one scale for both axes."""
     low, high = limits
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
-def write_in_full(
-    axis: Any, values: NDArray[np.float64], digits: Sequence[int] = (1, 2, 5)
-) -> None:
-    """Write the numbers of a logarithmic axis, that begin with these digits, as 1, 2, 5, 10, ..."""
-    steps = np.outer(10.0 ** np.arange(-6, 9), digits).ravel()
-    shown = steps[(steps >= values.min() / 1.7) & (steps <= values.max() * 1.7)]
-    axis.set_major_locator(FixedLocator(shown.tolist()))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+def write_in_full(axis: Any, digits: Sequence[int] = (1, 2, 5)) -> None:
+    """Write the numbers of a logarithmic axis that begin with these digits, as 1, 2, 5, 10, ..."""
+    axis.set_major_locator(LogLocator(10, digits))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
@@ -114,40 +115,33 @@ class Sheet:
         What is to be drawn; see `limits_of`.
     planar : bool
         Whether the view from above is enough.
+
+    Attributes
+    ----------
+    figure : matplotlib.figure.Figure
+    views : list of (Axes, list of int)
+        Panels, and which coordinates each shows.
     """
 
     def __init__(self, places: NDArray[np.float64], way: NDArray[np.float64], planar: bool) -> None:
         low, high = _padded(limits_of(places, way))
         self._outside = int(((places < low) | (places > high)).any(axis=1).sum())
-        x_m, y_m, z_m = (high - low).tolist()
-        tall_m = y_m if planar else y_m + z_m
-        scale = min(WIDTH_IN / x_m, HEIGHT_IN / tall_m)
-        sizes = [y_m * scale] if planar else [y_m * scale, z_m * scale]
-        width = max(scale * x_m + LEFT_IN + RIGHT_IN, 6.5)
-        height = TOP_IN + sum(sizes) + GAP_IN * (len(sizes) - 1) + BOTTOM_IN
-        self.figure = blank(width, height, layout=None)
-        left = (width - scale * x_m + LEFT_IN - RIGHT_IN) / 2
-        self.views: list[tuple[Axes, list[int]]] = []
-        top = height - TOP_IN
-        for size, across in zip(sizes, (1, 2), strict=False):
-            box = (left / width, (top - size) / height, scale * x_m / width, size / height)
-            axes = self.figure.add_axes(box)
-            axes.set_xlim(low[0], high[0])
-            axes.set_ylim(low[across], high[across])
-            axes.set_ylabel(f"{'xyz'[across]} [m]")
-            axes.grid(color=PALE, linewidth=0.5)
-            axes.set_axisbelow(True)
-            self.views.append((axes, [0, across]))
-            top -= size + GAP_IN
-        axes.set_xlabel("x [m]")
-        self._right = (left + scale * x_m + 0.15) / width
-        self._width, self._height = width, height
+        pairs = [[0, 1]] if planar else [[0, 1], [0, 2]]
+        tall_m = [float(high[up] - low[up]) for _, up in pairs]
+        wide_m = float(high[0] - low[0])
+        scale = min(WIDTH_IN / wide_m, HEIGHT_IN / sum(tall_m))
+        width = max(scale * wide_m + BESIDE_IN, NARROWEST_IN)
+        self.figure = blank(width, scale * sum(tall_m) + BELOW_IN * len(pairs) + ABOVE_IN)
+        panels = self.figure.subplots(len(pairs), 1, squeeze=False, height_ratios=tall_m)[:, 0]
+        self.views = list(zip(panels.tolist(), pairs, strict=True))
+        for axes, pair in self.views:
+            draw_limits(axes, (low[pair], high[pair]))
+            finish(axes, "", "x [m]" if axes is panels[-1] else "", f"{'xyz'[pair[1]]} [m]")
 
     def add_colours(self, dots: Any, label: str) -> None:
-        """Put a colour bar to the right of the view from above."""
-        box = self.views[0][0].get_position()
-        colours = self.figure.add_axes((self._right, box.y0, 0.15 / self._width, box.height))
-        bar = self.figure.colorbar(dots, cax=colours, label=label)
+        """Put a colour bar that explains the colours of dots to the right of the views."""
+        beside = [axes for axes, _ in self.views]
+        bar = self.figure.colorbar(dots, ax=beside, label=label, aspect=40, shrink=0.9)
         if isinstance(dots.norm, LogNorm):
             lowest, highest = dots.get_clim()
             digits = "123456789" if highest < 4 * lowest else "125"
@@ -160,17 +154,9 @@ class Sheet:
         axes = self.views[0][0]
         outside = f" ({self._outside} far outside not shown)" if self._outside else ""
         axes.set_title(title + outside, fontsize=11)
-        handles, labels = axes.get_legend_handles_labels()
-        if handles:
-            legend = self.figure.legend(
-                handles,
-                labels,
-                loc="lower center",
-                ncols=3 if max(map(len, labels)) < 45 else 2,
-                frameon=False,
-                fontsize=8,
-                bbox_to_anchor=(0.5, 0.1 / self._height),
-            )
+        labels = axes.get_legend_handles_labels()[1]
+        if labels:
+            legend = legend_below(self.figure, 3 if max(map(len, labels)) < 45 else 2, axes)
             for handle in legend.legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])
@@ -200,7 +186,7 @@ def write_png(path: Path, draw: Callable[[], Figure]) -> None:
 
 
 def to_png(draw: Callable[P, Figure]) -> Callable[Concatenate[Path, P], None]:
-    """Return what draws into the PNG file of a path given first; see `write_png`."""
+    """Return a function that takes a path, then the arguments of `draw`; see `write_png`."""
 
     def write(path: Path, /, *args: P.args, **kwargs: P.kwargs) -> None:
         write_png(path, lambda: draw(*args, **kwargs))

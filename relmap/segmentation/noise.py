@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Floats, Ints
 
 WINDOWS = 100
 LEVELS = 20
@@ -20,7 +21,7 @@ OF_EXTENT = 0.09
 """Where no window shows a wall, this share of the scan's extent is taken."""
 
 
-def window_noise(xy: NDArray[np.float64], rng: np.random.Generator) -> float:
+def window_noise(xy: Floats, rng: np.random.Generator) -> float:
     """Return what the noise is or a little more (metres, standard deviation across a wall).
 
     Windows about random points are grown until they are elongated; the thickness of the thinner
@@ -41,7 +42,7 @@ def window_noise(xy: NDArray[np.float64], rng: np.random.Generator) -> float:
     return max(float(thin), FLOOR_M)
 
 
-def neighbour_distance(xy: NDArray[np.float64]) -> float:
+def neighbour_distance(xy: Floats) -> float:
     """Return the median distance (metres) of a point to its tenth neighbour.
 
     Of points at one bearing only one counts, and of the neighbours correspondingly fewer.
@@ -53,7 +54,7 @@ def neighbour_distance(xy: NDArray[np.float64]) -> float:
     return float(np.median(distance))
 
 
-def points_per_beam(xy: NDArray[np.float64]) -> float:
+def points_per_beam(xy: Floats) -> float:
     """Return how many points lie at one bearing: those of one column of a 3-D sensor's beams.
 
     They say together where a wall is, but one at most says how far it reaches.
@@ -62,7 +63,7 @@ def points_per_beam(xy: NDArray[np.float64]) -> float:
     return repeat if repeat > 1.5 else 1.0
 
 
-def beam_angle(xy: NDArray[np.float64]) -> float:
+def beam_angle(xy: Floats) -> float:
     """Return the angle (radians) between the beams that points (n, 2) lie on; 0 if they do not.
 
     They do where several lie at one bearing, or where nearly all steps from one bearing to the next
@@ -75,7 +76,7 @@ def beam_angle(xy: NDArray[np.float64]) -> float:
     return usual if even or points_per_beam(xy) > 1 else 0.0
 
 
-def _column_noise(xy: NDArray[np.float64]) -> float:
+def _column_noise(xy: Floats) -> float:
     """Return the noise (metres) of ranges: a column of beams meets one wall at one distance."""
     _, column = np.unique(
         np.round(np.arctan2(xy[:, 1], xy[:, 0]) / COLUMN_RAD), return_inverse=True
@@ -89,7 +90,7 @@ def _column_noise(xy: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.median(squares[several] / (count[several] - 1))))
 
 
-def _distinct(xy: NDArray[np.float64]) -> NDArray[np.int64]:
+def _distinct(xy: Floats) -> Ints:
     """Return the rows of one point at each bearing."""
     bearing = np.arctan2(xy[:, 1], xy[:, 0])
     return np.unique(np.round(bearing / COLUMN_RAD), return_index=True)[1]

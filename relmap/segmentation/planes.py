@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
+
 END_TYPES = ("corner", "view", "range", "occluded")
 """Why a wall ends: the order in which the reasons are asked for; the first that holds is given."""
 
@@ -36,13 +38,13 @@ class Planes:
         One of `END_TYPES`: a true end, cut by the edge of the view, by the range, or hidden.
     """
 
-    midpoint: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    size: NDArray[np.float64]
-    z_extent: NDArray[np.float64]
-    noise: NDArray[np.float64]
-    n_points: NDArray[np.int64]
+    midpoint: Floats
+    normal: Floats
+    ends: Floats
+    size: Floats
+    z_extent: Floats
+    noise: Floats
+    n_points: Ints
     end_type: NDArray[np.str_]
 
     def __len__(self) -> int:
@@ -51,11 +53,7 @@ class Planes:
 
 
 def make_planes(
-    points: NDArray[np.float64],
-    labels: NDArray[np.int64],
-    ends: NDArray[np.float64],
-    end_type: NDArray[np.str_],
-    sigma: float,
+    points: Floats, labels: Ints, ends: Floats, end_type: NDArray[np.str_], sigma: float
 ) -> Planes:
     """Measure planes.
 
@@ -86,9 +84,7 @@ def make_planes(
     return Planes(middle, normal, ends, size, z_extent, noise, n_points, end_type)
 
 
-def _heights(
-    z: NDArray[np.float64], at: NDArray[np.int64], m: int, sigma: float
-) -> NDArray[np.float64]:
+def _heights(z: Floats, at: Ints, m: int, sigma: float) -> Floats:
     """Return the extent in z (m, 2): the ends of a blurred box, as along the wall."""
     from relmap.segmentation.ends.box_kernels import box_extent
 

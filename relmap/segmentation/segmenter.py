@@ -6,14 +6,16 @@ from dataclasses import replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
 from relmap.segmentation.upright import require_upright
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, WALL, corners
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
@@ -57,7 +59,7 @@ class PlaneSegmenter:
         Noise of the scan, metres, as given or estimated.
     """
 
-    labels_: NDArray[np.int64]
+    labels_: Ints
     planes_: Planes
     noise_: float
 
@@ -128,9 +130,7 @@ class PlaneSegmenter:
                 raise RelmapError(f"{name} is {value!r}; it must be a finite number, {least}")
         return method
 
-    def _segment(
-        self, method: str, xyz: NDArray[np.float64], xy: NDArray[np.float64]
-    ) -> tuple[Sharpened, NDArray[np.int64]]:
+    def _segment(self, method: str, xyz: Floats, xy: Floats) -> tuple[Sharpened, Ints]:
         """Return accurate walls and the wall of each point."""
         from relmap.segmentation.em import search
         from relmap.segmentation.scanline.lines import extend_to_beams, hidden_ends, scan_walls
@@ -154,12 +154,8 @@ class PlaneSegmenter:
         return meet(mixture, len(xy)), labels
 
     def _hard_labels(
-        self,
-        method: str,
-        xyz: NDArray[np.float64],
-        xy: NDArray[np.float64],
-        rng: np.random.Generator,
-    ) -> tuple[NDArray[np.int64], float]:
+        self, method: str, xyz: Floats, xy: Floats, rng: np.random.Generator
+    ) -> tuple[Ints, float]:
         """Return the plane of each point as found without the shape of a wall, and the noise."""
         from relmap.segmentation.alternatives.ransac3d import patch_labels, sequential_labels
         from relmap.segmentation.em.lines import find_lines
@@ -177,12 +173,8 @@ class PlaneSegmenter:
             labels = gaussian_labels(xy, labels, self.random_state)
         return labels, sigma
 
-    def _planes(
-        self, xyz: NDArray[np.float64], sharp: Sharpened, labels: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], Planes]:
+    def _planes(self, xyz: Floats, sharp: Sharpened, labels: Ints) -> tuple[Ints, Planes]:
         """Return labels without gaps in their numbers, and the planes."""
-        from relmap.segmentation.ends.pairs import corners
-
         ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
         count = np.bincount(labels[labels >= 0], minlength=len(ends))
         long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
@@ -201,12 +193,9 @@ class PlaneSegmenter:
         return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)
 
 
-def walls_of_labels(
-    xy: NDArray[np.float64], labels: NDArray[np.int64], sigma: float
-) -> WallMixture:
+def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
     """Return walls through labelled points (n, 2), with the ends of blurred boxes."""
     from relmap.segmentation.em.moves import wall_through
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, EXACT_M, SHARE, WALL
     from relmap.segmentation.ends.box_kernels import box_extent
 
     walls = np.zeros((int(labels.max(initial=-1)) + 1, WALL))
@@ -222,13 +211,12 @@ def walls_of_labels(
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma))
 
 
-def _no_walls(xy: NDArray[np.float64], noise: float | None) -> WallMixture:
-    from relmap.segmentation.em.wall_kernels import WALL
+def _no_walls(xy: Floats, noise: float | None) -> WallMixture:
 
     return WallMixture(np.zeros((0, WALL)), noise or 0.0, 1.0, 1.0)
 
 
-def _as_points(points: ArrayLike) -> NDArray[np.float64]:
+def _as_points(points: ArrayLike) -> Floats:
     """Return points as float64, (n, 2) or (n, 3)."""
     try:
         xyz = np.asarray(points, dtype=np.float64)

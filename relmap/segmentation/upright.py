@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 
 TILTED = np.sin(np.deg2rad(15.0))
 """The normal of an upright surface points up or down by no more than this."""
 MOST_SHARE = 0.15
-"""Of the points, at most so many may lie on surfaces that are not upright."""
+"""At most this share of the points may lie on surfaces that are not upright."""
 POINTS, PATCHES = 10000, 100
-"""So many points are looked at, in so many patches: random ones, since beams repeat."""
+"""Points and patches that are looked at: random ones, since beams repeat."""
 LEAST = 10
 """Points of a patch, at least."""
 RADIUS = 0.15
@@ -25,7 +25,7 @@ FLAT, BROAD = 0.1, 0.15
 that to the greatest at least: edges and lines have no normal."""
 
 
-def require_upright(xyz: NDArray[np.float64]) -> None:
+def require_upright(xyz: Floats) -> None:
     """Check that the surfaces in points (n, 3), metres, are upright.
 
     Raises
@@ -42,7 +42,7 @@ def require_upright(xyz: NDArray[np.float64]) -> None:
         )
 
 
-def tilted_share(xyz: NDArray[np.float64]) -> float:
+def tilted_share(xyz: Floats) -> float:
     """Return the share of points (n, 3) about which a surface shows that is not upright."""
     low, high = np.quantile(xyz[:, 2], HEIGHT)
     some = np.random.default_rng(0).permutation(xyz)[:POINTS]

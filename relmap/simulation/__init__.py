@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from relmap.simulation.building import (
-    Building,
-    BuildingScan,
-    building_scene,
-    simulate_building,
-)
+from relmap.simulation.building import Building, building_scene, simulate_building
 from relmap.simulation.figure_eight import FigureEight, simulate_figure_eight
+from relmap.simulation.sensor import BuildingScan
 
 __all__ = [
     "Building",

@@ -11,9 +11,9 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
-from relmap.core.errors import RelmapError
-from relmap.simulation.drive import STEP_S, drive_round
+from relmap.datasets.scans import planar_poses
 from relmap.simulation.floor_plan import (
     CLEARANCE_M,
     FloorPlan,
@@ -22,45 +22,20 @@ from relmap.simulation.floor_plan import (
     wall_distances,
 )
 from relmap.simulation.moving_walls import make_moving
-from relmap.simulation.noise import Noise
-from relmap.simulation.sensor import (
-    DEPTH_SENSOR,
-    LASER,
-    Sample,
-    Sampling,
-    Sensor,
-    cast_rays,
-    sample_surface,
-    scan_laser,
-)
-from relmap.simulation.visibility import SeenWalls, seen_walls
+from relmap.simulation.noise import Array, Noise, check_arguments
+from relmap.simulation.sensor import DEPTH_SENSOR, LASER, BuildingScan, Sampling, Scanner, Sensor
+from relmap.simulation.visibility import seen_walls
 
 SENSOR_HEIGHT_M = 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class BuildingScan:
-    """What the robot saw at one place, and what it was.
-
-    Attributes
-    ----------
-    points : (n, 3) float64, robot frame, metres
-        Of a laser with z = 0, from right to left.
-    wall : (n,) int64
-        The wall that each point belongs to.
-    seen : SeenWalls
-        The visible stretches of walls.
-    stretch : (n,) int64
-        The row of `seen` that each point belongs to.
-    ranges_m : (b,) float64 or None
-        Of a laser: the range of every beam, right to left; infinite where there is no return.
-    """
-
-    points: NDArray[np.float64]
-    wall: NDArray[np.int64]
-    seen: SeenWalls
-    stretch: NDArray[np.int64]
-    ranges_m: NDArray[np.float64] | None = None
+STEP_M = 0.22
+TURN_RAD = np.deg2rad(4.0)
+"""From one scan to the next the robot moves and turns by about this much, at most."""
+WEAVE_M = 0.15
+"""Amplitude with which it weaves about its line."""
+WEAVES = 5
+GRID_M = 0.01
+SMOOTH_M = 0.4
+STEP_S = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,55 +81,6 @@ class Building:
         return counts
 
 
-@dataclass(frozen=True)
-class _Look:
-    """How every scan is made; the fields are the arguments of `simulate_building`."""
-
-    points: int
-    sigma: float
-    noise: Noise
-    sampling: Sampling
-    sensor: Sensor
-    sample_ends: bool
-
-    def validate(self) -> None:
-        """Raise a RelmapError where a field is out of its range."""
-        _require(
-            (
-                1 <= self.points <= 10**7,
-                f"points is {self.points}; it must lie in [1, 10000000]",
-            ),
-            (0 <= self.sigma < 1e3, f"sigma is {self.sigma}; it must lie in [0, 1000) metres"),
-            (
-                self.noise in get_args(Noise),
-                f"noise is {self.noise!r}; it must be gaussian or uniform",
-            ),
-            (
-                self.sampling in get_args(Sampling),
-                f"sampling is {self.sampling!r}; it must be surface, rays or laser",
-            ),
-            (
-                0 < self.sensor.range_m < np.inf,
-                f"the range of the sensor is {self.sensor.range_m}; it must be positive, metres",
-            ),
-            (
-                0 < self.sensor.view_rad <= np.pi and 0 < self.sensor.vertical_view_rad < np.pi,
-                "the field of view must lie in (0, pi] radians, the vertical one in (0, pi)",
-            ),
-        )
-
-    def sample(
-        self, seen: SeenWalls, z_robot: NDArray[np.float64], rng: np.random.Generator
-    ) -> Sample:
-        """Measure the visible stretches of walls."""
-        count, noise, sigma = self.points, self.noise, self.sigma
-        if self.sampling == "surface":
-            return sample_surface(seen, z_robot, count, noise, sigma, rng, self.sample_ends)
-        if self.sampling == "rays":
-            return cast_rays(seen, z_robot, self.sensor, count, noise, sigma, rng)
-        return scan_laser(seen, self.sensor, count, noise, sigma, rng)
-
-
 def simulate_building(
     points: int = 2000,
     sigma: float = 0.05,
@@ -195,26 +121,32 @@ def simulate_building(
     sample_ends : bool
         With `surface`, put a point on each end of every stretch that has two points or more.
     moving : int
-        Hang so many doors that swing, or among panels let so many of them slide and turn.
+        Number of doors that swing; among panels, of panels that slide and turn.
+
+    Returns
+    -------
+    Building
 
     Raises
     ------
     RelmapError
         Where an argument is out of its range.
     """
-    look = _Look(points, sigma, noise, sampling, sensor or _default_sensor(sampling), sample_ends)
-    look.validate()
-    _validate_run(iterations, seed, world, loops, moving)
+    sensor = sensor or (LASER if sampling == "laser" else DEPTH_SENSOR)
+    scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
+    _check(scanner, seed, iterations, world, loops, moving)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
-    trajectory = drive_round(plan.loop, loops, iterations, rng)
+    trajectory = _drive_round(plan.loop, loops, iterations, rng)
     # Movers have a generator of their own: the rest of the world is the same with and without them.
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
-    scans = [_scan(movers.at(plan.walls, k), pose, look, rng) for k, pose in enumerate(trajectory)]
+    scans = [
+        _scan(movers.at(plan.walls, k), pose, scanner, rng) for k, pose in enumerate(trajectory)
+    ]
     walls = movers.at(plan.walls, 0) - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
     moves = np.isin(np.arange(len(walls)), movers.row)
     stamps_s = STEP_S * np.arange(len(trajectory), dtype=np.float64)
-    return Building(walls, moves, trajectory, stamps_s, scans, look.sensor)
+    return Building(walls, moves, trajectory, stamps_s, scans, sensor)
 
 
 def building_scene(
@@ -229,26 +161,64 @@ def building_scene(
 ) -> BuildingScan:
     """Look once from a random pose in a random building, corridor or room.
 
-    The arguments are those of `simulate_building`.
+    Parameters
+    ----------
+    seed, points, sigma, noise, sampling, sensor, sample_ends
+        As `simulate_building` takes them.
+
+    Returns
+    -------
+    BuildingScan
 
     Raises
     ------
     RelmapError
         Where an argument is out of its range.
     """
-    look = _Look(points, sigma, noise, sampling, sensor or _default_sensor(sampling), sample_ends)
-    look.validate()
-    _validate_run(None, seed, "building", 1, 0)
+    sensor = sensor or (LASER if sampling == "laser" else DEPTH_SENSOR)
+    scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
+    _check(scanner, seed)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan("building", rng)
-    return _scan(plan.walls, _random_pose(plan, rng), look, rng)
+    return _scan(plan.walls, _random_pose(plan, rng), scanner, rng)
 
 
-def _default_sensor(sampling: str) -> Sensor:
-    return LASER if sampling == "laser" else DEPTH_SENSOR
+def _check(
+    scanner: Scanner,
+    seed: int,
+    iterations: int | None = None,
+    world: str = "building",
+    loops: int = 1,
+    moving: int = 0,
+) -> None:
+    points, sampling, sensor = scanner.points, scanner.sampling, scanner.sensor
+    range_m, view_rad = sensor.range_m, sensor.view_rad
+    limits = [
+        (1 <= points <= 10**7, f"points is {points}; it must lie in [1, 10000000]"),
+        (
+            sampling in get_args(Sampling),
+            f"sampling is {sampling!r}; it must be surface, rays or laser",
+        ),
+        (
+            0 < range_m < np.inf,
+            f"the range of the sensor is {range_m}; it must be positive, metres",
+        ),
+        (
+            0 < view_rad <= np.pi and 0 < sensor.vertical_view_rad < np.pi,
+            "the field of view must lie in (0, pi] radians, the vertical one in (0, pi)",
+        ),
+        (
+            iterations is None or 1 <= iterations <= 10**6,
+            f"iterations is {iterations}; it must lie in [1, 1000000]",
+        ),
+        (world in get_args(World), f"world is {world!r}; it must be building, panels or long-wall"),
+        (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
+        (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
+    ]
+    check_arguments(scanner.noise, scanner.sigma, seed, *limits)
 
 
-def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> NDArray[np.float64]:
+def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Array:
     """Draw a pose (4, 4), uniform over the floor that is clear of walls."""
     low, high = plan.floors[:, :2] + CLEARANCE_M, plan.floors[:, 2:] - CLEARANCE_M
     share = np.prod(high - low, axis=1)
@@ -258,41 +228,53 @@ def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> NDArray[np.float6
         if wall_distances(position[None], plan.walls).min() >= CLEARANCE_M:
             break
     yaw = rng.uniform(-np.pi, np.pi)
-    pose = np.eye(4)
-    pose[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
-    pose[:2, 3] = position
-    return pose
+    return np.asarray(planar_poses(position[:1], position[1:], np.array([yaw]))[0])
 
 
 def _scan(
-    walls: NDArray[np.float64],
-    T_map_robot: NDArray[np.float64],
-    look: _Look,
-    rng: np.random.Generator,
+    walls: Array, T_map_robot: Array, scanner: Scanner, rng: np.random.Generator
 ) -> BuildingScan:
     ends_map = walls[:, :4].reshape(-1, 2, 2)
     ends_robot = (ends_map - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
-    seen = seen_walls(ends_robot, look.sensor.range_m, look.sensor.view_rad / 2)
-    z_robot = walls[0, 4:] - SENSOR_HEIGHT_M
-    sample = look.sample(seen, z_robot, rng)
-    wall = seen.wall[sample.stretch]
-    return BuildingScan(sample.points, wall, seen, sample.stretch, sample.ranges_m)
+    seen = seen_walls(ends_robot, scanner.sensor.range_m, scanner.sensor.view_rad / 2)
+    return scanner.scan(seen, walls[0, 4:] - SENSOR_HEIGHT_M, rng)
 
 
-def _validate_run(iterations: int | None, seed: int, world: str, loops: int, moving: int) -> None:
-    _require(
-        (seed >= 0, f"seed is {seed}; it must not be negative"),
-        (
-            iterations is None or 1 <= iterations <= 10**6,
-            f"iterations is {iterations}; it must lie in [1, 1000000]",
-        ),
-        (world in get_args(World), f"world is {world!r}; it must be building, panels or long-wall"),
-        (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
-        (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
-    )
+def _drive_round(
+    loop: Array, loops: int, iterations: int | None, rng: np.random.Generator
+) -> Array:
+    """Return the poses (k, 4, 4) of a robot on a closed line (l, 2), slower where it turns.
+
+    It starts somewhere on the line; without a number of iterations it drives round `loops` times.
+    """
+    line, yaw, turning = _fine_line(loop, rng)
+    effort = np.maximum(1 / STEP_M, turning / TURN_RAD)
+    effort = gaussian_filter1d(effort, SMOOTH_M / GRID_M, mode="wrap")
+    done = np.concatenate([[0.0], np.cumsum(effort)])
+    around = int(np.ceil(done[-1] * GRID_M))
+    k = loops * around if iterations is None else iterations
+    at = np.arange(k) % around * (done[-1] / around)
+    grid = np.arange(len(line), dtype=np.float64)
+    cell = np.interp(at, done, grid)
+    x, y, angle = (np.interp(cell, grid, values) for values in (*line.T, yaw))
+    return planar_poses(x, y, angle)
 
 
-def _require(*limits: tuple[bool, str]) -> None:
-    for holds, message in limits:
-        if not holds:
-            raise RelmapError(message)
+def _fine_line(loop: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return points (g + 1, 2), yaw (g + 1,) and turn per metre (g,) of the way, g cells long."""
+    closed = np.vstack([loop, loop[:1]])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    g = round(length[-1] / GRID_M)
+    s = np.arange(g) * (length[-1] / g) + rng.uniform(0, length[-1])
+    points = np.column_stack([np.interp(s % length[-1], length, axis) for axis in closed.T])
+    points = gaussian_filter1d(points, SMOOTH_M / GRID_M / 2, axis=0, mode="wrap")
+    ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    left /= np.linalg.norm(left, axis=1)[:, None]
+    weave = WEAVE_M * np.sin(2 * np.pi * WEAVES * np.arange(g) / g + rng.uniform(0, 2 * np.pi))
+    points += weave[:, None] * left
+    ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    yaw = np.append(yaw, yaw[0] + 2 * np.pi)
+    turning = np.abs(np.diff(yaw)) / GRID_M
+    return np.vstack([points, points[:1]]), yaw, turning

@@ -1,7 +1,9 @@
 """What goes wrong in the world and in a sensor: faults put into a log with ids, one function each.
 
-Each function takes a log and returns another; nothing is changed in place.  What a fault makes up
-lies where the log's own observations lie, so that its place alone does not give it away.
+Each function takes a log and returns another; nothing is changed in place.  False observations lie
+where other observations of the log lie, so that their place alone does not give them away.  A share
+is one of all observations, in [0, 1]; a `RelmapError` says where it is not, or where ids that a
+fault needs are missing.
 """
 
 from __future__ import annotations
@@ -27,13 +29,11 @@ def missed_detections(
     log: ObservationLog, share: float, rng: np.random.Generator
 ) -> ObservationLog:
     """Leave out a share of the observations."""
-    kept = np.ones(len(log.iteration), dtype=bool)
-    kept[_drawn(log, share, rng)] = False
-    return _rows(log, np.flatnonzero(kept))
+    return _rows(log, np.delete(np.arange(len(log.iteration)), _drawn(log, share, rng)))
 
 
 def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Add observations of nothing, as many as a share of all: each under an id of its own."""
+    """Add observations of nothing, as many as a share of all, each under an id of its own."""
     seen_with = _drawn(log, share, rng)
     n = len(seen_with)
     places = log.points_robot[rng.integers(len(log.points_robot), size=n)]
@@ -43,7 +43,7 @@ def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> Obser
 def duplicated_landmarks(
     log: ObservationLog, landmarks: NDArray[np.int64], sigma_m: float, rng: np.random.Generator
 ) -> ObservationLog:
-    """Report landmarks twice wherever they are seen, the second time as others.
+    """Report landmarks twice wherever they are seen, the second time under another id.
 
     Parameters
     ----------
@@ -68,25 +68,23 @@ def mirrored_scan(log: ObservationLog, iteration: int) -> ObservationLog:
 
 
 def lost_scans(log: ObservationLog, first: int, count: int) -> ObservationLog:
-    """Leave some iterations without an observation."""
-    lost = (log.iteration >= first) & (log.iteration < first + count)
-    return _rows(log, np.flatnonzero(~lost))
+    """Remove all observations of `count` iterations."""
+    return _rows(log, np.flatnonzero(~_within(log, first, count)))
 
 
 def few_landmarks(log: ObservationLog, first: int, count: int, few: int = 2) -> ObservationLog:
-    """Leave only the few longest known landmarks of each of some iterations."""
+    """Keep only the `few` longest known landmarks in each of `count` iterations."""
     ids, begun = np.unique(_ids(log), return_index=True)
     age = begun[np.searchsorted(ids, _ids(log))]
     order = np.lexsort((age, log.iteration))
     starts = np.searchsorted(log.iteration, log.iteration[order])
     rank = np.empty(len(order), dtype=np.int64)
     rank[order] = np.arange(len(order)) - starts
-    within = (log.iteration >= first) & (log.iteration < first + count)
-    return _rows(log, np.flatnonzero(~within | (rank < few)))
+    return _rows(log, np.flatnonzero(~_within(log, first, count) | (rank < few)))
 
 
 def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
-    """Let the robot go so many times as far between `first` and the iteration after it."""
+    """Let the robot move as far as in several steps after the iteration `first`."""
     skipped = (log.iteration > first) & (log.iteration < first + steps)
     kept = _rows(log, np.flatnonzero(~skipped))
     later = kept.iteration > first
@@ -95,8 +93,8 @@ def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
 
 
 def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLog:
-    """Hand out some iterations in reverse, as where a buffer is emptied from the wrong end."""
-    within = (log.iteration >= first) & (log.iteration < first + count)
+    """Reverse `count` iterations, as where a buffer is emptied from the wrong end."""
+    within = _within(log, first, count)
     iteration = np.where(within, 2 * first + count - 1 - log.iteration, log.iteration)
     order = np.argsort(iteration, kind="stable")
     return replace(_rows(log, order), iteration=iteration[order])
@@ -108,6 +106,10 @@ def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> NDArr
         raise RelmapError(f"share is {share}; it must lie in [0, 1]")
     n = len(log.iteration)
     return np.sort(rng.choice(n, round(share * n), replace=False))
+
+
+def _within(log: ObservationLog, first: int, count: int) -> NDArray[np.bool_]:
+    return (log.iteration >= first) & (log.iteration < first + count)
 
 
 def _ids(log: ObservationLog) -> NDArray[np.int64]:
@@ -138,12 +140,10 @@ def _joined(
     ids: NDArray[np.int64],
 ) -> ObservationLog:
     """Add observations to the iterations of others that stand in some rows."""
-    iteration = np.concatenate([log.iteration, log.iteration[beside]])
     everything = replace(
         log,
         points_robot=np.concatenate([log.points_robot, points]),
-        iteration=iteration,
+        iteration=np.concatenate([log.iteration, log.iteration[beside]]),
         ids=np.concatenate([_ids(log), ids]),
     )
-    order = np.argsort(iteration, kind="stable")
-    return _rows(everything, order)
+    return _rows(everything, np.argsort(everything.iteration, kind="stable"))

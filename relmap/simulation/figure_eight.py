@@ -8,16 +8,14 @@ start only after the whole loop.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
-from relmap.simulation.motion import dynamic_offsets
-from relmap.simulation.noise import Noise, draw_noise
+from relmap.datasets.scans import poses_of
+from relmap.simulation.noise import Array, Noise, check_arguments, draw_noise
 
 LOOP_LENGTH_M = 740.0
 LOOP_ITERATIONS = 900
@@ -30,6 +28,10 @@ RANGE_M = 80.0
 HALF_VIEW_RAD = np.deg2rad(60.0)
 """The sensor sees a cone of this half angle ahead, as far as its range."""
 ROLL_RAD = np.deg2rad(5.0)
+REACH_M = 12.0
+"""Largest distance of a dynamic landmark from the middle of its motion, per coordinate."""
+SPEED_M = (0.1, 0.4)
+"""Slowest and fastest motion, metres per iteration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,41 +83,88 @@ def simulate_figure_eight(
     seed : int
         Seed of everything random.
 
+    Returns
+    -------
+    FigureEight
+
     Raises
     ------
     RelmapError
         Where an argument is out of its range.
     """
-    _validate(density, iterations, noise, sigma, dynamic, seed)
+    limits = [
+        (0 < density <= 1e5, f"density is {density}; it must lie in (0, 100000]"),
+        (1 <= iterations <= 10**7, f"iterations is {iterations}; it must lie in [1, 10000000]"),
+        (0 <= dynamic <= 1, f"dynamic is {dynamic}; it is a share, in [0, 1]"),
+    ]
+    check_arguments(noise, sigma, seed, *limits)
     rng = np.random.default_rng(seed)
     landmarks_map = _scatter_landmarks(density, rng)
     m = len(landmarks_map)
     moving = np.zeros(m, dtype=bool)
     moving[rng.permutation(m)[: round(dynamic * m)]] = True
     offsets = dynamic_offsets(int(moving.sum()), iterations, rng)
-    trajectory = _trajectory(iterations)
-    log = _observe(trajectory, landmarks_map, moving, offsets, noise, sigma, rng)
+    trajectory = _frames(LOOP_LENGTH_M / LOOP_ITERATIONS * np.arange(iterations, dtype=np.float64))
+    ids, points = [], []
+    for T_map_robot, offset in zip(trajectory, offsets, strict=True):
+        here = landmarks_map.copy()
+        here[moving] += offset
+        in_robot = (here - T_map_robot[:3, 3]) @ T_map_robot[:3, :3]
+        seen = _in_view(in_robot)
+        ids.append(seen)
+        points.append(in_robot[seen] + draw_noise(noise, sigma, (len(seen), 3), rng))
+    log = _log_of(ids, points)
     status = np.where(moving, "dynamic", "static")
     return FigureEight(log, np.arange(m), landmarks_map, status, trajectory)
 
 
-def _validate(
-    density: float, iterations: int, noise: str, sigma: float, dynamic: float, seed: int
-) -> None:
-    limits = [
-        (0 < density <= 1e5, f"density is {density}; it must lie in (0, 100000]"),
-        (1 <= iterations <= 10**7, f"iterations is {iterations}; it must lie in [1, 10000000]"),
-        (noise in get_args(Noise), f"noise is {noise!r}; it must be gaussian or uniform"),
-        (0 <= sigma < 1e3, f"sigma is {sigma}; it must lie in [0, 1000) metres"),
-        (0 <= dynamic <= 1, f"dynamic is {dynamic}; it is a share, in [0, 1]"),
-        (seed >= 0, f"seed is {seed}; it must not be negative"),
-    ]
-    for holds, message in limits:
-        if not holds:
-            raise RelmapError(message)
+def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Array:
+    """Draw the motion of dynamic landmarks, every kind in equal shares.
+
+    The kinds are constant velocity (turning back at the end of the reach), random walk, circling,
+    and stop-and-go; the paper calls a landmark dynamic when its movement has nothing to do with
+    the robot's (section I).
+
+    Parameters
+    ----------
+    count : int
+        Number of landmarks.
+    iterations : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (iterations, count, 3) float64
+        Offset of each landmark from the middle of its motion, metres.
+    """
+    speed = rng.uniform(*SPEED_M, count)
+    heading = rng.uniform(0, 2 * np.pi, count)
+    phase = rng.uniform(0, 4 * REACH_M, count)
+    along = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(count)])
+    travelled = np.arange(iterations)[:, None] * speed + phase
+    steps = rng.normal(0, 1, (iterations, count, 3)) * speed[:, None]
+    radius = rng.uniform(3.0, 8.0, count)
+    angle = travelled / radius
+    circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    # Going and standing, in turn, take 10 to 40 iterations each.
+    period, start = rng.uniform(20, 80, count), rng.uniform(0, 1, count)
+    going = (np.arange(iterations)[:, None] / period + start) % 1 < 0.5
+    ways = (
+        _folded(travelled)[:, :, None] * along,
+        _folded(np.cumsum(steps, axis=0) + REACH_M),
+        circle * radius[:, None],
+        _folded(np.cumsum(going * 2 * speed, axis=0) + phase)[:, :, None] * along,
+    )
+    kind = np.arange(count) % len(ways)
+    return np.asarray(np.choose(kind[:, None], ways))
 
 
-def _path(phase: NDArray[np.float64], half_size_m: float) -> NDArray[np.float64]:
+def _folded(travelled: Array) -> Array:
+    """Return the place after a way travelled to and fro within the reach."""
+    return np.asarray(np.abs(travelled % (4 * REACH_M) - 2 * REACH_M) - REACH_M)
+
+
+def _path(phase: Array, half_size_m: float) -> Array:
     """Return the points (k, 3) of the eight at phases (k,), one loop per 2 pi."""
     x = half_size_m * np.sin(phase)
     y = half_size_m / 2 * np.sin(2 * phase)
@@ -123,11 +172,11 @@ def _path(phase: NDArray[np.float64], half_size_m: float) -> NDArray[np.float64]
     return np.column_stack([x, y, z])
 
 
-def _phase_of_length() -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+def _phase_of_length() -> tuple[float, Array, Array]:
     """Return the half size that makes the loop as long as it must be, and phase over length."""
     phase = np.linspace(0, 2 * np.pi, 20_001)
 
-    def lengths(half_size_m: float) -> NDArray[np.float64]:
+    def lengths(half_size_m: float) -> Array:
         steps = np.linalg.norm(np.diff(_path(phase, half_size_m), axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -138,7 +187,7 @@ def _phase_of_length() -> tuple[float, NDArray[np.float64], NDArray[np.float64]]
     return low, phase, lengths(low)
 
 
-def _frames(length_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _frames(length_m: Array) -> Array:
     """Return the poses (k, 4, 4) at path lengths (k,): x ahead along the path, gently rolling."""
     half_size_m, phase, lengths = _phase_of_length()
     at = np.interp(length_m % LOOP_LENGTH_M, lengths, phase)
@@ -146,18 +195,11 @@ def _frames(length_m: NDArray[np.float64]) -> NDArray[np.float64]:
     ahead = _path(at + step, half_size_m) - _path(at - step, half_size_m)
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
     pitch = -np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
-    roll = ROLL_RAD * np.sin(3 * at)
-    poses = np.tile(np.eye(4), (len(at), 1, 1))
-    poses[:, :3, :3] = Rotation.from_euler("ZYX", np.column_stack([yaw, pitch, roll])).as_matrix()
-    poses[:, :3, 3] = _path(at, half_size_m)
-    return poses
+    angles = np.column_stack([yaw, pitch, ROLL_RAD * np.sin(3 * at)])
+    return poses_of(Rotation.from_euler("ZYX", angles), _path(at, half_size_m))
 
 
-def _trajectory(iterations: int) -> NDArray[np.float64]:
-    return _frames(LOOP_LENGTH_M / LOOP_ITERATIONS * np.arange(iterations, dtype=np.float64))
-
-
-def _scatter_landmarks(density: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def _scatter_landmarks(density: float, rng: np.random.Generator) -> Array:
     """Return landmark positions (m, 3) in a tube around the path, in random order."""
     m = max(1, round(density * LOOP_LENGTH_M / 100))
     frames = _frames(rng.uniform(0, LOOP_LENGTH_M, m))
@@ -166,32 +208,19 @@ def _scatter_landmarks(density: float, rng: np.random.Generator) -> NDArray[np.f
     return np.asarray(frames[:, :3, 3] + side[:, None] * frames[:, :3, 1] + up[:, None] * [0, 0, 1])
 
 
-def _observe(
-    trajectory: NDArray[np.float64],
-    landmarks_map: NDArray[np.float64],
-    moving: NDArray[np.bool_],
-    offsets: NDArray[np.float64],
-    noise: Noise,
-    sigma: float,
-    rng: np.random.Generator,
-) -> ObservationLog:
-    ids, points = [], []
-    for T_map_robot, offset in zip(trajectory, offsets, strict=True):
-        here = landmarks_map.copy()
-        here[moving] += offset
-        in_robot = (here - T_map_robot[:3, 3]) @ T_map_robot[:3, :3]
-        distance = np.linalg.norm(in_robot, axis=1)
-        ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
-        seen = np.flatnonzero(ahead & (distance <= RANGE_M))
-        ids.append(seen)
-        points.append(in_robot[seen] + draw_noise(noise, sigma, (len(seen), 3), rng))
+def _in_view(in_robot: Array) -> NDArray[np.int64]:
+    distance = np.linalg.norm(in_robot, axis=1)
+    ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
+    return np.flatnonzero(ahead & (distance <= RANGE_M))
+
+
+def _log_of(ids: list[NDArray[np.int64]], points: list[Array]) -> ObservationLog:
     counts = [len(seen) for seen in ids]
-    n = sum(counts)
     return ObservationLog(
         points_robot=np.concatenate(points),
-        iteration=np.repeat(np.arange(len(trajectory)), counts),
-        rows=np.arange(n),
+        iteration=np.repeat(np.arange(len(ids)), counts),
+        rows=np.arange(sum(counts)),
         first_iteration=0,
-        end_iteration=len(trajectory),
+        end_iteration=len(ids),
         ids=np.concatenate(ids).astype(np.int64),
     )

@@ -14,29 +14,30 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.simulation.noise import Array
+
 World = Literal["building", "panels", "long-wall"]
-Array = NDArray[np.float64]
 
 CORRIDOR_M = 2.4
 """Width of the corridor round a block of rooms; more rooms lie along its outer side."""
 TURN_RADIUS_M = 1.8
-"""The robot drives in the middle of the corridor and rounds its corners so."""
+"""The robot drives in the middle of the corridor and rounds its corners with this radius."""
 BLOCK_M = ((13.0, 18.0), (7.0, 10.0))
 ROOM_M = (3.4, 5.0)
-"""Rooms are about so wide: the narrowest has space for the widest door between two posts."""
+"""Least and greatest width: the narrowest holds the widest door between two posts."""
 DEPTH_M = (3.5, 5.5)
 DOOR_M = (0.9, 1.3)
 POST_M = 0.8
-"""No wall beside a door is shorter."""
+"""Least length of the wall on either side of a door."""
 PANEL_M = (0.8, 2.0)
 MOST_PANELS = 2
-"""A room has so many free-standing panels, or fewer."""
+"""Most free-standing panels in a room."""
 CLEARANCE_M = 0.6
-"""Panels keep so far from other walls, and so does the robot from all."""
+"""Least distance of a panel from other walls, and of the robot from all walls."""
 FIELD_M = 12.0
 FIELD_LOOP_M = 7.0
 FIELD_PANELS = 40
-"""In the open, so many panels stand within `FIELD_M` of the middle of a round way."""
+"""Panels in the open, within `FIELD_M` of the middle of a round way."""
 LONG_WALL = np.array([8.0, -1.6, 26.0, -1.6])
 LONG_LOOP = np.array([0.0, 0.0, 32.0, 9.0])
 """Beside one side of this round way a long wall stands alone, ..."""
@@ -46,7 +47,7 @@ LONG_FIELD = np.array([-7.0, -8.0, 39.0, 17.0])
 LONG_PANELS = 70
 HEIGHT_M = (2.4, 3.0)
 TRIALS = 30
-"""So often a place for a panel is looked for."""
+"""Tries to find a place for a panel."""
 NOTHING: Array = np.empty((0, 4))
 
 
@@ -80,7 +81,7 @@ def make_floor_plan(world: World, rng: np.random.Generator) -> FloorPlan:
     return FloorPlan(np.hstack([flat, height]), floors, loop, doors)
 
 
-def wall_distances(points: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.float64]:
+def wall_distances(points: Array, walls: Array) -> Array:
     """Return the distances (n, w) of points (n, 2) from walls (w, 4 or more), metres."""
     first, along = walls[:, :2], walls[:, 2:4] - walls[:, :2]
     offset = points[:, None] - first
@@ -92,15 +93,12 @@ def _building(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
     """Return the walls (w, 4), floors, loop and doors of a corridor round a block, with rooms."""
     block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
-    inner = _rooms_inside(block, rng)
-    outer = [room for side in range(4) for room in _rooms_along(hall, side, rng)]
-    rooms = np.array([room for room, _ in inner + outer])
-    doors = np.array([_door(_edges(room)[side], rng) for room, side in inner + outer])
-    walls = [
-        _cut(edge, doors[number, None])
-        for number, room in enumerate(rooms)
-        for edge in _edges(room)
-    ]
+    placed = _rooms_inside(block, rng)
+    placed += [room for side in range(4) for room in _rooms_along(hall, side, rng)]
+    rooms = np.array([room for room, _ in placed])
+    doors = np.array([_door(_edges(room)[side], rng) for room, side in placed])
+    pairs = zip(rooms, doors[:, None], strict=True)
+    walls = [_cut(edge, door) for room, door in pairs for edge in _edges(room)]
     walls += [_cut(edge, doors) for edge in (*_edges(hall), *_edges(block)[:, ::-1])]
     panels = [_panels(room, int(rng.integers(MOST_PANELS + 1)), rng) for room in rooms]
     floors = np.vstack([rooms, _ring(hall, block)])
@@ -161,7 +159,7 @@ def _rooms_along(hall: Array, side: int, rng: np.random.Generator) -> list[tuple
 
 
 def _split(low: float, high: float, rng: np.random.Generator) -> Array:
-    """Cut an interval into pieces that are about as wide as rooms."""
+    """Return the limits of parts of an interval that are about as wide as rooms."""
     count = int((high - low) / np.mean(ROOM_M))
     cuts = np.cumsum(rng.uniform(*ROOM_M, count))
     return np.concatenate([[low], low + (high - low) * cuts[:-1] / cuts[-1], [high]])
@@ -174,7 +172,7 @@ def _edges(box: Array) -> Array:
 
 
 def _door(edge: Array, rng: np.random.Generator) -> Array:
-    """Place a door (2, 2) somewhere in a wall (2, 2)."""
+    """Return a door (2, 2) at a random place of a wall (2, 2)."""
     length = float(np.linalg.norm(edge[1] - edge[0]))
     width = rng.uniform(*DOOR_M)
     begin = rng.uniform(POST_M, length - POST_M - width)
@@ -220,23 +218,17 @@ def _panels(box: Array, count: int, rng: np.random.Generator, obstacles: Array =
 
 def _ring(hall: Array, block: Array) -> Array:
     """Return the four rectangles (4, 4) between two."""
-    return np.array(
-        [
-            [hall[0], hall[1], hall[2], block[1]],
-            [hall[0], block[3], hall[2], hall[3]],
-            [hall[0], block[1], block[0], block[3]],
-            [block[2], block[1], hall[2], block[3]],
-        ]
-    )
+    (x0, y0, x1, y1), (a0, b0, a1, b1) = hall, block
+    return np.array([[x0, y0, x1, b0], [x0, b1, x1, y1], [x0, b0, a0, b1], [a1, b0, x1, b1]])
 
 
 def _rounded(box: Array) -> Array:
     """Return a rectangle with rounded corners as a dense line, counter-clockwise."""
     quarter = np.linspace(-np.pi / 2, 0, 60)
-    pieces = []
+    arcs = []
     for k, corner in enumerate(_edges(box)[:, 1]):
         angle = quarter + k * np.pi / 2
         inward = np.sign((box[:2] + box[2:]) / 2 - corner)
         middle = corner + TURN_RADIUS_M * inward
-        pieces.append(middle + TURN_RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle)]))
-    return np.vstack(pieces)
+        arcs.append(middle + TURN_RADIUS_M * np.column_stack([np.cos(angle), np.sin(angle)]))
+    return np.vstack(arcs)

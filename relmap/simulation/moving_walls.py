@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.simulation.floor_plan import CLEARANCE_M, DOOR_M, FloorPlan, World, wall_distances
+from relmap.simulation.noise import Array
 
 OPEN_RAD = np.deg2rad(65.0)
 SWING_RAD = np.deg2rad(40.0)
-"""A door swings about half open, so far either way."""
+"""A door swings this far either way about the angle at which it stands half open."""
 SLIDE_M = 0.22
 TURN_RAD = np.deg2rad(12.0)
-"""A panel goes and turns so far either way, and keeps clear of the others."""
+"""A panel slides and turns this far either way, and keeps clear of the others."""
 PERIOD = (30.0, 60.0)
 """Scans in which it comes back."""
 AJAR_M = 0.02
-"""A door's leaf begins so far from the wall."""
+"""Distance of a door's leaf from its jamb."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ class MovingWalls:
     row : (r,) int64
         Which walls of the plan they are.
     pivot : (r, 2) float64, metres
-    swing_rad : (r,) float64
+    swing_rad : float
     slide_m : (r, 2) float64
         How far they turn and slide either way.
     period, phase : (r,) float64
@@ -39,20 +40,19 @@ class MovingWalls:
 
     row: NDArray[np.int64]
     pivot: NDArray[np.float64]
-    swing_rad: NDArray[np.float64]
+    swing_rad: float
     slide_m: NDArray[np.float64]
     period: NDArray[np.float64]
     phase: NDArray[np.float64]
 
-    def at(self, walls: NDArray[np.float64], iteration: int) -> NDArray[np.float64]:
-        """Return the walls (w, 6) as they are in one scan."""
+    def at(self, walls: Array, iteration: int) -> Array:
+        """Return all walls (w, 6) of the plan as they are in one scan."""
         if not len(self.row):
             return walls
         share = np.sin(2 * np.pi * iteration / self.period + self.phase)
-        angle = share * self.swing_rad
-        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        off = walls[self.row, :4].reshape(-1, 2, 2) - self.pivot[:, None]
-        turned = np.stack([c * off[..., 0] - s * off[..., 1], s * off[..., 0] + c * off[..., 1]], 2)
+        c, s = np.cos(share * self.swing_rad)[:, None], np.sin(share * self.swing_rad)[:, None]
+        x, y = np.moveaxis(walls[self.row, :4].reshape(-1, 2, 2) - self.pivot[:, None], -1, 0)
+        turned = np.stack([c * x - s * y, s * x + c * y], axis=-1)
         moved = walls.copy()
         there = turned + (self.pivot + share[:, None] * self.slide_m)[:, None]
         moved[self.row, :4] = there.reshape(-1, 4)
@@ -62,65 +62,56 @@ class MovingWalls:
 def make_moving(
     plan: FloorPlan, world: World, count: int, rng: np.random.Generator
 ) -> tuple[FloorPlan, MovingWalls]:
-    """Let some walls move: hang so many doors in a building, or let so many panels slide.
+    """Let panels slide and turn, or hang doors in a building.
 
-    Fewer where fewer doors are free to swing, or fewer panels stand there.
+    Parameters
+    ----------
+    plan : FloorPlan
+    world : "building", "panels" or "long-wall"
+    count : int
+        How many; fewer where fewer doors are free to swing, or fewer panels stand there.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    FloorPlan
+        With the doors, each of two sides, after the other walls.
+    MovingWalls
     """
     if world == "panels":
-        return plan, _sliding_panels(plan, count, rng)
-    return _with_doors(plan, count, rng)
+        chosen = np.sort(rng.permutation(len(plan.walls) // 2)[:count])
+        row = np.repeat(2 * chosen, 2) + np.tile([0, 1], len(chosen))
+        pivot = plan.walls[row, :4].reshape(-1, 2, 2).mean(axis=1)
+        heading = np.repeat(rng.uniform(0, 2 * np.pi, len(chosen)), 2)
+        swing_rad = TURN_RAD
+        slide_m = SLIDE_M * np.column_stack([np.cos(heading), np.sin(heading)])
+    else:
+        doors = _hung_doors(plan, count, rng)
+        row = len(plan.walls) + np.arange(len(doors))
+        pivot = np.repeat(doors[::2, :2], 2, axis=0)
+        swing_rad, slide_m = SWING_RAD, np.zeros((len(doors), 2))
+        heights = np.tile(plan.walls[0, 4:], (len(doors), 1))
+        plan = replace(plan, walls=np.vstack([plan.walls, np.hstack([doors, heights])]))
+    n = len(row) // 2
+    period, phase = rng.uniform(*PERIOD, n), rng.uniform(0, 2 * np.pi, n)
+    rhythm = np.repeat(period, 2), np.repeat(phase, 2)  # the same for both sides
+    return plan, MovingWalls(row, pivot, swing_rad, slide_m, *rhythm)
 
 
-def _sliding_panels(plan: FloorPlan, count: int, rng: np.random.Generator) -> MovingWalls:
-    n = len(plan.walls) // 2
-    chosen = np.sort(rng.permutation(n)[:count])
-    row = np.repeat(2 * chosen, 2) + np.tile([0, 1], len(chosen))
-    middle = plan.walls[row, :4].reshape(-1, 2, 2).mean(axis=1)
-    heading = np.repeat(rng.uniform(0, 2 * np.pi, len(chosen)), 2)
-    slide_m = SLIDE_M * np.column_stack([np.cos(heading), np.sin(heading)])
-    swing_rad = np.full(len(row), TURN_RAD)
-    return MovingWalls(row, middle, swing_rad, slide_m, *_rhythm(len(chosen), rng))
-
-
-def _with_doors(
-    plan: FloorPlan, count: int, rng: np.random.Generator
-) -> tuple[FloorPlan, MovingWalls]:
-    leaves: list[list[list[float]]] = []
+def _hung_doors(plan: FloorPlan, count: int, rng: np.random.Generator) -> Array:
+    """Return both sides (2 d, 4) of half open doors that hit neither walls nor one another."""
+    leaves = [np.empty((0, 4))]
     hinges = np.empty((0, 2))
     for hinge, edge in plan.doors[rng.permutation(len(plan.doors))]:
-        along = edge - hinge
-        swept = [
-            hinge + _turned(along, angle)
-            for angle in (OPEN_RAD, *OPEN_RAD + SWING_RAD * np.linspace(-1, 1, 9))
-        ]
-        # Only doors are hung that hit neither walls nor one another.
-        free = wall_distances(np.array(swept), plan.walls).min() > CLEARANCE_M / 4
+        x, y = edge - hinge
+        angle = OPEN_RAD + SWING_RAD * np.linspace(-1, 1, 9)
+        c, s = np.cos(angle), np.sin(angle)
+        swept = hinge + np.column_stack([c * x - s * y, s * x + c * y])
+        free = wall_distances(swept, plan.walls).min() > CLEARANCE_M / 4
         apart = np.linalg.norm(hinges - hinge, axis=1).min(initial=np.inf) > 2 * DOOR_M[1]
-        if len(leaves) < count and free and apart:
-            tip = swept[0]
+        if len(hinges) < count and free and apart:
+            tip = swept[len(swept) // 2]
             near = hinge + AJAR_M * (tip - hinge) / np.linalg.norm(tip - hinge)
-            leaves.append([[*near, *tip], [*tip, *near]])
+            leaves.append(np.array([[*near, *tip], [*tip, *near]]))
             hinges = np.vstack([hinges, hinge])
-    if not leaves:
-        return plan, _sliding_panels(plan, 0, rng)
-    flat = np.array(leaves).reshape(-1, 4)
-    heights = np.tile(plan.walls[0, 4:], (len(flat), 1))
-    walls = np.vstack([plan.walls, np.hstack([flat, heights])])
-    row = len(plan.walls) + np.arange(len(flat))
-    pivot = np.repeat(flat[::2, :2], 2, axis=0)
-    swing_rad, slide_m = np.full(len(flat), SWING_RAD), np.zeros((len(flat), 2))
-    moving = MovingWalls(row, pivot, swing_rad, slide_m, *_rhythm(len(leaves), rng))
-    return FloorPlan(walls, plan.floors, plan.loop, plan.doors), moving
-
-
-def _rhythm(
-    count: int, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return periods and phases, the same for both sides."""
-    period, phase = rng.uniform(*PERIOD, count), rng.uniform(0, 2 * np.pi, count)
-    return np.repeat(period, 2), np.repeat(phase, 2)
-
-
-def _turned(v: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])
+    return np.vstack(leaves)

@@ -1,21 +1,49 @@
-"""Noise of simulated measurements."""
+"""What all simulated worlds share: the noise of a measurement, and limits of the arguments."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.errors import RelmapError
+
+Array = NDArray[np.float64]
 Noise = Literal["gaussian", "uniform"]
 """Distribution of the noise; both have the same standard deviation."""
 
 
 def draw_noise(
     noise: Noise, sigma: float, shape: tuple[int, ...], rng: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Array:
     """Draw independent errors with mean 0 and standard deviation `sigma`."""
     if noise == "gaussian":
         return rng.normal(0.0, sigma, shape)
     half_width = np.sqrt(3) * sigma
     return rng.uniform(-half_width, half_width, shape)
+
+
+def check_arguments(noise: str, sigma: float, seed: int, *limits: tuple[bool, str]) -> None:
+    """Refuse arguments that are out of range.
+
+    Parameters
+    ----------
+    noise, sigma, seed
+        What every world is given.
+    *limits : tuple of (bool, str)
+        Whether a further condition holds, and the message where it does not.
+
+    Raises
+    ------
+    RelmapError
+        With the message of the first condition that does not hold.
+    """
+    for holds, message in (
+        *limits,
+        (noise in get_args(Noise), f"noise is {noise!r}; it must be gaussian or uniform"),
+        (0 <= sigma < 1e3, f"sigma is {sigma}; it must lie in [0, 1000) metres"),
+        (seed >= 0, f"seed is {seed}; it must not be negative"),
+    ):
+        if not holds:
+            raise RelmapError(message)

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.simulation.noise import Noise, draw_noise
-from relmap.simulation.visibility import SeenWalls
+from relmap.simulation.noise import Array, Noise, draw_noise
+from relmap.simulation.visibility import SeenWalls, ray_distances
 
 Sampling = Literal["surface", "rays", "laser"]
 """How the points lie: uniform on the visible surface, or where equally spaced beams meet it (in
@@ -29,7 +29,7 @@ class Sensor:
     view_rad : float
         Horizontal field of view, radians, centred ahead; at most a half turn.
     vertical_view_rad : float
-        Vertical field of view of `rays`, centred at the horizon.
+        Vertical field of view of `rays`, radians, centred at the horizon.
     """
 
     range_m: float = 8.0
@@ -37,112 +37,130 @@ class Sensor:
     vertical_view_rad: float = np.deg2rad(60.0)
 
 
-DEPTH_SENSOR = Sensor(range_m=8.0, view_rad=np.deg2rad(90.0))
-LASER = Sensor(range_m=8.0, view_rad=np.deg2rad(180.0))
+DEPTH_SENSOR = Sensor()
+LASER = Sensor(view_rad=np.deg2rad(180.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
-    """Measured points.
+class BuildingScan:
+    """What the robot measured at one place, and what was truly there.
 
     Attributes
     ----------
     points : (n, 3) float64, robot frame, metres
+        Of a laser with z = 0, from right to left.
+    seen : SeenWalls
+        The visible stretches of walls.
     stretch : (n,) int64
-        The seen stretch that each point lies on.
+        The row of `seen` that each point belongs to.
     ranges_m : (b,) float64 or None
-        Of a laser: the range of every beam, right to left; infinite where nothing is met.
+        Of a laser: the range of every beam, right to left; infinite where there is no return.
     """
 
     points: NDArray[np.float64]
+    seen: SeenWalls
     stretch: NDArray[np.int64]
     ranges_m: NDArray[np.float64] | None = None
 
+    @property
+    def wall(self) -> NDArray[np.int64]:
+        """The wall that each point belongs to; (n,)."""
+        return self.seen.wall[self.stretch]
 
-def sample_surface(
-    seen: SeenWalls,
-    z_robot: NDArray[np.float64],
-    count: int,
-    noise: Noise,
-    sigma: float,
-    rng: np.random.Generator,
-    sample_ends: bool = False,
-) -> Sample:
-    """Scatter points uniformly over the visible surface; each coordinate has the noise.
 
-    Parameters
-    ----------
-    seen : SeenWalls
-    z_robot : (2,) float64, robot frame, metres
-        Lower and upper edge of all walls.
-    count : int
-        Number of points; there is none where no wall is seen.
-    noise, sigma
-        Distribution and standard deviation of the noise, metres.
-    rng : numpy.random.Generator
-    sample_ends : bool
-        Put a point on each end of every stretch that has two points or more.
+@dataclass(frozen=True)
+class Scanner:
+    """A sensor with the noise and the number of its points.
+
+    The attributes are the arguments of `relmap.simulation.simulate_building`.
     """
-    across = seen.ends[:, 1] - seen.ends[:, 0]
-    reach = np.cumsum(np.linalg.norm(across, axis=1))
-    if not len(reach):
-        return Sample(np.empty((0, 3)), np.empty(0, dtype=np.int64))
-    stretch = np.searchsorted(reach, rng.uniform(0, reach[-1], count), side="right")
-    t = rng.uniform(0, 1, count)
-    if sample_ends:
-        _put_on_ends(stretch, t)
-    flat = seen.ends[stretch, 0] + t[:, None] * across[stretch]
-    # Exact where rounding would matter: on the left end.
-    flat = np.where(t[:, None] == 1, seen.ends[stretch, 1], flat)
-    points = np.column_stack([flat, rng.uniform(z_robot[0], z_robot[1], count)])
-    return Sample(points + draw_noise(noise, sigma, points.shape, rng), stretch)
+
+    points: int
+    sigma: float
+    noise: Noise
+    sampling: Sampling
+    sensor: Sensor
+    sample_ends: bool
+
+    def scan(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
+        """Measure the visible stretches of walls.
+
+        Parameters
+        ----------
+        seen : SeenWalls
+        z_robot : (2,) float64, robot frame, metres
+            Lower and upper edge of all walls.
+        rng : numpy.random.Generator
+
+        Returns
+        -------
+        BuildingScan
+        """
+        if self.sampling == "surface":
+            return self._scatter(seen, z_robot, rng)
+        if self.sampling == "rays":
+            return self._cast(seen, z_robot, rng)
+        return self._sweep(seen, rng)
+
+    def _scatter(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
+        """Scatter points uniformly over the visible surface; each coordinate has the noise."""
+        across = seen.ends[:, 1] - seen.ends[:, 0]
+        reach = np.cumsum(np.linalg.norm(across, axis=1))
+        if not len(reach):
+            return BuildingScan(np.empty((0, 3)), seen, np.empty(0, dtype=np.int64))
+        stretch = np.searchsorted(reach, rng.uniform(0, reach[-1], self.points), side="right")
+        t = rng.uniform(0, 1, self.points)
+        if self.sample_ends:
+            _put_on_ends(stretch, t)
+        flat = seen.ends[stretch, 0] + t[:, None] * across[stretch]
+        # Exact on the left end, where rounding would matter.
+        flat = np.where(t[:, None] == 1, seen.ends[stretch, 1], flat)
+        points = np.column_stack([flat, rng.uniform(z_robot[0], z_robot[1], self.points)])
+        return BuildingScan(points + self._errors(points, rng), seen, stretch)
+
+    def _cast(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
+        """Measure a grid of beams; those that pass above or below all walls return nothing.
+
+        The points go from right to left, those of one azimuth upwards.
+        """
+        sensor = self.sensor
+        columns = max(2, round(np.sqrt(self.points * sensor.view_rad / sensor.vertical_view_rad)))
+        rows = max(1, round(self.points / columns))
+        half = sensor.vertical_view_rad / 2
+        elevation = np.linspace(-half, half, rows) if rows > 1 else np.zeros(1)
+        bearing, stretch, distance = self._met(seen, columns)
+        z = distance[:, None] * np.tan(elevation)
+        column, row = np.nonzero((z >= z_robot[0]) & (z <= z_robot[1]) & (stretch[:, None] >= 0))
+        ranges = distance[column] / np.cos(elevation[row])
+        ranges += self._errors(ranges, rng)
+        flat = ranges * np.cos(elevation[row])
+        z = ranges * np.sin(elevation[row])
+        return BuildingScan(_points(flat, bearing[column], z), seen, stretch[column])
+
+    def _sweep(self, seen: SeenWalls, rng: np.random.Generator) -> BuildingScan:
+        """Measure beams in the plane of the sensor, equally spaced from right to left."""
+        bearing, stretch, distance = self._met(seen, self.points)
+        ranges = distance + self._errors(distance, rng)
+        met = stretch >= 0
+        points = _points(ranges[met], bearing[met], np.zeros(int(met.sum())))
+        return BuildingScan(points, seen, stretch[met], np.where(met, ranges, np.inf))
+
+    def _errors(self, of: Array, rng: np.random.Generator) -> Array:
+        return draw_noise(self.noise, self.sigma, of.shape, rng)
+
+    def _met(self, seen: SeenWalls, beams: int) -> tuple[Array, NDArray[np.int64], Array]:
+        """Return bearing (b,), stretch, -1 for none, and distance of what each beam meets."""
+        bearing = np.linspace(-self.sensor.view_rad / 2, self.sensor.view_rad / 2, beams)
+        if not len(seen.wall):
+            return bearing, np.full(beams, -1), np.zeros(beams)
+        limits = np.arctan2(seen.ends[..., 1], seen.ends[..., 0])
+        at = np.searchsorted(limits[:, 0], bearing + _SLACK_RAD, side="right") - 1
+        met = (at >= 0) & (bearing <= limits[at, 1] + _SLACK_RAD)
+        distance = ray_distances(seen.ends[at], bearing)
+        return bearing, np.where(met, at, -1), np.where(met, distance, 0.0)
 
 
-def cast_rays(
-    seen: SeenWalls,
-    z_robot: NDArray[np.float64],
-    sensor: Sensor,
-    count: int,
-    noise: Noise,
-    sigma: float,
-    rng: np.random.Generator,
-) -> Sample:
-    """Measure about `count` beams, equally spaced in azimuth and elevation.
-
-    The range of each has the noise. Beams that pass above or below all walls return nothing. The
-    points go from right to left, those of one azimuth upwards.
-    """
-    columns = max(2, round(np.sqrt(count * sensor.view_rad / sensor.vertical_view_rad)))
-    rows = max(1, round(count / columns))
-    half = sensor.vertical_view_rad / 2
-    elevation = np.linspace(-half, half, rows) if rows > 1 else np.zeros(1)
-    bearing = _bearings(sensor, columns)
-    stretch, distance = _meet(seen, bearing)
-    z = distance[:, None] * np.tan(elevation)
-    column, row = np.nonzero((z >= z_robot[0]) & (z <= z_robot[1]) & (stretch[:, None] >= 0))
-    ranges = distance[column] / np.cos(elevation[row])
-    ranges += draw_noise(noise, sigma, ranges.shape, rng)
-    return Sample(_points(ranges, bearing[column], elevation[row]), stretch[column])
-
-
-def scan_laser(
-    seen: SeenWalls,
-    sensor: Sensor,
-    beams: int,
-    noise: Noise,
-    sigma: float,
-    rng: np.random.Generator,
-) -> Sample:
-    """Measure beams in the sensor's own plane, equally spaced from right to left, with z = 0."""
-    bearing = _bearings(sensor, beams)
-    stretch, distance = _meet(seen, bearing)
-    ranges = distance + draw_noise(noise, sigma, distance.shape, rng)
-    met = stretch >= 0
-    points = _points(ranges[met], bearing[met], np.zeros(int(met.sum())))
-    return Sample(points, stretch[met], np.where(met, ranges, np.inf))
-
-
-def _put_on_ends(stretch: NDArray[np.int64], t: NDArray[np.float64]) -> None:
+def _put_on_ends(stretch: NDArray[np.int64], t: Array) -> None:
     """Move the first point of each stretch to its right end, the second to its left."""
     order = np.argsort(stretch, kind="stable")
     rank = np.arange(len(order)) - np.searchsorted(stretch[order], stretch[order])
@@ -151,30 +169,5 @@ def _put_on_ends(stretch: NDArray[np.int64], t: NDArray[np.float64]) -> None:
     t[order[enough & (rank == 1)]] = 1.0
 
 
-def _bearings(sensor: Sensor, count: int) -> NDArray[np.float64]:
-    return np.linspace(-sensor.view_rad / 2, sensor.view_rad / 2, count)
-
-
-def _meet(
-    seen: SeenWalls, bearing: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the stretch that each beam (b,) meets, -1 for none, and how far off, metres."""
-    if not len(seen.wall):
-        return np.full(len(bearing), -1), np.zeros(len(bearing))
-    limits = np.arctan2(seen.ends[..., 1], seen.ends[..., 0])
-    at = np.searchsorted(limits[:, 0], bearing + _SLACK_RAD, side="right") - 1
-    met = (at >= 0) & (bearing <= limits[at, 1] + _SLACK_RAD)
-    (x0, y0), (x1, y1) = seen.ends[at, 0].T, seen.ends[at, 1].T
-    across = np.cos(bearing) * (y1 - y0) - np.sin(bearing) * (x1 - x0)
-    distance = (x0 * y1 - y0 * x1) / np.where(met, across, 1.0)
-    return np.where(met, at, -1), np.where(met, distance, 0.0)
-
-
-def _points(
-    ranges: NDArray[np.float64], bearing: NDArray[np.float64], elevation: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return points (n, 3) in the robot frame."""
-    flat = ranges * np.cos(elevation)
-    return np.column_stack(
-        [flat * np.cos(bearing), flat * np.sin(bearing), ranges * np.sin(elevation)]
-    )
+def _points(flat: Array, bearing: Array, z: Array) -> Array:
+    return np.column_stack([flat * np.cos(bearing), flat * np.sin(bearing), z])

@@ -2,7 +2,7 @@
 
 The world is 2½-D: vertical walls of one height, so what hides what is decided in the ground plane.
 Every wall has one front: seen from there its ends (x0, y0), (x1, y1) go from right to left. From
-behind a wall is not there; a wall with two sides is two walls, one for each side.
+behind, a wall is invisible; a wall with two sides is two walls, one for each side.
 """
 
 from __future__ import annotations
@@ -12,18 +12,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.simulation.noise import Array
+
 END_TYPES = ("corner", "view", "range", "occluded")
-"""Why a stretch ends: in this order the reasons are asked for, the first that holds is given."""
+"""Why a stretch ends; where several reasons hold, the first of them is given."""
 
 _SAME_BEARING_RAD = 1e-12
-"""Bearings this near are one and the same, apart only by rounding."""
+"""Bearings that differ by less are equal but for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenWalls:
     """The visible stretches of walls in one scan, from right to left.
 
-    Where something stands before the middle of a wall, the wall has more than one stretch.
+    A wall whose middle is hidden has more than one stretch.
 
     Attributes
     ----------
@@ -41,16 +43,7 @@ class SeenWalls:
     end_type: NDArray[np.str_]
 
 
-@dataclass(frozen=True, eq=False)
-class _Clipped:
-    """The parts of walls within view and range, as if nothing hid them: (m,) each."""
-
-    wall: NDArray[np.int64]
-    ends: NDArray[np.float64]
-    kind: NDArray[np.int64]
-
-
-def seen_walls(ends_robot: NDArray[np.float64], range_m: float, half_view_rad: float) -> SeenWalls:
+def seen_walls(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenWalls:
     """Return what a robot sees of walls that do not cross.
 
     Parameters
@@ -61,19 +54,59 @@ def seen_walls(ends_robot: NDArray[np.float64], range_m: float, half_view_rad: f
         Horizontal range of the sensor, metres.
     half_view_rad : float
         The sensor sees bearings in [-half_view_rad, half_view_rad], at most a half turn in all.
+
+    Returns
+    -------
+    SeenWalls
     """
-    parts = _clip(ends_robot, range_m, half_view_rad)
-    bearings = np.arctan2(parts.ends[..., 1], parts.ends[..., 0])
-    events, at = _merged(bearings)
-    nearest = _nearest(ends_robot[parts.wall], at, (events[:-1] + events[1:]) / 2)
+    wall, ends, kind = _clipped(ends_robot, range_m, half_view_rad)
+    events, at = _merged(np.arctan2(ends[..., 1], ends[..., 0]))
+    nearest = _nearest(ends_robot[wall], at, (events[:-1] + events[1:]) / 2)
     changes = np.flatnonzero(np.diff(nearest, prepend=-2, append=-2))
     runs = np.column_stack([changes[:-1], changes[1:]])
     runs = runs[nearest[runs[:, 0]] >= 0]
-    return _stretches(ends_robot, parts, at, nearest[runs[:, 0]], runs, events[runs])
+    part = nearest[runs[:, 0]]
+    whole = at[part] == runs
+    hidden = _on_rays(ends_robot[wall[part], None], events[runs])
+    types = np.array(END_TYPES)[np.where(whole, kind[part], END_TYPES.index("occluded"))]
+    return SeenWalls(wall[part], np.where(whole[..., None], ends[part], hidden), types)
 
 
-def _clip(ends: NDArray[np.float64], range_m: float, half_view_rad: float) -> _Clipped:
-    """Cut the walls that face the robot by both edges of the view and by the range."""
+def ray_distances(walls: Array, bearing: Array) -> Array:
+    """Return how far along rays from the robot the lines of walls are.
+
+    Parameters
+    ----------
+    walls : (..., 2, 2) float64, robot frame, metres
+        Two points of each line.
+    bearing : (...) float64, radians
+        Of each ray; the two are broadcast.
+
+    Returns
+    -------
+    (...) float64, metres
+        NaN where the ray is parallel to the line.
+    """
+    first, last = walls[..., 0, :], walls[..., 1, :]
+    across = _cross(np.stack([np.cos(bearing), np.sin(bearing)], axis=-1), last - first)
+    return np.asarray(_cross(first, last) / np.where(across == 0, np.nan, across))
+
+
+def _on_rays(walls: Array, bearing: Array) -> Array:
+    ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
+    return np.asarray(ray_distances(walls, bearing)[..., None] * ray)
+
+
+def _clipped(
+    ends: Array, range_m: float, half_view_rad: float
+) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+    """Cut the walls that face the robot by both edges of the view and by the range.
+
+    Returns
+    -------
+    wall, ends, kind : (m,) int64, (m, 2, 2) float64, (m, 2) int64
+        As in `SeenWalls`, as if no wall hid another; the kinds count in `END_TYPES`.
+    """
     wall = np.flatnonzero(_cross(ends[:, 0], ends[:, 1]) > 0)
     first, along = ends[wall, 0], ends[wall, 1] - ends[wall, 0]
     m = len(wall)
@@ -95,10 +128,10 @@ def _clip(ends: NDArray[np.float64], range_m: float, half_view_rad: float) -> _C
     points = first[:, None] + t[..., None] * along[:, None]
     points = np.where((kind == 0)[..., None], ends[wall], points)
     inside = t[:, 0] < t[:, 1]
-    return _Clipped(wall[inside], points[inside], kind[inside])
+    return wall[inside], points[inside], kind[inside]
 
 
-def _merged(bearings: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _merged(bearings: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return the different bearings in order, and for each given one which of them it is."""
     order = np.argsort(bearings, axis=None)
     ordered = bearings.ravel()[order]
@@ -108,9 +141,7 @@ def _merged(bearings: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray
     return ordered[new], at.reshape(bearings.shape)
 
 
-def _nearest(
-    ends: NDArray[np.float64], at: NDArray[np.int64], bearing: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def _nearest(ends: Array, at: NDArray[np.int64], bearing: Array) -> NDArray[np.int64]:
     """Return the first part that a ray between each two events meets; -1 where it meets none.
 
     As walls do not cross, it is the first one at every bearing between the two.
@@ -119,38 +150,10 @@ def _nearest(
         return np.empty(0, dtype=np.int64)
     gap = np.arange(len(bearing))[:, None]
     covers = (at[:, 0] <= gap) & (gap < at[:, 1])
-    distance = np.where(covers, _distances(ends, bearing), np.inf)
-    nearest = np.argmin(distance, axis=1)
-    return np.where(covers.any(axis=1), nearest, -1)
+    distance = np.where(covers, ray_distances(ends, bearing[:, None]), np.inf)
+    return np.where(covers.any(axis=1), np.argmin(distance, axis=1), -1)
 
 
-def _distances(ends: NDArray[np.float64], bearing: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how far along rays (k,) the lines of walls (m, 2, 2) are, (k, m), metres."""
-    ray = np.column_stack([np.cos(bearing), np.sin(bearing)])[:, None]
-    across = _cross(ray, ends[:, 1] - ends[:, 0])
-    return np.asarray(_cross(ends[:, 0], ends[:, 1]) / np.where(across == 0, np.nan, across))
-
-
-def _stretches(
-    ends_robot: NDArray[np.float64],
-    parts: _Clipped,
-    at: NDArray[np.int64],
-    part: NDArray[np.int64],
-    runs: NDArray[np.int64],
-    bearing: NDArray[np.float64],
-) -> SeenWalls:
-    """Turn runs of one nearest part (s,) between two events (s, 2) at bearings into stretches."""
-    wall = parts.wall[part]
-    line = ends_robot[wall]
-    across = line[:, 1] - line[:, 0]
-    ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
-    distance = _cross(line[:, 0], line[:, 1])[:, None] / _cross(ray, across[:, None])
-    whole = at[part] == runs
-    ends = np.where(whole[..., None], parts.ends[part], distance[..., None] * ray)
-    kind = np.where(whole, parts.kind[part], END_TYPES.index("occluded"))
-    return SeenWalls(wall, ends, np.array(END_TYPES)[kind])
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cross(a: Array, b: Array) -> Array:
     """Return the z of the cross product of vectors in the plane, (..., 2) each."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

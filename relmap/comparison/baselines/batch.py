@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
-from scipy.spatial.transform import Rotation
 
+from relmap.comparison.baselines.base import fitted, rotations, turned_by
 from relmap.core.errors import RelmapError
-from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 
 CONVERGED_M = 1e-9
 
@@ -100,10 +99,10 @@ def _poses(
     R, t = np.empty((k, d, d)), np.empty((k, d))
     for pose in range(k):
         rows = observations.pose == pose
-        there = landmarks[observations.landmark[rows]]
-        if not rows.any() or not fixes_rotation(there):
+        found = fitted(observations.points_robot[rows], landmarks[observations.landmark[rows]])
+        if found is None:
             raise RelmapError(f"batch least squares: pose {pose} is not fixed by what it sees")
-        R[pose], t[pose] = fit_rigid(observations.points_robot[rows], there)
+        R[pose], t[pose] = found
     return R, t
 
 
@@ -118,7 +117,7 @@ def _gauss_newton(
     k, m = len(R), len(landmarks)
     turned = np.einsum("nij,nj->ni", R[observations.pose], observations.points_robot)
     residual = (turned + t[observations.pose] - landmarks[observations.landmark]).ravel()
-    by_pose = np.concatenate([_turning(turned), np.tile(np.eye(d), (n, 1, 1))], axis=2)
+    by_pose = np.concatenate([turned_by(turned), np.tile(np.eye(d), (n, 1, 1))], axis=2)
     q = by_pose.shape[2]
     J_pose = _block_columns(by_pose, observations.pose, k)[:, q:]  # the first pose is the frame
     J_map = _block_columns(np.tile(-np.eye(d), (n, 1, 1)), observations.landmark, m)
@@ -131,21 +130,7 @@ def _gauss_newton(
     landmark_step = -spsolve(reduced.tocsc(), right)
     pose_step = -inverse @ (J_pose.T @ residual + coupling @ landmark_step)
     step = np.concatenate([np.zeros((1, q)), pose_step.reshape(k - 1, q)])
-    return _rotations(step[:, : q - d]), step[:, q - d :], landmark_step.reshape(m, d)
-
-
-def _turning(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivative (n, d, r) of turned points by a small turn of their pose."""
-    if points.shape[1] == 2:
-        return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
-    return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
-
-
-def _rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    if turns.shape[1] == 3:
-        return Rotation.from_rotvec(turns).as_matrix()
-    cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
-    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+    return rotations(step[:, : q - d]), step[:, q - d :], landmark_step.reshape(m, d)
 
 
 def _block_columns(

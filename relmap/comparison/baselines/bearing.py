@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.comparison.baselines.base import turned_by
+
 if TYPE_CHECKING:
     from relmap.comparison.baselines.ekf import EkfConfig
 
@@ -78,13 +80,6 @@ def spherical(points: Floats) -> Floats:
     if points.shape[1] == 2:
         return np.column_stack([level, yaw])
     return np.column_stack([np.hypot(level, points[:, 2]), yaw, np.arctan2(points[:, 2], level)])
-
-
-def turned_by(points: Floats) -> Floats:
-    """Return the derivative (n, d, r) of turned points (n, d) by a small turn about each axis."""
-    if points.shape[1] == 2:
-        return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
-    return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
 
 
 def _jacobian(points: Floats) -> Floats:

@@ -23,12 +23,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.spatial.transform import Rotation
 
+from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of, rotations
 from relmap.comparison.baselines.bearing import inverse_model, predicted
-from relmap.comparison.methods.base import Method, MethodInfo, Poses, Setup, identified
-from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
-from relmap.core.landmarks import LandmarkMap, in_space
+from relmap.comparison.methods.base import Setup
+from relmap.core.landmarks import LandmarkMap
 
 UNKNOWN_M, UNKNOWN_RAD = 10.0, 1.0
 """Process noise that says nothing, beside a step of the robot."""
@@ -59,7 +58,7 @@ class EkfConfig:
     T_robot_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
 
-class Ekf(Method):
+class Ekf(KnownBaseline):
     """EKF SLAM with known association; the map frame is that of the robot in the first iteration.
 
     Parameters
@@ -70,7 +69,8 @@ class Ekf(Method):
     """
 
     def __init__(self, dimension: int, config: EkfConfig) -> None:
-        self._d, self._config = dimension, config
+        super().__init__(dimension)
+        self._config = config
         self._turns = 1 if dimension == 2 else 3
         self._q = dimension + self._turns
         """Components of the pose in the state: they come first."""
@@ -78,33 +78,23 @@ class Ekf(Method):
         self._row: dict[int, int] = {}
         self._map = np.empty((0, dimension))
         self._P = np.zeros((self._q, self._q))
-        self._poses = Poses()
 
-    def update(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
-    ) -> NDArray[np.int64]:
-        """Predict, correct by what is on the map, add what is new; see `Method.update`."""
-        labels, known = identified(ids, len(points_robot))
-        points, seen = points_robot[known], labels[known].tolist()
-        rows = np.array([self._row.get(label, -1) for label in seen], np.int64)
+    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose:
+        """Predict, correct by what is on the map, add what is new."""
+        rows = np.array([self._row.get(label, -1) for label in labels.tolist()], np.int64)
         old = rows >= 0
         if self._row:
             self._predict(points[old], rows[old])
             self._correct(points[old], rows[old])
-        self._add(
-            [label for label, there in zip(seen, old, strict=True) if not there], points[~old]
-        )
-        self._poses.append(self._R, self._t)
-        return labels
+        self._add(labels[~old].tolist(), points[~old])
+        return self._R, self._t
 
     def _predict(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
         """Move the pose on, and say how little is known of its motion."""
         step, turn = self._config.step_sd_m, self._config.turn_sd_rad
-        there = self._map[rows]
         if self._config.prediction == "fitted":
             step, turn = UNKNOWN_M, UNKNOWN_RAD
-            if fixes_rotation(there):
-                self._R, self._t = fit_rigid(points, there)
+            self._R, self._t = fitted(points, self._map[rows]) or (self._R, self._t)
         noise = np.repeat([step**2, turn**2], [self._d, self._turns])
         self._P[np.arange(self._q), np.arange(self._q)] += noise
 
@@ -131,7 +121,7 @@ class Ekf(Method):
     def _move(self, step: NDArray[np.float64]) -> None:
         d, q = self._d, self._q
         self._t = self._t + step[:d]
-        self._R = _rotation(step[d:q]) @ self._R
+        self._R = rotations(step[None, d:q])[0] @ self._R
         self._map = self._map + step[q:].reshape(-1, d)
 
     def _add(self, labels: list[int], points: NDArray[np.float64]) -> None:
@@ -151,46 +141,18 @@ class Ekf(Method):
     @property
     def map(self) -> LandmarkMap:
         """The landmarks in the state."""
-        labels = np.array(list(self._row), np.int64)
-        order = np.argsort(labels)
-        return LandmarkMap(labels[order], in_space(self._map[order]))
-
-    @property
-    def trajectory(self) -> NDArray[np.float64]:
-        """The pose as it was estimated in every iteration."""
-        return self._poses.values
+        return map_of({label: self._map[row] for label, row in self._row.items()})
 
 
-def _rotation(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    if len(turn) == 3:
-        return Rotation.from_rotvec(turn).as_matrix()
-    c, s = np.cos(turn[0]), np.sin(turn[0])
-    return np.array([[c, -s], [s, c]])
-
-
-def as_mrpt_ships_it(setup: Setup) -> Ekf:
-    """Return the filter that stands still, with MRPT's process noise.
+def as_mrpt_ships_it(told: Setup) -> Ekf:
+    """Return the filter that predicts standing still, with MRPT's process noise.
 
     MRPT takes one standard deviation for all bearings: that of a landmark at half the range.
     """
-    bearing_sd_rad = setup.sigma_m / (setup.range_m / 2)
-    return Ekf(setup.dimension, EkfConfig("standing", 0.1, 0.1, setup.sigma_m, bearing_sd_rad))
+    bearing_sd_rad = told.sigma_m / (told.range_m / 2)
+    return Ekf(told.dimension, EkfConfig("standing", 0.1, 0.1, told.sigma_m, bearing_sd_rad))
 
 
-def fitted(setup: Setup) -> Ekf:
+def linearised_at_best_fit(told: Setup) -> Ekf:
     """Return the filter that predicts by fitting the scan to the map."""
-    return Ekf(setup.dimension, EkfConfig("fitted", range_sd_m=setup.sigma_m))
-
-
-STANDING = MethodInfo(
-    "ekf-mrpt",
-    "EKF SLAM without odometry, predicting that the robot stands still, as MRPT ships it",
-    as_mrpt_ships_it,
-    needs_ids=True,
-)
-FITTED = MethodInfo(
-    "ekf",
-    "EKF SLAM without odometry, linearised where the scan fits the map best",
-    fitted,
-    needs_ids=True,
-)
+    return Ekf(told.dimension, EkfConfig("fitted", range_sd_m=told.sigma_m))

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.comparison.baselines.frame_to_map import FrameToMap
-from relmap.comparison.methods.base import MethodInfo
-from relmap.comparison.methods.collected import SolvedAtTheEnd
+from relmap.comparison.baselines.frame_to_map import frame_to_map
+from relmap.comparison.baselines.solved import SolvedAtTheEnd
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, in_space
 from relmap.datasets.base import ObservationLog
@@ -37,7 +36,9 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     RelmapError
         Where the log has no ids, or they do not hold together as one map.
     """
-    start = _start(log)
+    if log.ids is None:
+        raise RelmapError("least squares with known ids: the log has no ids")
+    start = frame_to_map(log).map
     log = _of_landmarks(log, start.landmark_ids)
     if log.ids is None or not len(log.ids):
         raise RelmapError("least squares with known ids: too few landmarks are identified")
@@ -47,17 +48,6 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     places = start.positions[np.isin(start.landmark_ids, labels), :dimension]
     observations = Batch(log.points_robot, pose, landmark)
     return LandmarkMap(labels, in_space(batch_least_squares(observations, places)))
-
-
-def _start(log: ObservationLog) -> LandmarkMap:
-    """Return a map to start from, in ascending order of the ids."""
-    if log.ids is None:
-        raise RelmapError("least squares with known ids: the log has no ids")
-    frame_to_map = FrameToMap()
-    for scan in log.scans():
-        assert scan.ids is not None
-        frame_to_map.update(scan.points_robot, scan.ids)
-    return frame_to_map.map
 
 
 def _of_landmarks(log: ObservationLog, labels: NDArray[np.int64]) -> ObservationLog:
@@ -80,11 +70,3 @@ class BatchLeastSquares(SolvedAtTheEnd):
 
     def _solved(self, log: ObservationLog) -> LandmarkMap:
         return least_squares_map(log)
-
-
-METHOD = MethodInfo(
-    "batch",
-    "sparse least squares over all observations at the end: the limit",
-    lambda setup: BatchLeastSquares(setup.dimension),
-    needs_ids=True,
-)

@@ -2,40 +2,42 @@
 
 from __future__ import annotations
 
-import difflib
+from typing import Any
 
-from relmap.comparison.baselines import (
-    ekf,
-    frame_to_frame,
-    frame_to_map,
-    gtsam_batch,
-    isam2,
-    kiss_icp,
-    known,
-    small_gicp,
-)
-from relmap.comparison.methods import relmap
+from relmap.comparison.baselines.ekf import as_mrpt_ships_it, linearised_at_best_fit
+from relmap.comparison.baselines.frame_to_frame import FrameToFrame
+from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.comparison.baselines.gtsam_methods import GtsamBatch, Isam2
+from relmap.comparison.baselines.icp import KissIcp, SmallGicp
+from relmap.comparison.baselines.known import BatchLeastSquares
 from relmap.comparison.methods.base import MethodInfo
-from relmap.core.errors import RelmapError
-from relmap.evaluation.run import Association
+from relmap.comparison.methods.paper import PAPER, PaperPlaneMapper, PaperPointMapper
+from relmap.core.errors import RelmapError, known_name
+from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import LogKind
+from relmap.planes import PlaneMapper
+from relmap.points import PointMapper
+
+_SCANS: tuple[LogKind, ...] = ("scans",)
+_ALL: tuple[LogKind, ...] = ("landmarks", "scans")
+_GTSAM: dict[str, Any] = {"needs_ids": True, "needs": "gtsam"}
 
 METHODS: tuple[MethodInfo, ...] = (
-    relmap.REFINED,
-    relmap.LIVE,
-    relmap.LITERAL,
-    relmap.REFINED_PLANES,
-    relmap.LIVE_PLANES,
-    relmap.LITERAL_PLANES,
-    frame_to_frame.METHOD,
-    frame_to_map.METHOD,
-    ekf.STANDING,
-    ekf.FITTED,
-    known.METHOD,
-    isam2.METHOD,
-    gtsam_batch.METHOD,
-    kiss_icp.METHOD,
-    small_gicp.METHOD,
+    MethodInfo("relmap-points", lambda _: PointMapper(), refine=True),
+    MethodInfo("relmap-points-live", lambda _: PointMapper()),
+    MethodInfo("relmap-points-paper", lambda _: PaperPointMapper(PAPER)),
+    MethodInfo("relmap-planes", lambda _: PlaneMapper(), _SCANS, refine=True),
+    MethodInfo("relmap-planes-live", lambda _: PlaneMapper(), _SCANS),
+    MethodInfo("relmap-planes-paper", lambda _: PaperPlaneMapper(), _SCANS),
+    MethodInfo("frame-to-frame", lambda told: FrameToFrame(told.dimension), needs_ids=True),
+    MethodInfo("frame-to-map", lambda told: FrameToMap(told.dimension), needs_ids=True),
+    MethodInfo("ekf-mrpt", as_mrpt_ships_it, needs_ids=True),
+    MethodInfo("ekf", linearised_at_best_fit, needs_ids=True),
+    MethodInfo("batch", lambda told: BatchLeastSquares(told.dimension), needs_ids=True),
+    MethodInfo("isam2", lambda told: Isam2(told.dimension, told.sigma_m), **_GTSAM),
+    MethodInfo("gtsam-batch", lambda told: GtsamBatch(told.dimension, told.sigma_m), **_GTSAM),
+    MethodInfo("kiss-icp", lambda told: KissIcp(told.range_m), _ALL, needs="kiss_icp"),
+    MethodInfo("small-gicp", lambda told: SmallGicp(told.range_m), _ALL, needs="small_gicp"),
 )
 """In the order of the tables."""
 
@@ -48,12 +50,8 @@ def find_method(name: str) -> MethodInfo:
     RelmapError
         Where there is none of that name.
     """
-    known = [method.name for method in METHODS]
-    if name in known:
-        return METHODS[known.index(name)]
-    near = difflib.get_close_matches(name, known, n=1)
-    hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-    raise RelmapError(f"unknown method {name!r}; {hint}")
+    known = {method.name: method for method in METHODS}
+    return known[known_name(name, known, "method")]
 
 
 def fitting_methods(log: LogKind, association: Association) -> list[MethodInfo]:
@@ -73,12 +71,11 @@ def check_method(method: MethodInfo, log: LogKind, association: Association) -> 
     RelmapError
         Where it cannot.
     """
+    fit = ", ".join(other.name for other in fitting_methods(log, association))
     if log not in method.logs:
         has = "point scans" if log == "scans" else "landmarks"
-        fit = ", ".join(other.name for other in fitting_methods(log, association))
         raise RelmapError(f"method {method.name} cannot map a log of {has}; these can: {fit}")
     if method.needs_ids and association == "nearest":
-        fit = ", ".join(other.name for other in fitting_methods(log, association))
         raise RelmapError(
             f"method {method.name} needs to be told which landmark is which: "
             f"--association known; without ids these can run: {fit}"

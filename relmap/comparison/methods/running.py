@@ -10,16 +10,18 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from relmap.comparison.memory import PeakMemory
-from relmap.comparison.methods.base import Method, MethodInfo, Setup
-from relmap.core.landmarks import LandmarkMap, LandmarkTable
+from relmap.comparison.methods.base import MethodInfo, Setup
+from relmap.comparison.methods.registry import find_method
+from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.feeding import Association, Fed, Log, feed
 from relmap.evaluation.landmarks import identify, match_landmarks
-from relmap.evaluation.run import Association, Log, stamps_of
-from relmap.evaluation.sources import Data
+from relmap.evaluation.run import result_of
+from relmap.evaluation.sources import Data, Source
 from relmap.evaluation.summary import timing_of
-from relmap.io.results import Result, Tracks
+from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
 from relmap.points.mapper import PointMapper
 
@@ -39,6 +41,8 @@ ACCURACY = (
 `matched` landmarks or corners are behind the RMSE; `often_rmse_m` is of the landmarks seen in ten
 iterations alone, as coverage is: methods that map what they saw once are compared by it.
 """
+OF_A_MAP = ("matched", "coverage", "landmarks_per_true", "purity")
+"""Figures that a method without a map cannot have."""
 PATH = ("path_coverage", "relation_m", "relation_rad")
 """Further figures of the path: the share of the iterations that have a pose in the map, which of a
 map in submaps are those of the largest, and the error of checked relations between poses."""
@@ -81,44 +85,73 @@ def run_method(
     data : Data
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that methods are told; estimated from the log where left out.
+        Noise that methods are told, metres; estimated from the log if not given.
+
+    Returns
+    -------
+    MethodRun
 
     Raises
     ------
     RelmapError
         Where the method cannot use the log.
     """
+    log, setup = data.log, setup_for(data, sigma_m)
+    first = log.first_iteration
     with threadpool_limits(1):
-        setup = setup_for(data, sigma_m)
-        _run(info.make(setup), data, association, WARM_UP[data.kind])
+        if len(log):
+            begin = log.between(first, first + WARM_UP[data.kind])
+            feed(info.make(setup), begin, association, info.refine, clock=process_time)
         method = info.make(setup)
         memory = PeakMemory()
-        labels, durations_s, finish_s = _run(method, data, association)
+        fed = feed(method, log, association, info.refine, clock=process_time)
         memory_mb = memory.grown_mb
-        result = _result(method, data, association, labels)
-        figures: dict[str, float | None] = dict.fromkeys((*ACCURACY, *PATH))
-        if data.truth is not None:
-            figures |= _accuracy(result, data)
-        if not (len(method.map.landmark_ids) or isinstance(result, PlaneResult)):
-            figures |= dict.fromkeys(("matched", "coverage", "landmarks_per_true", "purity"))
-        told = timing_of(durations_s)
-        figures |= {
-            "path_coverage": len(result.poses) / len(data.log) if len(data.log) else None,
-            "median_ms": told["median_ms"],
-            "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
-            "last_100_median_ms": told["last_100_median_ms"],
-            "total_s": float(durations_s.sum()) + finish_s,
-            "memory_mb": memory_mb,
-        }
-        return MethodRun(result, figures)
+        result = result_of(method, log, fed.labels, association, first)
+        path_coverage = len(result.poses) / len(log) if len(log) else None
+        figures = {**_accuracy(result, data), "path_coverage": path_coverage}
+        return MethodRun(result, figures | _cost(fed) | {"memory_mb": memory_mb})
+
+
+def try_method(
+    name: str, source: Source, association: Association, sigma_m: float | None
+) -> tuple[MethodRun | None, str]:
+    """Run a method where it can run; see `run_method`.
+
+    Parameters
+    ----------
+    name : str
+    source : Source
+        Of the data.
+    association : "nearest" or "known"
+    sigma_m : float or None
+        Noise that methods are told, metres.
+
+    Returns
+    -------
+    run : MethodRun or None
+        None where it failed.
+    note : str
+        Why; empty where all went well.
+    """
+    try:
+        return run_method(find_method(name), source.load(), association, sigma_m), ""
+    except (RelmapError, RuntimeError, ImportError, np.linalg.LinAlgError) as error:
+        return None, "failed: " + " ".join(str(error).split())[:200]
 
 
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
-    """Return what methods are told beforehand of a log."""
+    """Return what methods are told beforehand of a log.
+
+    Parameters
+    ----------
+    data : Data
+    sigma_m : float, optional
+        Standard deviation of an observed coordinate, metres; estimated from the log if not given.
+    """
     log = data.log
     if isinstance(log, ScanLog):
         points = log.points_of(0) if len(log) else np.empty((0, log.dimension))
-        return Setup(log.dimension, sigma_m or FEW_M, _reach(points), log.sensor)
+        return Setup(log.dimension, sigma_m or FEW_M, _reach(points))
     sigma = sigma_m or _noise_of(log)
     return Setup(log.points_robot.shape[1], sigma, _reach(log.points_robot))
 
@@ -131,98 +164,34 @@ def _noise_of(log: ObservationLog) -> float:
     """Estimate the noise of a landmark log, metres."""
     mapper = PointMapper()
     first = log.first_iteration
-    for scan in log.between(first, first + GUESSED_FROM).scans():
-        mapper.update(scan.points_robot)
-    mapper.finish()
+    feed(mapper, log.between(first, first + GUESSED_FROM), "nearest")
     return mapper.noise_m if mapper.noise_m > 0 else FEW_M
 
 
-def _run(
-    method: Method, data: Data[Log], association: Association, most: int | None = None
-) -> tuple[NDArray[np.int64], NDArray[np.float64], float]:
-    """Return the labels (n,), and the seconds of each iteration (k,) and of the end."""
-    labels, durations_s = [np.empty(0, np.int64)], []
-    log = data.log
-    if most is not None and len(log):
-        log = log.between(log.first_iteration, log.first_iteration + most)
-    for scan in log.scans():
-        ids = getattr(scan, "ids", None) if association == "known" else None
-        began = process_time()
-        labels.append(method.update(scan.points_robot, ids))
-        durations_s.append(process_time() - began)
-    began = process_time()
-    method.finish()
-    finish_s = process_time() - began
-    return method.landmarks_of(np.concatenate(labels)), np.array(durations_s), finish_s
-
-
-def _result(
-    method: Method, data: Data[Log], association: Association, labels: NDArray[np.int64]
-) -> Result:
-    """Return what a method made of a log as a result."""
-    log, poses, seen = data.log, method.trajectory, labels >= 0
-    there = np.isfinite(poses).all(axis=(1, 2))
-    iteration, rows = np.empty((2, 0), np.int64)
-    dimensions = 2
-    if isinstance(log, ObservationLog):
-        iteration, rows, dimensions = log.iteration, log.rows, log.points_robot.shape[1]
-    else:
-        labels, seen = labels[:0], seen[:0]
-    first = log.first_iteration
-    summary = {
-        "association": association,
-        "dimensions": dimensions,
-        "scans": [first, first + len(log)],
-    }
-    table = table_of(method.map, labels, iteration, range(first, first + len(log)))
-    tracks = Tracks(iteration[seen], rows[seen], labels[seen])
-    result = Result(table, tracks, stamps_of(log)[there], poses[there], summary)
-    planes = method.planes
-    return result if planes is None else PlaneResult(**vars(result), planes=planes)
-
-
 def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
-    """Compare a result with the truth."""
-    log, truth = data.log if isinstance(data.log, ObservationLog) else None, data.truth
-    assert truth is not None
-    found = evaluate(result, truth, log)
-    figures = {name: getattr(found, name, None) for name in (*ACCURACY, *PATH)}
-    matched = found.counts.get("matched_landmarks", found.counts.get("matched_corners"))
-    often = match_landmarks(result, truth, identify(result, log), often=True)
-    return figures | {"matched": matched, "often_rmse_m": often.rmse_m if often else None}
+    """Compare a result with the truth; a method without a map has no figures of one."""
+    figures: dict[str, float | None] = dict.fromkeys((*ACCURACY, *PATH))
+    if data.truth is None:
+        return figures
+    log = data.log if isinstance(data.log, ObservationLog) else None
+    found = evaluate(result, data.truth, log)
+    figures |= {name: getattr(found, name, None) for name in figures}
+    if isinstance(result, PlaneResult):
+        return figures | {"matched": found.counts.get("matched_corners")}
+    if not result.mapped.any():
+        return figures | dict.fromkeys(OF_A_MAP)
+    often = match_landmarks(result, data.truth, identify(result, log), often=True)
+    figures["matched"] = found.counts.get("matched_landmarks")
+    return figures | {"often_rmse_m": often.rmse_m if often else None}
 
 
-def table_of(
-    found: LandmarkMap, labels: NDArray[np.int64], iteration: NDArray[np.int64], covered: range
-) -> LandmarkTable:
-    """Return one row for every landmark that was labelled, mapped or not.
-
-    Parameters
-    ----------
-    found : LandmarkMap
-    labels, iteration : (n,) int64
-        Of every observation of the log; -1 where it has no label.
-    covered : range
-        Iterations of the log.
-    """
-    landmark, row = np.unique(labels[labels >= 0], return_inverse=True)
-    m, iteration = len(landmark), iteration[labels >= 0]
-    first, last = np.full(m, covered.stop), np.full(m, covered.start - 1)
-    np.minimum.at(first, row, iteration)
-    np.maximum.at(last, row, iteration)
-    position = np.full((m, 3), np.nan)
-    mapped = np.isin(landmark, found.landmark_ids)
-    at = np.searchsorted(found.landmark_ids, landmark[mapped])
-    position[mapped] = found.positions[at]
-    return LandmarkTable(
-        landmark=landmark,
-        position=position,
-        sd=np.full(m, np.nan),
-        observations=np.bincount(row, minlength=m),
-        first_iteration=first,
-        last_iteration=last,
-        level=mapped.astype(np.int64),
-        status=np.where(mapped, "static", "unmapped"),
-        submap=np.where(mapped, 0, -1),
-        moving_bin=np.full(m, -1),
-    )
+def _cost(fed: Fed) -> dict[str, float | None]:
+    """Return the times of a run: of an iteration, milliseconds, and of all, seconds."""
+    durations_s = fed.durations_s.sum(axis=1)
+    told = timing_of(durations_s)
+    return {
+        "median_ms": told["median_ms"],
+        "mean_ms": 1e3 * float(durations_s.mean()) if len(durations_s) else None,
+        "last_100_median_ms": told["last_100_median_ms"],
+        "total_s": float(durations_s.sum()) + fed.finish_s + fed.refine_s,
+    }

@@ -12,17 +12,17 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 FEW = 16
-"""Rows that an array begins with whose rows are dropped again."""
+"""Rows that an array begins with, and by how many times its room grows at first."""
 MANY = 2**18
-"""Rows that an array begins with that lasts as long as the map."""
+"""Rows for which an array that lasts as long as the map has room, once it has many."""
 
 
 class GrowingArray(Generic[Scalar]):
-    """A numpy array that doubles its room when it is full.
+    """A numpy array that makes more room when it is full.
 
-    Room that is not used takes no memory: the operating system gives pages when they are written.
-    To copy a large array takes long, for it is all new pages, so there is room for many rows from
-    the start.
+    To copy a large array takes long, for it is all new pages, but room that is not used takes no
+    memory: the operating system gives pages when they are written.  So the room grows in large
+    steps until it is the one that is expected, and doubles from there.
 
     Parameters
     ----------
@@ -30,15 +30,15 @@ class GrowingArray(Generic[Scalar]):
     width : tuple of int
         Shape of one row; ``()`` for a column of scalars.
     room : int
-        Rows to begin with, about.
+        Rows that are expected, about.
     """
 
     _sixteenths = itertools.cycle(range(16, 32))
 
     def __init__(self, dtype: DTypeLike, width: tuple[int, ...] = (), room: int = MANY) -> None:
         # Of different sizes, so that arrays that grow together are not full in the same iteration.
-        size = room * next(self._sixteenths) // 16
-        self._rows: NDArray[Any] = np.empty((size, *width), dtype=dtype)
+        self._expected = room * next(self._sixteenths) // 16
+        self._rows: NDArray[Any] = np.empty((min(FEW, room), *width), dtype=dtype)
         self._begin = 0
         self._end = 0
 
@@ -48,7 +48,8 @@ class GrowingArray(Generic[Scalar]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copy what is used alone."""
-        return {"_rows": self.values.copy(), "_begin": 0, "_end": len(self)}
+        rows = {"_rows": self.values.copy(), "_begin": 0, "_end": len(self)}
+        return rows | {"_expected": self._expected}
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -82,8 +83,10 @@ class GrowingArray(Generic[Scalar]):
         if end > len(self._rows):
             # Room is made at the front first: what was dropped there is no longer needed.
             n = len(self)
-            enough = n + more <= len(self._rows) // 2
-            size = len(self._rows) if enough else max(n + more, 2 * len(self._rows))
+            size = len(self._rows)
+            if n + more > size // 2:
+                larger = max(2 * size, min(FEW * size, self._expected))
+                size = max(n + more, larger)
             room = np.empty((size, *self._rows.shape[1:]), self._rows.dtype)
             room[:n] = self.values
             self._rows, self._begin, self._end = room, 0, n

@@ -1,6 +1,6 @@
 """What a journal holds: its tables and their meaning, for points and for planes.
 
-``PRAGMA application_id`` tells a journal from other SQLite files, ``PRAGMA user_version`` is the
+``PRAGMA application_id`` marks a journal among SQLite files, ``PRAGMA user_version`` is the
 version of what follows.
 
 ``meta``
@@ -28,7 +28,8 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats, Ints
 
 SCHEMA = 1
 """Version of the tables."""
@@ -83,12 +84,7 @@ PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=Fals
 LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 
 
-def checksum(
-    iteration: int,
-    values: NDArray[np.float64],
-    ids: NDArray[np.int64] | None,
-    labels: NDArray[np.int64],
-) -> int:
+def checksum(iteration: int, values: Floats, ids: Ints | None, labels: Ints) -> int:
     """Return the CRC-32 of one scan.
 
     It is that of the iteration number, the values (n, c) row by row, the ids where they came, and

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.layout import APPLICATION, LAYOUTS, META, SCHEMA, Layout, checksum
 
@@ -33,9 +33,9 @@ class RecordedScan:
         What the mapper called the landmarks.
     """
 
-    values: NDArray[np.float64]
-    ids: NDArray[np.int64] | None
-    labels: NDArray[np.int64]
+    values: Floats
+    ids: Ints | None
+    labels: Ints
 
 
 class JournalReader:
@@ -54,7 +54,7 @@ class JournalReader:
     Raises
     ------
     RelmapError
-        Where it is no journal, or one of a newer relmap, or nothing of it can be recovered.
+        Where it is not a journal, or one of a newer relmap, or nothing of it can be recovered.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,7 +83,7 @@ class JournalReader:
                     "recovered: relmap resume --salvage does it"
                 ) from error
             raise RelmapError(
-                f"{path} is no journal, or its head is damaged, without which nothing of it can be "
+                f"{path} is not a journal, or its header is damaged, so that nothing of it can be "
                 f"recovered: {reason(error)}"
             ) from error
         except RelmapError:
@@ -97,7 +97,7 @@ class JournalReader:
         self.close()
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         self._connection.close()
 
     def scans(self) -> Iterator[RecordedScan]:
@@ -119,11 +119,11 @@ class JournalReader:
             for k, (iteration, n, known, check) in enumerate(scans):
                 scan = self._scan(rows, k, n, bool(known))
                 if iteration != k or check != checksum(k, scan.values, scan.ids, scan.labels):
-                    raise ValueError("what was written is not what is there")
+                    raise ValueError("its checksum does not match")
                 yield scan
                 k += 1
             if rows.fetchone() is not None:
-                raise ValueError("there are observations of no scan")
+                raise ValueError("there are observations without a scan")
         except _WRONG as error:
             k = max(k, 0)
             raise RelmapError(
@@ -151,7 +151,7 @@ class JournalReader:
         (application,) = self._connection.execute("PRAGMA application_id").fetchone()
         (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
-            raise RelmapError(f"{self.path} is an SQLite file, but no journal of relmap")
+            raise RelmapError(f"{self.path} is an SQLite file, but not a journal of relmap")
         if version > SCHEMA:
             raise RelmapError(
                 f"journal {self.path} is of version {version}, and this relmap reads up to "

@@ -17,7 +17,7 @@ MOST_MISSING = 1 << 40
 def salvage(path: Path) -> int:
     """Replace a damaged journal by one that holds the scans before the damage.
 
-    The damaged file stays beside it, with ``.damaged`` behind its name.
+    The damaged file is kept, with ``.damaged`` appended to its name.
 
     Parameters
     ----------

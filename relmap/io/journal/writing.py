@@ -1,4 +1,4 @@
-"""Writing a journal while a run goes on."""
+"""Writing a journal during a run."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.layout import APPLICATION, SCHEMA, Layout, checksum
 
@@ -53,7 +51,7 @@ class Journal:
         self._connection: sqlite3.Connection | None = None
         try:
             self._connection = connected(path)
-            # What was asked after the last scan is asked again by whoever goes on.
+            # Calls after the last scan are repeated by the program that resumes.
             self._connection.execute("DELETE FROM calls WHERE iteration >= ?", (n_scans,))
         except sqlite3.Error as error:
             raise self._error(error) from error
@@ -85,12 +83,7 @@ class Journal:
         if self._failure is not None:
             self.flush()
 
-    def append(
-        self,
-        values: NDArray[np.float64],
-        ids: NDArray[np.int64] | None,
-        labels: NDArray[np.int64],
-    ) -> None:
+    def append(self, values: Floats, ids: Ints | None, labels: Ints) -> None:
         """Take in one scan; where it cannot be written, the next `ready` or `flush` says so.
 
         Parameters
@@ -141,7 +134,7 @@ class Journal:
             raise self._error(self._failure) from self._failure
 
     def close(self) -> None:
-        """Flush, and let the file go.
+        """Flush, and close the file.
 
         Raises
         ------

@@ -5,14 +5,13 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats, Ints
 
 STEPS = 50
 
 
-def gaussian_labels(
-    xy: NDArray[np.float64], labels: NDArray[np.int64], seed: int
-) -> NDArray[np.int64]:
+def gaussian_labels(xy: Floats, labels: Ints, seed: int) -> Ints:
     """Return the component (n,) of each point (n, 2) after EM started from given labels.
 
     scikit-learn's `GaussianMixture`, full covariances; -1 only where there was no line at all.
@@ -36,5 +35,5 @@ def gaussian_labels(
         random_state=seed,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # fifty steps are what it gets
+        warnings.simplefilter("ignore", ConvergenceWarning)  # it gets fifty steps
         return np.asarray(model.fit_predict(xy), dtype=np.int64)

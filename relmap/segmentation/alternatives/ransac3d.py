@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.segmentation.em.moves import widest_gap
 
@@ -35,14 +35,12 @@ def _open3d() -> Any:
     return open3d
 
 
-def _cloud(points: NDArray[np.float64]) -> Any:
+def _cloud(points: Floats) -> Any:
     open3d = _open3d()
     return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
 
 
-def sequential_labels(
-    points: NDArray[np.float64], sigma: float, least: int, seed: int
-) -> NDArray[np.int64]:
+def sequential_labels(points: Floats, sigma: float, least: int, seed: int) -> Ints:
     """Return the plane (n,) of each point (n, 3): the largest first, split at gaps along it.
 
     Planes that are not vertical take their points away, but are not planes of the result.
@@ -67,7 +65,7 @@ def sequential_labels(
     return labels
 
 
-def _parts(own: NDArray[np.int64], t: NDArray[np.float64], sigma: float) -> list[NDArray[np.int64]]:
+def _parts(own: Ints, t: Floats, sigma: float) -> list[Ints]:
     """Return points as the parts between gaps in their positions t along the plane."""
     gap = widest_gap(np.sort(t), sigma) if len(t) > 5 else None
     if gap is None:
@@ -76,7 +74,7 @@ def _parts(own: NDArray[np.int64], t: NDArray[np.float64], sigma: float) -> list
     return _parts(own[~upper], t[~upper], sigma) + _parts(own[upper], t[upper], sigma)
 
 
-def patch_labels(points: NDArray[np.float64]) -> NDArray[np.int64]:
+def patch_labels(points: Floats) -> Ints:
     """Return the vertical patch (n,) of each point (n, 3), -1 for none.
 
     open3d's `detect_planar_patches` (Araujo and Oliveira, "A robust statistics approach for plane

@@ -8,20 +8,21 @@ its own band as long as points follow one another; the best lines claim their po
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.noise import neighbour_distance, points_per_beam
+from relmap.segmentation.wall import SHARE, WALL
 
 TRIES = 100
 BEAMS = 0.5
-"""What is seen under a smaller angle, in beams, is no wall but the noise of one column."""
+"""What is seen under a smaller angle, in beams, is the noise of one column, not a wall."""
 UNCLAIMED = 0.6
 """A line keeps its claim where this share of its points is still free; else it is grown anew."""
 
 
 def find_lines(
-    xy: NDArray[np.float64], sigma: float, least: int, rng: np.random.Generator, beam: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    xy: Floats, sigma: float, least: int, rng: np.random.Generator, beam: float
+) -> tuple[Floats, Ints]:
     """Return lines and the line of each point.
 
     Parameters
@@ -38,11 +39,10 @@ def find_lines(
     Returns
     -------
     walls : (k, WALL) float64
-        See `relmap.segmentation.em.wall_kernels`; best first.
+        See `relmap.segmentation.wall`; best first.
     labels : (n,) int64
         Row of `walls`, -1 for none.
     """
-    from relmap.segmentation.em.wall_kernels import SHARE, WALL
     from relmap.segmentation.em.window_kernels import grow_lines
 
     labels, found = np.full(len(xy), -1), [np.zeros((0, WALL))]
@@ -64,14 +64,12 @@ def find_lines(
     return np.concatenate(found), labels
 
 
-def _best_first(
-    members: NDArray[np.bool_], scores: NDArray[np.float64], least: int
-) -> tuple[list[int], list[NDArray[np.bool_]]]:
+def _best_first(members: Bools, scores: Floats, least: int) -> tuple[list[int], list[Bools]]:
     """Return which lines claim points, best first, and which points (n,) each claims."""
     size = members.sum(axis=1)
     quality = scores / np.maximum(size, 1)
     chosen: list[int] = []
-    claims: list[NDArray[np.bool_]] = []
+    claims: list[Bools] = []
     left = size
     while True:
         score = np.where(left >= UNCLAIMED * size, left * quality, 0)

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.noise import FLOOR_M
 
 PARAMETERS = 5
@@ -21,7 +21,7 @@ STRAY_AT_FIRST = 0.05
 STRAY_LEAST = 1e-4
 TOLERANCE = 1e-4
 CONCERNED = 0.01
-"""A point concerns a wall if so much of its density is that wall's."""
+"""A point concerns a wall if at least this share of its density is that wall's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +31,7 @@ class WallMixture:
     Attributes
     ----------
     walls : (k, WALL) float64
-        See `relmap.segmentation.em.wall_kernels`.
+        See `relmap.segmentation.wall`.
     sigma : float
         Noise, metres.
     stray : float
@@ -41,46 +41,46 @@ class WallMixture:
     beam : float
         Angle (radians) between the beams that points lie on; 0 where they lie evenly on the walls.
     repeat : float
-        Points at one bearing, which tell of the extent of a wall only once.
+        Points at one bearing, which count once for the extent of a wall.
     fixed_noise : bool
         Whether the noise was given.
     rest : (n,) float64 or None
         Of a part of a scan's walls: the density of everything else at the points concerned.
     """
 
-    walls: NDArray[np.float64]
+    walls: Floats
     sigma: float
     stray: float
     area: float
     beam: float = 0.0
     repeat: float = 1.0
     fixed_noise: bool = False
-    rest: NDArray[np.float64] | None = None
+    rest: Floats | None = None
 
     @property
     def along(self) -> float:
         """How far (metres) noise carries points along a wall: of beams none off its beam."""
         return 0.0 if self.beam > 0 else self.sigma
 
-    def density(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def density(self, xy: Floats) -> tuple[Floats, Floats]:
         """Return the density (k, n) of points (n, 2) under each wall, and of all together (n,)."""
         from relmap.segmentation.em.wall_kernels import expect
 
         return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.beam)
 
-    def beside(self, n: int) -> NDArray[np.float64]:
+    def beside(self, n: int) -> Floats:
         """Return the density of everything but the walls at n points."""
         return np.full(n, self.stray / self.area) if self.rest is None else self.rest
 
-    def likelihood(self, xy: NDArray[np.float64]) -> float:
+    def likelihood(self, xy: Floats) -> float:
         """Return the log likelihood of points (n, 2)."""
         return float(np.log(self.density(xy)[1]).sum())
 
-    def evidence(self, xy: NDArray[np.float64]) -> float:
+    def evidence(self, xy: Floats) -> float:
         """Return the log likelihood of points (n, 2) less what the parameters cost (BIC)."""
         return self.likelihood(xy) - len(self.walls) * wall_cost(len(xy))
 
-    def labels(self, xy: NDArray[np.float64]) -> NDArray[np.int64]:
+    def labels(self, xy: Floats) -> Ints:
         """Return the likeliest wall (n,) of each point (n, 2), -1 for none."""
         density, _ = self.density(xy)
         if len(density) == 0:
@@ -89,18 +89,16 @@ class WallMixture:
         known = density[best, np.arange(len(xy))] > self.stray / self.area
         return np.where(known, best, -1)
 
-    def only(self, rows: NDArray[np.bool_] | list[int]) -> WallMixture:
+    def only(self, rows: Bools | list[int]) -> WallMixture:
         """Return the mixture of some of the walls."""
         chosen = np.asarray(rows, dtype=np.int64) if isinstance(rows, list) else rows
         return replace(self, walls=self.walls[chosen])
 
-    def with_walls(self, walls: NDArray[np.float64]) -> WallMixture:
+    def with_walls(self, walls: Floats) -> WallMixture:
         """Return the mixture with other walls (k, WALL)."""
         return replace(self, walls=walls)
 
-    def around(
-        self, rows: list[int], xy: NDArray[np.float64]
-    ) -> tuple[WallMixture, NDArray[np.float64]]:
+    def around(self, rows: list[int], xy: Floats) -> tuple[WallMixture, Floats]:
         """Return the mixture of a few walls, all else held, and the points (m, 2) it concerns."""
         density, total = self.density(xy)
         theirs = density[rows].sum(axis=0)
@@ -120,17 +118,13 @@ def wall_cost(n: int) -> float:
     return 0.5 * PARAMETERS * math.log(max(n, 2))
 
 
-def scan_area(xy: NDArray[np.float64], sigma: float) -> float:
+def scan_area(xy: Floats, sigma: float) -> float:
     """Return the area (square metres) of the box about points (n, 2), blurred by the noise."""
     return float(np.prod(np.ptp(xy, axis=0) + 6 * sigma + 1e-3))
 
 
 def maximise(
-    mixture: WallMixture,
-    xy: NDArray[np.float64],
-    steps: int,
-    held: bool = False,
-    tolerance: float = TOLERANCE,
+    mixture: WallMixture, xy: Floats, steps: int, held: bool = False, tolerance: float = TOLERANCE
 ) -> WallMixture:
     """Return the mixture after some steps of EM, fewer where the likelihood rises no more.
 

@@ -10,24 +10,24 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import PARAMETERS, WallMixture, maximise, wall_cost
 from relmap.segmentation.ends.pairs import (
-    corners,
     flush,
     one_hides_other,
     side_by_side,
     within_reach,
 )
 from relmap.segmentation.ends.shadows import parted
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, corners
 
 BENT = 10.0
 """Loss of log likelihood above which two walls do not lie on one line."""
 EMPTY = 6.0
 """Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
 MISSED = 0.6
-"""Columns of beams missing in a gap: one tells of it, for no noise moves a point off its beam."""
+"""Columns of beams missing in a gap: one is enough, since noise moves no point off its beam."""
 CURVED = 3.0
 """Standard deviations of curvature from which on a wall is tried as two."""
 SETTLE = 6
@@ -38,17 +38,15 @@ GLANCE = 4
 """Steps of EM to see which of several moves are worth more of them."""
 FINALISTS = 2
 FAR_M = 1e3
-"""Points from beams that do not meet a wall are so far off it."""
+"""Points from beams that do not meet a wall count as this far off it."""
 LEG = 3.0
 """Standard deviations from a wall's end within which another may begin unseen."""
 ROUGH = 0.05
 """Gain of log likelihood per wall and step below which a trial has settled."""
 
 
-def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixture:
+def prune(mixture: WallMixture, xy: Floats, least: int) -> WallMixture:
     """Take away walls that the rest explains about as well, weakest first."""
-    from relmap.segmentation.em.wall_kernels import SHARE
-
     penalty = wall_cost(len(xy))
     while len(mixture.walls):
         density, total = mixture.density(xy)
@@ -62,7 +60,7 @@ def prune(mixture: WallMixture, xy: NDArray[np.float64], least: int) -> WallMixt
     return mixture
 
 
-def merge(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Join walls that are one: pieces of one line without a gap, and pairs not worth their cost."""
     names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
     while True:
@@ -84,11 +82,9 @@ def merge(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
         del names[j]
 
 
-def _join(
-    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64], i: int, j: int
-) -> NDArray[np.float64] | None:
+def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Floats | None:
     """Return two walls as one, given the wall of each point; None where they are two."""
-    from relmap.segmentation.em.wall_kernels import SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     w, v = mixture.walls[i], mixture.walls[j]
     if not within_reach(w, v, mixture.sigma):
@@ -98,7 +94,7 @@ def _join(
         return None
     whole = wall_through(own, w, mixture.beam)
     whole[SHARE] = w[SHARE] + v[SHARE]
-    if _hangs_together(mixture, w, v, len(own) / whole[SHARE]):
+    if _connected(mixture, w, v, len(own) / whole[SHARE]):
         across = sightings(own, whole, mixture.beam)[2]
         density, total = mixture.only([i, j]).density(own)
         apart = 0.0
@@ -120,7 +116,7 @@ def _join(
     return np.asarray(one.walls[0])
 
 
-def bend(mixture: WallMixture, xy: NDArray[np.float64], suspects_only: bool = True) -> WallMixture:
+def bend(mixture: WallMixture, xy: Floats, suspects_only: bool = True) -> WallMixture:
     """Split walls that are two: bent ones somewhere along, thick ones lengthwise."""
     labels, walls = mixture.labels(xy), []
     for k, wall in enumerate(mixture.walls):
@@ -132,7 +128,7 @@ def bend(mixture: WallMixture, xy: NDArray[np.float64], suspects_only: bool = Tr
     return mixture.with_walls(np.concatenate(walls)) if walls else mixture
 
 
-def _suspect(mixture: WallMixture, own: NDArray[np.float64], wall: NDArray[np.float64]) -> bool:
+def _suspect(mixture: WallMixture, own: Floats, wall: Floats) -> bool:
     """Tell whether points (m, 2) look bent, or thicker than the noise, about their wall."""
     from relmap.segmentation.em.wall_kernels import sightings
 
@@ -144,11 +140,9 @@ def _suspect(mixture: WallMixture, own: NDArray[np.float64], wall: NDArray[np.fl
     return bool(bent > CURVED or spread > mixture.sigma * (1 + 2 / np.sqrt(len(own))))
 
 
-def _bent(
-    mixture: WallMixture, xy: NDArray[np.float64], own: NDArray[np.float64], k: int
-) -> NDArray[np.float64] | None:
+def _bent(mixture: WallMixture, xy: Floats, own: Floats, k: int) -> Floats | None:
     """Return the two walls that a wall's points are better explained by, if they are."""
-    from relmap.segmentation.em.wall_kernels import SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     one, near = mixture.around([k], xy)
     wall, trials = one.walls[0], []
@@ -169,9 +163,7 @@ def _bent(
     return pieces
 
 
-def _halves(
-    t: NDArray[np.float64], d: NDArray[np.float64], sigma: float
-) -> list[NDArray[np.bool_]]:
+def _halves(t: Floats, d: Floats, sigma: float) -> list[Bools]:
     """Return ways (m,) to part points at t along and d across a wall: ends, middle, sides."""
     low, first, middle, last, high = np.quantile(t, [0, 0.25, 0.5, 0.75, 1])
     cuts = [first, middle, last]
@@ -180,12 +172,10 @@ def _halves(
     return [*(t > cut for cut in cuts), d > np.median(d)]
 
 
-def wall_through(
-    own: NDArray[np.float64], like: NDArray[np.float64], beam: float = 0.0
-) -> NDArray[np.float64]:
+def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
     """Return the wall through points (m, 2), which goes the way of another."""
     from relmap.segmentation.em.step_kernels import fit_line
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, EXACT_M, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     wall = like.copy()
     fit_line(own, wall, beam)
@@ -194,14 +184,12 @@ def wall_through(
     return wall
 
 
-def _hangs_together(
-    mixture: WallMixture, w: NDArray[np.float64], v: NDArray[np.float64], n: float
-) -> bool:
+def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
     """Tell whether no gap shows between two walls along the longer one, among n points in all.
 
     Of columns of beams those that are missing count, not points: a wall farther off has fewer.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, beam_spacing, local_density
+    from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
 
     if w[END] - w[BEGIN] < v[END] - v[BEGIN]:
         w, v = v, w
@@ -218,9 +206,9 @@ def _hangs_together(
     return bool(gap * density < EMPTY + density * mixture.along)
 
 
-def split(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+def split(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Split walls at doors: stretches too empty to belong to an evenly filled wall."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, sightings
+    from relmap.segmentation.em.wall_kernels import sightings
 
     labels, walls = mixture.labels(xy), []
     for k, wall in enumerate(mixture.walls):
@@ -237,9 +225,7 @@ def split(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     return mixture.with_walls(np.array(walls).reshape(-1, mixture.walls.shape[1]))
 
 
-def _hole(
-    u: NDArray[np.float64], wall: NDArray[np.float64], mixture: WallMixture
-) -> tuple[float, float] | None:
+def _hole(u: Floats, wall: Floats, mixture: WallMixture) -> tuple[float, float] | None:
     """Return the gap along a wall (metres) among the sorted measures of its points."""
     from relmap.segmentation.em.wall_kernels import foot_and_height, place
 
@@ -251,7 +237,7 @@ def _hole(
     return first, last
 
 
-def missed_beams(bearing: NDArray[np.float64], beam: float) -> tuple[float, float] | None:
+def missed_beams(bearing: Floats, beam: float) -> tuple[float, float] | None:
     """Return the widest step between sorted bearings (m,) if beams are missing in it.
 
     Without half a beam at each side, which belongs to the wall.
@@ -265,7 +251,7 @@ def missed_beams(bearing: NDArray[np.float64], beam: float) -> tuple[float, floa
     return float(bearing[at] + 0.5 * beam), float(bearing[at + 1] - 0.5 * beam)
 
 
-def widest_gap(t: NDArray[np.float64], sigma: float) -> tuple[float, float] | None:
+def widest_gap(t: Floats, sigma: float) -> tuple[float, float] | None:
     """Return the emptiest stretch of sorted positions (m,) along a wall, if it is a gap.
 
     The number of points in a stretch is compared, as Poisson counts, with what an even wall would

@@ -5,29 +5,30 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.lines import find_lines
 from relmap.segmentation.em.mixture import STRAY_AT_FIRST, WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import ROUGH, bend, merge, prune, split
 from relmap.segmentation.ends.shadows import part_at_shadows
 from relmap.segmentation.noise import FLOOR_M, beam_angle, points_per_beam, window_noise
+from relmap.segmentation.wall import BEGIN, END, SHARE, WALL
 
 FEW = 1000
 MOST = 3000
 MORE = 6000
-"""More points than these tell no more of how many walls there are; a random part is searched."""
+"""More points than these say no more about the number of walls; a random sample is searched."""
 POLISHED = 20000
-"""With so many, of all points, the lines and ends are made accurate."""
+"""Lines and ends are made accurate on at most this many points."""
 LEAST = 8
 """Points of a wall, at least."""
 SHORTEST = 1.5
-"""Of a scan at least one wall is longer than so many times the noise."""
+"""At least one wall of a scan is longer than this many times the noise."""
 STRAYS = 0.1
 """Share of a wall's points that may be a neighbour's."""
 STARTS = (0.5, 0.8)
-"""Lines are first looked for as if the noise were so many times what windows say: pieces of walls
-join more easily than walls taken for one part."""
+"""Lines are first looked for as if the noise were this many times what windows say: joining
+pieces of a wall is easier than parting walls taken for one."""
 ROUNDS = 4
 LOOSER = 12.0
 """Spacings of points by which an end may have been missed."""
@@ -35,9 +36,7 @@ FIRST, BETWEEN, LAST = 20, 10, 40
 """Steps of EM."""
 
 
-def fit_walls(
-    xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
-) -> WallMixture:
+def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
     """Return the walls of points (n, 2), robot frame, metres, however many they are.
 
     Several starts on a few points; the best of them is improved on more and more.
@@ -61,8 +60,6 @@ def loosened(mixture: WallMixture, n: int) -> WallMixture:
 
     With no noise at all nothing beyond an end would ever be counted in.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE
-
     walls = mixture.walls.copy()
     spacing = (walls[:, END] - walls[:, BEGIN]) / np.maximum(walls[:, SHARE] * n, 1.0)
     more = np.where(spacing > mixture.sigma, LOOSER * spacing, 0.0)
@@ -71,7 +68,7 @@ def loosened(mixture: WallMixture, n: int) -> WallMixture:
     return mixture.with_walls(walls)
 
 
-def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+def plausible(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Return the mixture, without walls if the points have none.
 
     A scan without walls is one that points spread evenly over its area explain as well, or whose
@@ -83,18 +80,14 @@ def plausible(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
     return mixture if mixture.evidence(xy) > spread else mixture.only([])
 
 
-def long_enough(mixture: WallMixture) -> NDArray[np.bool_]:
+def long_enough(mixture: WallMixture) -> Bools:
     """Tell which walls (k,) are longer than thick."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
     return np.asarray(length > SHORTEST * mixture.sigma)
 
 
-def seen_broad(
-    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64]
-) -> NDArray[np.bool_]:
-    """Tell which walls (k,) have points (n, 2) on more than one beam: one tells no direction.
+def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
+    """Tell which walls (k,) have points (n, 2) on more than one beam: one gives no direction.
 
     Some of them may be a neighbour's.
     """
@@ -107,12 +100,8 @@ def seen_broad(
     return broad
 
 
-def search_walls(
-    xy: NDArray[np.float64], noise: float | None, rng: np.random.Generator
-) -> WallMixture:
+def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
     """Return the walls of points (n, 2): of several starts what has the best evidence."""
-    from relmap.segmentation.em.wall_kernels import WALL
-
     sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
     nothing = WallMixture(
         np.zeros((0, WALL)),
@@ -127,13 +116,13 @@ def search_walls(
     return max(found, key=lambda one: one.evidence(xy))
 
 
-def part(xy: NDArray[np.float64], most: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return points (n, 2), or so many of them if there are more."""
+def part(xy: Floats, most: int, rng: np.random.Generator) -> Floats:
+    """Return the points (n, 2), or a random part of them where there are more than `most`."""
     return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
 
 
 def search_from(
-    nothing: WallMixture, xy: NDArray[np.float64], sigma: float, rng: np.random.Generator
+    nothing: WallMixture, xy: Floats, sigma: float, rng: np.random.Generator
 ) -> WallMixture:
     """Return the walls found from lines of some noise by EM and moves between numbers of walls."""
     walls, _ = find_lines(xy, sigma, LEAST, rng, nothing.beam)
@@ -144,7 +133,7 @@ def search_from(
 
 
 def improve(
-    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator, thorough: bool = False
+    mixture: WallMixture, xy: Floats, rng: np.random.Generator, thorough: bool = False
 ) -> WallMixture:
     """Return the mixture after moves between numbers of walls, until none is worth it."""
     for _ in range(ROUNDS):
@@ -167,12 +156,8 @@ def improve(
     return merge(prune(mixture, xy, LEAST), xy)
 
 
-def _with_strays(
-    mixture: WallMixture, xy: NDArray[np.float64], rng: np.random.Generator
-) -> WallMixture:
+def _with_strays(mixture: WallMixture, xy: Floats, rng: np.random.Generator) -> WallMixture:
     """Add lines among points that belong to no wall yet."""
-    from relmap.segmentation.em.wall_kernels import SHARE
-
     _, total = mixture.density(xy)
     loose = mixture.stray / mixture.area > 0.5 * total
     strays = np.ascontiguousarray(xy[loose])

@@ -5,19 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.em.wall_kernels import (
-    BEGIN,
-    END,
-    EXACT_M,
     PEAK,
-    PX,
-    PY,
-    SHARE,
-    UX,
-    UY,
     bell,
     end_blur,
     expect,
@@ -28,6 +20,7 @@ from relmap.segmentation.em.wall_kernels import (
     sighted,
     weighted_line,
 )
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, PX, PY, SHARE, UX, UY
 
 NEWTON = 3
 """Steps to the likeliest line."""
@@ -35,13 +28,8 @@ NEWTON = 3
 
 @compiled
 def _gather(
-    xy: NDArray[np.float64],
-    share: NDArray[np.float64],
-    total: NDArray[np.float64],
-    wall: NDArray[np.float64],
-    sigma: float,
-    beam: float,
-) -> NDArray[np.float64]:
+    xy: Floats, share: Floats, total: Floats, wall: Floats, sigma: float, beam: float
+) -> Floats:
     """Return what a step of EM needs of a wall's points, in the wall's own frame.
 
     Their weight, that with their precision across the wall, with this precision sums of t, d, tt,
@@ -76,9 +64,7 @@ def _gather(
 
 
 @compiled
-def _turn(
-    wall: NDArray[np.float64], s: NDArray[np.float64], begin: float, end: float, beam: float
-) -> float:
+def _turn(wall: Floats, s: Floats, begin: float, end: float, beam: float) -> float:
     """Move a wall to its points' line of least squares, between two measures; return the scatter.
 
     Total least squares across the wall; along beams, whose bearings are exact, plain ones.
@@ -105,7 +91,7 @@ def _turn(
 
 
 @compiled
-def fit_line(xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float) -> None:
+def fit_line(xy: Floats, wall: Floats, beam: float) -> None:
     """Move a wall to the likeliest line of points (n, 2), all of them its own."""
     ones = np.ones(len(xy))
     weighted_line(xy, ones, wall)
@@ -117,9 +103,7 @@ def fit_line(xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float) ->
 
 
 @compiled
-def _score_ends(
-    s: NDArray[np.float64], begin: float, end: float, blur: float
-) -> tuple[float, float]:
+def _score_ends(s: Floats, begin: float, end: float, blur: float) -> tuple[float, float]:
     """Return both ends, in the wall's measure, after a step of Fisher scoring, at most the blur.
 
     With points of density rho at an end, its information is rho / blur times the integral of
@@ -136,12 +120,7 @@ def _score_ends(
 
 @compiled
 def em_step(
-    xy: NDArray[np.float64],
-    walls: NDArray[np.float64],
-    sigma: float,
-    rest: NDArray[np.float64],
-    beam: float,
-    held: bool,
+    xy: Floats, walls: Floats, sigma: float, rest: Floats, beam: float, held: bool
 ) -> tuple[float, float, float]:
     """Take one step of expectation and maximisation; walls (k, WALL) are changed in place.
 

@@ -1,7 +1,6 @@
 """The hot loops of segmentation, compiled.
 
-A wall is a row of `WALL` numbers: a point on it and its direction (metres, robot frame), where it
-begins and ends along that direction, and its share of the scan's points.
+Walls are rows of numbers, see `relmap.segmentation.wall`.
 
 Points lie evenly on the walls, each with noise in all directions; or on beams, evenly spaced and
 `beam` radians apart, each with noise along its beam: its bearing is exact, and tells where on the
@@ -15,24 +14,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
-PX, PY, UX, UY, BEGIN, END, SHARE = range(7)
-WALL = 7
 REACH = 6.0
 """Beyond this many standard deviations a Gaussian is taken for nothing."""
-EXACT_M = 1e-7
-"""Below this noise the ends are the outermost points: the blur is lost in rounding."""
 PEAK = 1.0 / math.sqrt(2.0 * math.pi)
 GRAZING = 1.56
-"""Of beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
+"""With beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
 BLUR = 0.5
-"""Of beams, how unsharp an end is while it is looked for, in their spacing."""
+"""With beams, how unsharp an end is while it is looked for, in their spacing."""
 NEXT = 1.0 / BLUR
-"""So far an end reaches to the next beam, and not to those beyond."""
+"""An end reaches this far: to the next beam, and not to those beyond."""
 
 
 _CELLS = 512
@@ -65,7 +61,7 @@ def bell(x: float) -> float:
 
 
 @compiled
-def foot_and_height(wall: NDArray[np.float64]) -> tuple[float, float]:
+def foot_and_height(wall: Floats) -> tuple[float, float]:
     """Return where along a wall the sensor stands, and how far off its line."""
     foot = -(wall[PX] * wall[UX] + wall[PY] * wall[UY])
     height = abs(wall[PX] * wall[UY] - wall[PY] * wall[UX])
@@ -85,7 +81,7 @@ def place(u: float, foot: float, height: float, beam: float) -> float:
 
 
 @compiled
-def span(wall: NDArray[np.float64], beam: float) -> float:
+def span(wall: Floats, beam: float) -> float:
     """Return how much of its `measure` a wall takes."""
     foot, height = foot_and_height(wall)
     begin, end = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
@@ -93,14 +89,14 @@ def span(wall: NDArray[np.float64], beam: float) -> float:
 
 
 @compiled
-def beam_spacing(wall: NDArray[np.float64], at: float, beam: float) -> float:
+def beam_spacing(wall: Floats, at: float, beam: float) -> float:
     """Return how far apart beams meet a wall about a place along it, metres."""
     foot, height = foot_and_height(wall)
     return beam * (height * height + (at - foot) * (at - foot)) / height
 
 
 @compiled
-def local_density(wall: NDArray[np.float64], at: float, beam: float) -> float:
+def local_density(wall: Floats, at: float, beam: float) -> float:
     """Return the share of a wall's points that lie about a place on it, per metre."""
     spread = beam_spacing(wall, at, beam) / beam if beam > 0 else 1.0
     return 1.0 / max(span(wall, beam) * spread, 1e-12)
@@ -118,7 +114,7 @@ def end_blur(sigma: float, beam: float) -> float:
 
 @compiled
 def sighted(
-    x: float, y: float, wall: NDArray[np.float64], foot: float, height: float, beam: float
+    x: float, y: float, wall: Floats, foot: float, height: float, beam: float
 ) -> tuple[float, float, float, float]:
     """Return what a point says of a wall.
 
@@ -140,9 +136,7 @@ def sighted(
 
 
 @compiled
-def sightings(
-    xy: NDArray[np.float64], wall: NDArray[np.float64], beam: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def sightings(xy: Floats, wall: Floats, beam: float) -> tuple[Floats, Floats, Floats]:
     """Return of points (n, 2) the places along a wall, as `measure` and in metres, and how far off.
 
     See `sighted`; how far off is in the direction of the noise.
@@ -158,12 +152,8 @@ def sightings(
 
 @compiled
 def expect(
-    xy: NDArray[np.float64],
-    walls: NDArray[np.float64],
-    sigma: float,
-    rest: NDArray[np.float64],
-    beam: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    xy: Floats, walls: Floats, sigma: float, rest: Floats, beam: float
+) -> tuple[Floats, Floats]:
     """Return the density (k, n) of each point under each wall, and of all together (n,).
 
     Gaussian in the direction of the noise, along the wall even between two unsharp ends: the
@@ -195,12 +185,10 @@ def expect(
 
 
 @compiled
-def weighted_line(
-    xy: NDArray[np.float64], weight: NDArray[np.float64], wall: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Fit a wall's point and direction to weighted points; return their weight and scatter across.
+def weighted_line(xy: Floats, weight: Floats, wall: Floats) -> None:
+    """Fit a wall's point and direction to weighted points by total least squares.
 
-    Total least squares; the direction keeps its sense, the ends are moved along.
+    The direction keeps its sense, and the ends are moved along.
     """
     total, x, y = 0.0, 0.0, 0.0
     for i in range(len(xy)):
@@ -208,7 +196,7 @@ def weighted_line(
         x += weight[i] * (xy[i, 0] - wall[PX])
         y += weight[i] * (xy[i, 1] - wall[PY])
     if total <= 0:
-        return 0.0, 0.0
+        return
     px, py = wall[PX] + x / total, wall[PY] + y / total
     xx, xy_, yy = 0.0, 0.0, 0.0
     for i in range(len(xy)):
@@ -225,9 +213,3 @@ def weighted_line(
     wall[PX], wall[PY], wall[UX], wall[UY] = px, py, ux, uy
     wall[BEGIN] -= shift
     wall[END] -= shift
-    across = 0.0
-    for i in range(len(xy)):
-        if weight[i] > 0:
-            d = (xy[i, 1] - py) * ux - (xy[i, 0] - px) * uy
-            across += weight[i] * d * d
-    return total, across

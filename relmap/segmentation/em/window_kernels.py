@@ -5,26 +5,25 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled
-from relmap.segmentation.em.wall_kernels import BEGIN, END, PX, PY, UX, UY, WALL, weighted_line
+from relmap.segmentation.em.wall_kernels import weighted_line
+from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY, WALL
 
 ROUNDS = 2
-"""So often a line is grown along its band and fitted to what it met."""
+"""How often a line is grown along its band and fitted to what it met."""
 BAND = 2.5
 """Half width, in standard deviations, of the band of a line's own points."""
 LEAST = 30
 """Points from which on the spread of a window says how thick it is."""
 IN_A_ROW = 3
 ELONGATED = 9.0
-"""A window shows a wall where its variance along is so many times that across."""
+"""A window shows a wall where its variance along is this many times that across."""
 
 
 @compiled
-def window_thickness(
-    xy: NDArray[np.float64], seeds: NDArray[np.int64], radii: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def window_thickness(xy: Floats, seeds: Ints, radii: Floats) -> Floats:
     """Return the standard deviation across the wall about each seed (s,); NaN where none shows.
 
     Discs about the seed grow until two in a row are elongated: smaller ones lie within the noise.
@@ -64,7 +63,7 @@ def window_thickness(
 
 
 @compiled
-def _filled_run(filled: NDArray[np.bool_], cell: int) -> tuple[int, int]:
+def _filled_run(filled: Bools, cell: int) -> tuple[int, int]:
     """Return the first and last cell of the run about one; single empty cells do not end it."""
     first = last = cell
     while first > 0 and (filled[first - 1] or (first > 1 and filled[first - 2])):
@@ -76,15 +75,8 @@ def _filled_run(filled: NDArray[np.bool_], cell: int) -> tuple[int, int]:
 
 
 @compiled
-def _run_about(
-    xy: NDArray[np.float64],
-    wall: NDArray[np.float64],
-    seed: int,
-    band: float,
-    gap: float,
-    member: NDArray[np.bool_],
-) -> int:
-    """Mark the points of a line's band that hang together with the seed's; return their number.
+def _run_about(xy: Floats, wall: Floats, seed: int, band: float, gap: float, member: Bools) -> int:
+    """Mark the points of a line's band that are connected to the seed; return their number.
 
     Sets the ends of the line too.
     """
@@ -119,7 +111,7 @@ def _run_about(
 
 
 @compiled
-def _angle(wall: NDArray[np.float64]) -> float:
+def _angle(wall: Floats) -> float:
     """Return the angle under which the sensor sees a wall."""
     ax, ay = wall[PX] + wall[BEGIN] * wall[UX], wall[PY] + wall[BEGIN] * wall[UY]
     bx, by = wall[PX] + wall[END] * wall[UX], wall[PY] + wall[END] * wall[UY]
@@ -127,14 +119,7 @@ def _angle(wall: NDArray[np.float64]) -> float:
 
 
 @compiled
-def _start_line(
-    xy: NDArray[np.float64],
-    seed: int,
-    chance: float,
-    band: float,
-    window: float,
-    w: NDArray[np.float64],
-) -> int:
+def _start_line(xy: Floats, seed: int, chance: float, band: float, window: float, w: Floats) -> int:
     """Fit a line to the window about a seed, through it and a chance neighbour at first.
 
     Returns the number of points in its band; 0 where the seed has no neighbours.
@@ -165,13 +150,8 @@ def _start_line(
 
 @compiled
 def grow_lines(
-    xy: NDArray[np.float64],
-    chances: NDArray[np.float64],
-    sigma: float,
-    window: float,
-    repeat: float,
-    narrow: float,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    xy: Floats, chances: Floats, sigma: float, window: float, repeat: float, narrow: float
+) -> tuple[Floats, Bools, Floats]:
     """Grow a line from each pair of near points that the chances (tries, 2) draw.
 
     Of points at one bearing, `repeat` count as one along the line; lines that the sensor sees under

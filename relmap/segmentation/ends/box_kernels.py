@@ -4,8 +4,8 @@ Along a wall points lie evenly between two ends; noise carries some of them beyo
 points would put the ends too far out, by more the more points there are; the maximum of the
 likelihood is unbiased, and without noise it is the outermost points.
 
-Of beams each stands for all bearings that are nearer to it than to its neighbours; the most likely
-end is then half way between the last beam that meets the wall and the next one.
+A beam stands for all bearings that are nearer to it than to its neighbours; the most likely end is
+then half way between the last beam that meets the wall and the next one.
 """
 
 from __future__ import annotations
@@ -13,13 +13,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled
 from relmap.segmentation.em.wall_kernels import (
-    BEGIN,
-    END,
-    EXACT_M,
     PEAK,
     REACH,
     foot_and_height,
@@ -27,13 +24,14 @@ from relmap.segmentation.em.wall_kernels import (
     place,
     sightings,
 )
+from relmap.segmentation.wall import BEGIN, END, EXACT_M
 
 INWARD = 5.0
-"""An end is looked for no more than so many standard deviations inwards of where it was."""
+"""An end is sought at most this many standard deviations inwards of where it was."""
 FEW = 4
-"""Of beams, so many at an end tell how many points lie there."""
+"""With beams, this many at an end tell the density of points there."""
 LEAST = 0.05
-"""Of beams, a point that is less a wall's does not draw its end."""
+"""With beams, points with a smaller share in a wall do not draw its end."""
 _ROOT = math.sqrt(2.0)
 
 
@@ -45,13 +43,7 @@ def exact_step(x: float) -> float:
 
 @compiled
 def _end_slope(
-    at: float,
-    other: float,
-    t: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    blur: float,
-    density: float,
-    beams: bool,
+    at: float, other: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> float:
     """Return how fast the log likelihood falls when the lower end of a box moves up."""
     slope = 0.0
@@ -72,13 +64,7 @@ def _end_slope(
 
 @compiled
 def _bracket(
-    begin: float,
-    end: float,
-    t: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    blur: float,
-    density: float,
-    beams: bool,
+    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> tuple[float, float]:
     """Return places about the lower end between which the likelihood is greatest."""
     top = min(end - 0.5 * blur, begin + INWARD * blur)
@@ -99,32 +85,17 @@ def _bracket(
 
 
 @compiled
-def _outermost(t: NDArray[np.float64], weight: NDArray[np.float64], otherwise: float) -> float:
-    """Return the lowest position that belongs to the wall at all."""
-    lowest = np.inf
-    for i in range(len(t)):
-        if weight[i] > 0.01 and t[i] < lowest:
-            lowest = t[i]
-    return lowest if lowest < np.inf else otherwise
-
-
-@compiled
 def lower_end(
-    begin: float,
-    end: float,
-    t: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    blur: float,
-    density: float,
-    beams: bool,
+    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> float:
     """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
 
-    Places and blur are in the `measure` of the wall, the density in points per measure. Of beams
+    Places and blur are in the `measure` of the wall, the density in points per measure. With beams
     the blur is their spacing.
     """
     if blur < EXACT_M:
-        return _outermost(t, weight, begin)
+        own = t[weight > 0.01]
+        return own.min() if len(own) > 0 else begin
     near = t < begin + (INWARD + REACH) * blur
     t, weight = t[near], weight[near]
     low, high = _bracket(begin, end, t, weight, blur, density, beams)
@@ -140,9 +111,7 @@ def lower_end(
 
 
 @compiled
-def _density_at(
-    begin: float, end: float, t: NDArray[np.float64], weight: NDArray[np.float64], beam: float
-) -> float:
+def _density_at(begin: float, end: float, t: Floats, weight: Floats, beam: float) -> float:
     """Return how many points lie on a measure about the lower end: of the first few beams.
 
     Fewer of a column of beams meet a wall that is farther off: half as many make a whole column.
@@ -153,12 +122,7 @@ def _density_at(
 
 @compiled
 def fit_ends(
-    xy: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    wall: NDArray[np.float64],
-    sigma: float,
-    density: float,
-    beam: float,
+    xy: Floats, weight: Floats, wall: Floats, sigma: float, density: float, beam: float
 ) -> None:
     """Move both ends of a wall to where its weighted points make them most likely.
 
@@ -181,8 +145,8 @@ def fit_ends(
 
 
 @compiled
-def box_extent(t: NDArray[np.float64], sigma: float) -> tuple[float, float]:
-    """Return the ends of an evenly filled, blurred box from positions (n,); of many, a part."""
+def box_extent(t: Floats, sigma: float) -> tuple[float, float]:
+    """Return the ends of an evenly filled, blurred box from positions (n,), of many from a part."""
     t = t[:: len(t) // 2000 + 1]
     low, high, weight = t.min(), t.max(), np.ones(len(t))
     if high - low <= 4 * sigma or len(t) < 8:

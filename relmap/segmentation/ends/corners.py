@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.segmentation.em.mixture import WallMixture, maximise
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 GATE = 3.0
-"""An end lies in a corner if it is within so many standard deviations of it."""
+"""An end lies in a corner if it is within this many standard deviations of it."""
 LEAST_SINE = 0.25
 """Walls that meet at a smaller angle fix no corner."""
 INFORMATION = 0.9032
@@ -19,10 +20,10 @@ CONTESTED = 0.5
 """Where two walls meet they dispute the points between them: their own ends err by this much more,
 in units of the noise."""
 WORTH = 2.0
-"""A crossing so many times less accurate than the end tells nothing of it."""
+"""A crossing this many times less accurate than the end says nothing about it."""
 WANDER = 4.0
-"""No end moves farther than half its wall or so many standard deviations: with few points, what its
-accuracy allows grows with every move."""
+"""No end moves farther than half its wall or this many standard deviations: with few points, what
+its accuracy allows grows with every move."""
 ROUNDS = 2
 HELD = 4
 """Steps of EM with the ends held in their corners."""
@@ -44,12 +45,12 @@ class Sharpened:
     """
 
     mixture: WallMixture
-    spread: NDArray[np.float64]
-    joined: NDArray[np.bool_]
-    hidden: NDArray[np.bool_] | None = None
+    spread: Floats
+    joined: Bools
+    hidden: Bools | None = None
 
 
-def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
+def sharpen(mixture: WallMixture, xy: Floats) -> Sharpened:
     """Return the mixture with its ends at full accuracy, and in the corners where walls meet."""
     for _ in range(ROUNDS):
         joined = meet(solve_ends(mixture, xy), len(xy)).mixture
@@ -57,9 +58,9 @@ def sharpen(mixture: WallMixture, xy: NDArray[np.float64]) -> Sharpened:
     return meet(solve_ends(mixture, xy), len(xy))
 
 
-def solve_ends(mixture: WallMixture, xy: NDArray[np.float64]) -> WallMixture:
+def solve_ends(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Return the mixture with the ends of its walls where they are most likely."""
-    from relmap.segmentation.em.wall_kernels import SHARE, span
+    from relmap.segmentation.em.wall_kernels import span
     from relmap.segmentation.ends.box_kernels import fit_ends
 
     density, total = mixture.density(xy)
@@ -78,8 +79,6 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     An end belongs to a corner if the wall it meets reaches there too, both within what their
     accuracy allows. The crossing of two lines is better known than either end.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE
-
     walls, blur = mixture.walls, end_spread(mixture, n)
     amount = np.maximum(walls[:, SHARE] * n, 3.0)[:, None]
     length = np.maximum(walls[:, END] - walls[:, BEGIN], 1e-9)[:, None]
@@ -108,12 +107,12 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
     return Sharpened(mixture.with_walls(moved), accuracy, joined & kept[:, None])
 
 
-def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
+def end_spread(mixture: WallMixture, n: int) -> Floats:
     """Return how accurate the ends (k, 2) of walls are, among n points, from those points alone.
 
     By the noise, and by how far apart points are; and between two beams an end lies anywhere.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END, SHARE, beam_spacing, local_density
+    from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
 
     spread = np.zeros((len(mixture.walls), 2))
     for k, wall in enumerate(mixture.walls):
@@ -126,10 +125,8 @@ def end_spread(mixture: WallMixture, n: int) -> NDArray[np.float64]:
     return spread
 
 
-def crossings(walls: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def crossings(walls: Floats) -> tuple[Floats, Floats]:
     """Return how far along each line (k, 1) it crosses each other (1, k), and the sine there."""
-    from relmap.segmentation.em.wall_kernels import PX, PY, UX, UY
-
     ux, uy = walls[:, UX], walls[:, UY]
     cross = ux[:, None] * uy - uy[:, None] * ux
     dx, dy = walls[:, PX] - walls[:, PX, None], walls[:, PY] - walls[:, PY, None]

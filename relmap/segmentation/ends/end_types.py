@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.segmentation.planes import END_TYPES
 
 SURE = 2.5
-"""What lies within so many standard deviations of a limit is taken to be cut by it."""
+"""What lies within this many standard deviations of a limit is taken to be cut by it."""
 SLACK_RAD = 0.003
 SLACK_M = 0.01
 ALL_ROUND_RAD = np.deg2rad(170.0)
@@ -26,11 +27,7 @@ class Limits:
 
 
 def sensor_limits(
-    ends: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    joined: NDArray[np.bool_],
-    view_rad: float | None,
-    range_m: float | None,
+    ends: Floats, spread: Floats, joined: Bools, view_rad: float | None, range_m: float | None
 ) -> Limits:
     """Return the limits of the sensor; what is not given is estimated.
 
@@ -50,17 +47,13 @@ def sensor_limits(
     return Limits(half, range_m)
 
 
-def bearings(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def bearings(points: Floats) -> Floats:
     """Return the bearings (...,) of points (..., 2), radians, positive to the left."""
     return np.asarray(np.arctan2(points[..., 1], points[..., 0]))
 
 
 def type_ends(
-    ends: NDArray[np.float64],
-    spread: NDArray[np.float64],
-    joined: NDArray[np.bool_],
-    limits: Limits,
-    hidden: NDArray[np.bool_] | None = None,
+    ends: Floats, spread: Floats, joined: Bools, limits: Limits, hidden: Bools | None = None
 ) -> NDArray[np.str_]:
     """Return why each of two ends (m, 2) is where it is, one of `END_TYPES`.
 
@@ -74,7 +67,7 @@ def type_ends(
         Whether the end lies in a corner with another wall, so that nothing hides it.
     limits : Limits
     hidden : (m, 2) bool, optional
-        Whether something nearer was seen beside the end, as beams in order tell.
+        Whether something nearer was seen beside the end, from beams in order.
     """
     if len(ends) == 0:
         return np.empty((0, 2), dtype="<U8")
@@ -99,12 +92,7 @@ def type_ends(
     return np.array(END_TYPES)[kind]
 
 
-def _hidden(
-    bearing: NDArray[np.float64],
-    far: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    spread: NDArray[np.float64],
-) -> NDArray[np.bool_]:
+def _hidden(bearing: Floats, far: Floats, turn: Floats, spread: Floats) -> Bools:
     """Tell which ends (m, 2) lie beside the edge of a nearer wall that goes on beyond them."""
     hidden = np.zeros(far.shape, dtype=np.bool_)
     for end in (0, 1):

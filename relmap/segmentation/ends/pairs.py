@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats
+from relmap.segmentation.wall import BEGIN, END, corners
 
 HIDDEN = 0.7
 """Share of a wall's view before which there cannot be another wall."""
@@ -12,7 +14,7 @@ FLUSH = 4.0
 PARALLEL_SINE = 0.3
 
 
-def flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+def flush(w: Floats, v: Floats, sigma: float) -> bool:
     """Tell whether the shorter of two walls lies along the longer one's line, within the noise."""
     if np.ptp(w[4:6]) < np.ptp(v[4:6]):
         w, v = v, w
@@ -21,7 +23,7 @@ def flush(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
     return bool((np.abs((corners(v) - w[:2]) @ (-w[3], w[2])) < FLUSH * sigma).all())
 
 
-def side_by_side(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
+def side_by_side(w: Floats, v: Floats) -> bool:
     """Tell whether most of the shorter of two walls lies beside the longer one."""
     if np.ptp(w[4:6]) < np.ptp(v[4:6]):
         w, v = v, w
@@ -29,7 +31,7 @@ def side_by_side(w: NDArray[np.float64], v: NDArray[np.float64]) -> bool:
     return bool(min(w[5], t[1]) - max(w[4], t[0]) > HIDDEN * (t[1] - t[0]))
 
 
-def one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+def one_hides_other(w: Floats, v: Floats, sigma: float) -> bool:
     """Tell whether two walls share most of the smaller one's view: the sensor sees only one.
 
     By more than the noise can make them seem to.
@@ -48,10 +50,8 @@ def one_hides_other(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float
     return bool(shared > HIDDEN * min(b - a, d - c) + blur)
 
 
-def within_reach(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -> bool:
+def within_reach(w: Floats, v: Floats, sigma: float) -> bool:
     """Tell whether two walls come so close that they may be one."""
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
     for one, other in ((w, v), (v, w)):
         offset = corners(other) - one[:2]
@@ -60,8 +60,3 @@ def within_reach(w: NDArray[np.float64], v: NDArray[np.float64], sigma: float) -
         if (np.hypot(beyond, d) < reach).any():
             return True
     return False
-
-
-def corners(wall: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the two ends (2, 2) of a wall."""
-    return wall[:2] + wall[4:6, None] * wall[2:4]

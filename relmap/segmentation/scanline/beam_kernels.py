@@ -5,39 +5,30 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled
-from relmap.segmentation.em.wall_kernels import (
-    BEGIN,
-    END,
-    PX,
-    PY,
-    SHARE,
-    UX,
-    UY,
-    WALL,
-    weighted_line,
-)
+from relmap.segmentation.em.wall_kernels import weighted_line
+from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, WALL
 
 STEEP = math.radians(4.0)
 """A wall that a beam meets at a smaller angle is not followed from beam to beam."""
 SKIPPED = 2.5
 """Beams without a return, in a row, that break a wall."""
 STRAYS = 3
-"""So many beams of something else, in a row, do not part the pieces of a wall."""
+"""This many beams of something else in a row do not part the pieces of a wall."""
 DOOR_M = 0.5
 """Gaps as wide as this, through which beams go, part the pieces of a wall."""
 OPEN = 0.9
 """Beams that go through."""
 OFF = 5.0
-"""A line does not fit where a point lies so many standard deviations off it."""
+"""A line does not fit where a point lies this many standard deviations off it."""
 LIMIT = 4.0
-"""Nor where the mean square of two neighbours, in common, exceeds the noise's so many times."""
+"""Nor where the mean square of two neighbours, in common, exceeds the noise's this many times."""
 
 
 @compiled
-def _fit(xy: NDArray[np.float64], first: int, last: int) -> NDArray[np.float64]:
+def _fit(xy: Floats, first: int, last: int) -> Floats:
     """Return the wall through points first to last (excluded), from the first to the last."""
     wall = np.zeros(WALL)
     wall[PX], wall[PY] = xy[first, 0], xy[first, 1]
@@ -49,12 +40,12 @@ def _fit(xy: NDArray[np.float64], first: int, last: int) -> NDArray[np.float64]:
 
 
 @compiled
-def _off(xy: NDArray[np.float64], i: int, wall: NDArray[np.float64]) -> float:
+def _off(xy: Floats, i: int, wall: Floats) -> float:
     return float(abs((xy[i, 1] - wall[PY]) * wall[UX] - (xy[i, 0] - wall[PX]) * wall[UY]))
 
 
 @compiled
-def _turns(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turns(xy: Floats) -> Floats:
     """Return the angles (n - 1,) from each point to the next as the sensor sees them."""
     turn = np.empty(len(xy) - 1)
     for i in range(len(turn)):
@@ -64,7 +55,7 @@ def _turns(xy: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @compiled
-def _breaks(xy: NDArray[np.float64], turn: NDArray[np.float64], sigma: float) -> NDArray[np.bool_]:
+def _breaks(xy: Floats, turn: Floats, sigma: float) -> Bools:
     """Tell after which points (n,) the next one is not on the same surface."""
     n, usual = len(xy), np.median(turn)
     radius = np.empty(n)
@@ -81,7 +72,7 @@ def _breaks(xy: NDArray[np.float64], turn: NDArray[np.float64], sigma: float) ->
 
 
 @compiled
-def range_breaks(xy: NDArray[np.float64], sigma: float) -> NDArray[np.int64]:
+def range_breaks(xy: Floats, sigma: float) -> Ints:
     """Tell after which points (n,) the next beam meets something else: 1, else 0."""
     broken = np.zeros(len(xy), dtype=np.int64)
     if len(xy) > 1:
@@ -92,7 +83,7 @@ def range_breaks(xy: NDArray[np.float64], sigma: float) -> NDArray[np.int64]:
 
 
 @compiled
-def _split_at(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> int:
+def _split_at(xy: Floats, first: int, last: int, sigma: float) -> int:
     """Return where points first to last (excluded) bend most; -1 where one line fits them."""
     wall = _fit(xy, first, last)
     worst = 0.0
@@ -110,7 +101,7 @@ def _split_at(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> i
 
 
 @compiled
-def _scatter(xy: NDArray[np.float64], first: int, last: int) -> float:
+def _scatter(xy: Floats, first: int, last: int) -> float:
     """Return the sum of squares of points first to last (excluded) about their line."""
     wall, total = _fit(xy, first, last), 0.0
     for i in range(first, last):
@@ -119,9 +110,7 @@ def _scatter(xy: NDArray[np.float64], first: int, last: int) -> float:
 
 
 @compiled
-def _shift_breaks(
-    xy: NDArray[np.float64], broken: NDArray[np.bool_], pieces: list[tuple[int, int]]
-) -> None:
+def _shift_breaks(xy: Floats, broken: Bools, pieces: list[tuple[int, int]]) -> None:
     """Give each point beside a bend to the line it is nearer to."""
     for k in range(len(pieces) - 1):
         (a, b), (c, d) = pieces[k], pieces[k + 1]
@@ -138,7 +127,7 @@ def _shift_breaks(
 
 @compiled
 def _straight(
-    xy: NDArray[np.float64], first: int, last: int, sigma: float, pieces: list[tuple[int, int]]
+    xy: Floats, first: int, last: int, sigma: float, pieces: list[tuple[int, int]]
 ) -> None:
     """Split points first to last (excluded) where they bend, and add the pieces in order."""
     waiting = [(first, last)]
@@ -155,9 +144,7 @@ def _straight(
 
 
 @compiled
-def _open_between(
-    xy: NDArray[np.float64], turn: NDArray[np.float64], b: int, c: int, sigma: float
-) -> bool:
+def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> bool:
     """Tell whether beams go through between point b - 1 and point c, to meet something or nothing.
 
     What lies nearer than the wall only hides it.
@@ -177,12 +164,7 @@ def _open_between(
 
 
 @compiled
-def _join(
-    xy: NDArray[np.float64],
-    turn: NDArray[np.float64],
-    pieces: list[tuple[int, int]],
-    sigma: float,
-) -> None:
+def _join(xy: Floats, turn: Floats, pieces: list[tuple[int, int]], sigma: float) -> None:
     """Join neighbours that one line fits."""
     k = 0
     while k < len(pieces) - 1:
@@ -197,7 +179,7 @@ def _join(
 
 
 @compiled
-def _by_chance(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> float:
+def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
     """Return how probable it is that points first to last (excluded) form a line by chance.
 
     The first and the last of them define a line; each of the others lies within the band that they
@@ -210,7 +192,7 @@ def _by_chance(xy: NDArray[np.float64], first: int, last: int, sigma: float) -> 
 
 
 @compiled
-def line_pieces(xy: NDArray[np.float64], sigma: float, chance: float) -> NDArray[np.int64]:
+def line_pieces(xy: Floats, sigma: float, chance: float) -> Ints:
     """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
 
     Those that are at least as probable as `chance` to be none are left out.
@@ -234,7 +216,7 @@ def line_pieces(xy: NDArray[np.float64], sigma: float, chance: float) -> NDArray
 
 
 @compiled
-def piece_walls(xy: NDArray[np.float64], pieces: NDArray[np.int64]) -> NDArray[np.float64]:
+def piece_walls(xy: Floats, pieces: Ints) -> Floats:
     """Return the walls (m, WALL) through pieces (m, 2) of a scan."""
     walls = np.zeros((len(pieces), WALL))
     for k in range(len(pieces)):

@@ -10,23 +10,24 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
+from relmap.segmentation.wall import BEGIN, END
 
 CHANCE = 1e-3
-"""Points that form a line by chance with a greater probability are no wall."""
+"""Points that form a line by chance with a greater probability are not a wall."""
 MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
 INLIER = 5 / MEDIAN
-"""Five standard deviations, in such medians: what lies farther off is no noise."""
+"""Five standard deviations, in such medians: what lies farther off is not noise."""
 ROUNDS = 10
 NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
 
 
-def beam_noise(xy: NDArray[np.float64]) -> float:
+def beam_noise(xy: Floats) -> float:
     """Return the noise (metres) from how far each point lies off the chord of its neighbours.
 
     Corners and ends of walls are left out; the fewer the beams, the more of them there are.
@@ -45,9 +46,7 @@ def beam_noise(xy: NDArray[np.float64]) -> float:
     return max(float(middle) / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
-def scan_walls(
-    xy: NDArray[np.float64], noise: float | None
-) -> tuple[WallMixture, NDArray[np.int64]]:
+def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
     """Return the walls of points (n, 2) in the order of their beams, and the wall of each.
 
     Parameters
@@ -57,7 +56,6 @@ def scan_walls(
     noise : float or None
         Metres; estimated where None.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
     from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
 
     sigma = beam_noise(xy) if noise is None else max(noise, FLOOR_M)
@@ -72,20 +70,16 @@ def scan_walls(
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma), beam=beam), labels
 
 
-def _beam_step(bearing: NDArray[np.float64]) -> float:
+def _beam_step(bearing: Floats) -> float:
     """Return the angle (radians) from one beam to the next, positive to the left."""
     return float(np.median(np.diff(bearing))) if len(bearing) > 1 else 0.0
 
 
-def extend_to_beams(
-    mixture: WallMixture, xy: NDArray[np.float64], labels: NDArray[np.int64]
-) -> WallMixture:
+def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixture:
     """Return walls with their ends half a beam farther out, but for the scan's own ends.
 
     An end lies anywhere between its last beam and the next one, which meets something else.
     """
-    from relmap.segmentation.em.wall_kernels import BEGIN, END
-
     if len(mixture.walls) == 0:
         return mixture
     bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
@@ -99,7 +93,7 @@ def extend_to_beams(
     return mixture.with_walls(walls)
 
 
-def hidden_ends(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[np.bool_]:
+def hidden_ends(xy: Floats, labels: Ints) -> Bools:
     """Tell which ends (k, 2) of the walls of a scan have something nearer just beside them.
 
     However few beams meet it: a wall seen too steeply to be found hides others all the same.
@@ -117,7 +111,7 @@ def hidden_ends(xy: NDArray[np.float64], labels: NDArray[np.int64]) -> NDArray[n
     return hidden
 
 
-def _where_met(wall: NDArray[np.float64], bearing: float, otherwise: float) -> float:
+def _where_met(wall: Floats, bearing: float, otherwise: float) -> float:
     """Return how far along a wall a beam meets it, where that is near its end."""
     ray = np.array([np.cos(bearing), np.sin(bearing)])
     across = wall[2] * ray[1] - wall[3] * ray[0]

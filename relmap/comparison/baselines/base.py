@@ -1,0 +1,152 @@
+"""What all methods to compare with share: a label for every observation, a pose for every scan."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap, in_space
+
+NO_MAP = LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))
+Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""``T_map_robot`` as R (d, d) and t (d,), metres; d is 2 or 3."""
+
+
+class Baseline(ABC):
+    """A method to compare with; see `relmap.evaluation.feeding.Method`.
+
+    Parameters
+    ----------
+    dimension : int
+        2 for a planar world, else 3.
+    """
+
+    submaps: Sequence[Submap] = ()
+
+    def __init__(self, dimension: int = 3) -> None:
+        self._d = dimension
+        self._labels = [np.empty(0, np.int64)]
+        self._poses: list[NDArray[np.float64]] = []
+
+    @abstractmethod
+    def update(
+        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
+    ) -> NDArray[np.int64]:
+        """Take in one scan; see `Method.update`."""
+
+    def _keep(
+        self, labels: NDArray[np.int64], T_map_robot: NDArray[np.float64]
+    ) -> NDArray[np.int64]:
+        """Keep what a scan has given, and return its labels (n,)."""
+        self._labels.append(labels)
+        self._poses.append(T_map_robot)
+        return labels
+
+    def finish(self) -> None:
+        """Do what is left to the end of the log: nothing, where a scan is done with at once."""
+        return
+
+    def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
+        """Return the labels (n,): no landmark is ever merged with another."""
+        return labels
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The landmarks mapped so far; none where a method makes no map."""
+        return NO_MAP
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """``T_map_robot`` of every scan, as found then, (k, 4, 4); NaN where there is none."""
+        return np.array(self._poses).reshape(-1, 4, 4)
+
+    @property
+    def landmarks(self) -> LandmarkTable:
+        """Every landmark that was labelled, mapped or not."""
+        labels = np.concatenate(self._labels)
+        iteration = np.repeat(np.arange(len(self._labels)) - 1, [*map(len, self._labels)])
+        labels, iteration = labels[labels >= 0], iteration[labels >= 0]
+        landmark, first, counts = np.unique(labels, return_index=True, return_counts=True)
+        _, last = np.unique(labels[::-1], return_index=True)
+        found, m = self.map, len(landmark)
+        mapped, position = np.isin(landmark, found.landmark_ids), np.full((m, 3), np.nan)
+        at = np.searchsorted(found.landmark_ids, landmark[mapped])
+        position[mapped] = found.positions[at]
+        return LandmarkTable(
+            landmark=landmark,
+            position=position,
+            sd=np.full(m, np.nan),
+            observations=counts,
+            first_iteration=iteration[first],
+            last_iteration=iteration[::-1][last],
+            level=mapped.astype(np.int64),
+            status=np.where(mapped, "static", "unmapped"),
+            submap=np.where(mapped, 0, -1),
+            moving_bin=np.full(m, -1),
+        )
+
+
+class KnownBaseline(Baseline):
+    """A baseline that is told which landmark is which; an observation without an id is left out."""
+
+    def update(
+        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
+    ) -> NDArray[np.int64]:
+        """Take in one scan; see `Method.update`."""
+        ids = np.full(len(points_robot), -1, np.int64) if ids is None else ids
+        labels = np.where(ids >= 0, ids, -1)
+        known = labels >= 0
+        pose = self._placed(points_robot[known], labels[known])
+        T_map_robot = np.full((4, 4), np.nan)
+        if pose is not None:
+            T_map_robot = np.eye(4)
+            T_map_robot[: self._d, : self._d], T_map_robot[: self._d, 3] = pose
+        return self._keep(labels, T_map_robot)
+
+    @abstractmethod
+    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
+        """Take in points (n, d) of landmarks (n,); return the pose, None where nothing fixes it."""
+
+
+def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Pose | None:
+    """Return the pose that brings a scan closest to the map.
+
+    Parameters
+    ----------
+    points_robot, places : (n, d) float64, metres
+        Observations and where these landmarks are on the map; d is 2 or 3.
+
+    Returns
+    -------
+    Pose or None
+        None where they fix no rotation.
+    """
+    return fit_rigid(points_robot, places) if fixes_rotation(places) else None
+
+
+def map_of(places: Mapping[int, NDArray[np.float64]]) -> LandmarkMap:
+    """Return the map of landmarks by their labels; each place is (d,), metres."""
+    labels = sorted(places)
+    if not labels:
+        return NO_MAP
+    return LandmarkMap(np.array(labels, np.int64), in_space(np.array([places[i] for i in labels])))
+
+
+def turned_by(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivative (n, d, r) of turned points (n, d) by a small turn about each axis."""
+    if points.shape[1] == 2:
+        return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
+    return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
+
+
+def rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return rotations (n, d, d) by turns (n, 1) in the plane or (n, 3) in space, radians."""
+    if turns.shape[1] == 3:
+        return Rotation.from_rotvec(turns).as_matrix()
+    cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])
+    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)

@@ -1,0 +1,96 @@
+"""The header of a table, and the one file in a folder that holds a log."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, TextIO
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.textfile import open_text, require_utf8, shown, unreadable
+
+
+def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
+    """Return the path itself if it is no folder, else the only file of a kind found in it.
+
+    `names` says for messages how such files are named. RelmapError where there is none, or there
+    are several.
+    """
+    if not os.path.isdir(path):
+        return path
+    if not found:
+        raise RelmapError(f"{shown(path)}: holds no {what}, expected one {names}")
+    if len(found) > 1:
+        several = ", ".join(shown(file.name) for file in found)
+        raise RelmapError(f"{shown(path)}: holds {len(found)} {what}s, expected one of {several}")
+    return found[0]
+
+
+def file_in(path: Path, name: str) -> Path:
+    """Return the path itself if it is no folder, else the file of a name in it."""
+    return path / name if os.path.isdir(path) else path
+
+
+def file_beside(path: Path | str, name: str) -> Path:
+    """Return the file of a name in a folder, or beside a file."""
+    path = Path(path)
+    return (path if os.path.isdir(path) else path.parent) / name
+
+
+def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
+    """Return the members of a folder whose names end so, in order."""
+    try:
+        return [member for member in sorted(folder.iterdir()) if member.name.endswith(endings)]
+    except OSError as error:
+        raise unreadable(folder, error) from error
+
+
+class Head(NamedTuple):
+    """What precedes the rows of a table: comments without ``#``, and the header's cells."""
+
+    comments: tuple[str, ...]
+    columns: tuple[str, ...]
+    line: int
+
+
+def read_head(path: Path, stream: TextIO) -> Head:
+    """Read comments and header from a stream of `open_text`, up to the first row.
+
+    RelmapError where the file is empty, holds no header or is not text.
+    """
+    comments = []
+    number = 0
+    for number, line in enumerate(stream, 1):
+        require_utf8(path, number, line)
+        text = line.strip()
+        if text.startswith("#"):
+            comments.append(text.lstrip("#").strip())
+        elif text:
+            return Head(tuple(comments), tuple(cell.strip() for cell in text.split(",")), number)
+    problem = "holds no header" if number else "is empty"
+    raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
+
+
+def columns_of(path: Path) -> frozenset[str]:
+    """Return the header's cells of a table; none where the file cannot be read as one."""
+    try:
+        with open_text(path) as stream:
+            return frozenset(read_head(path, stream).columns)
+    except RelmapError:
+        return frozenset()
+
+
+TABLES = "*.csv or *.csv.gz"
+"""The names of tables."""
+
+
+def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
+    """Return the files whose header has all the columns: the path itself, or those in the folder.
+
+    In a folder only names that end in ``.csv`` or ``.csv.gz`` are looked into.
+    """
+    if not os.path.isdir(path):
+        return [path] if columns <= columns_of(path) else []
+    members = members_of(path, (".csv", ".csv.gz"))
+    return [member for member in members if columns <= columns_of(member)]

@@ -1,0 +1,185 @@
+"""A log goes through a mapper, or a method to compare it with, scan by scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from types import SimpleNamespace
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import ScanLog, SensorView
+from relmap.planes import PlaneMapper
+from relmap.points import PointMapper
+from relmap.segmentation import PlaneSegmenter
+
+Association = Literal["nearest", "known"]
+Log = ObservationLog | ScanLog
+AnyMapper = PointMapper | PlaneMapper
+Progress = Callable[[Iterable[Any]], Iterable[Any]]
+"""Wraps the scans of a run, to show how far it is."""
+
+
+class Method(Protocol):
+    """What a log can be run through: a mapper, or a method to compare it with."""
+
+    def update(self, points: Any, /, ids: Any = None) -> NDArray[np.int64]:
+        """Take in one iteration.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) float64, robot frame, metres
+        ids : (n,) int64, optional
+            Known association; negative where a landmark was not identified.
+
+        Returns
+        -------
+        (n,) int64
+            Label of the landmark of each observation; -1 where it has none.
+        """
+
+    def finish(self) -> None:
+        """Do what is left to the end of the log."""
+
+    def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
+        """Return what landmarks (n,), labelled by earlier updates, are called now."""
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The landmarks mapped so far; none where a method makes no map of landmarks."""
+
+    @property
+    def landmarks(self) -> LandmarkTable:
+        """Every landmark ever seen, mapped or not."""
+
+    @property
+    def submaps(self) -> Sequence[Submap]:
+        """The submaps, the map itself first; none where a method knows no such thing."""
+
+    @property
+    def trajectory(self) -> NDArray[np.float64]:
+        """``T_map_robot`` of every iteration so far, (k, 4, 4); NaN where there is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fed:
+    """What a method gave and took while a log went through it.
+
+    Attributes
+    ----------
+    labels : list of (n,) int64
+        Of each scan.
+    durations_s : (k, 2) float64
+        To prepare (to segment) and to map each scan, seconds.
+    finish_s, refine_s : float
+    """
+
+    labels: list[NDArray[np.int64]]
+    durations_s: NDArray[np.float64]
+    finish_s: float
+    refine_s: float
+
+
+def feed(
+    method: Method,
+    log: Log,
+    association: Association,
+    refine: bool = False,
+    progress: Progress | None = None,
+    n_seen: int = 0,
+    segmenter: PlaneSegmenter | None = None,
+    clock: Callable[[], float] = perf_counter,
+) -> Fed:
+    """Run a log through a method to its end, and take the time.
+
+    Parameters
+    ----------
+    method : Method
+        A plane mapper is given the walls of a scan, every other method its points.
+    log, association, refine, progress, segmenter
+        As `run_mapper` takes them.
+    n_seen : int
+        Scans of the log that the method has taken in.
+    clock : callable
+        Tells the time, seconds.
+
+    Raises
+    ------
+    RelmapError
+        Where ``known`` is asked of a log without ids, or a scan of the log is damaged.
+    """
+    known = association == "known"
+    if known and getattr(log, "ids", None) is None:
+        raise RelmapError("association known needs a log with ids, and this one has none")
+    scans: Iterable[Any] = ()
+    if n_seen < len(log):
+        first = log.first_iteration
+        scans = log.between(first + n_seen, first + len(log)).scans()
+    prepare = _preparation(method, log, segmenter)
+    labels, durations_s = [], []
+    for scan in progress(scans) if progress else scans:
+        began = clock()
+        seen = prepare(scan.points_robot)
+        between = clock()
+        labels.append(method.update(seen, ids=scan.ids if known else None))
+        durations_s.append([between - began, clock() - between])
+    over = clock()
+    method.finish()
+    finished = clock()
+    if refine and isinstance(method, PointMapper | PlaneMapper):
+        method.refine()
+    durations = np.array(durations_s).reshape(-1, 2)
+    return Fed(labels, durations, finished - over, clock() - finished)
+
+
+def _preparation(
+    method: Method, log: Log, segmenter: PlaneSegmenter | None
+) -> Callable[[NDArray[np.float64]], Any]:
+    """Return what makes of the points of a scan what the method takes."""
+    if not (isinstance(method, PlaneMapper) and isinstance(log, ScanLog)):
+        return lambda points_robot: points_robot
+    view = log.sensor
+    used = segmenter or segmenter_for(view)
+    return lambda points_robot: segment_scan(used, points_robot, view)
+
+
+def segmenter_for(view: SensorView) -> PlaneSegmenter:
+    """Return a segmenter that knows what is known of the sensor."""
+    return PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+
+
+def segment_scan(
+    segmenter: PlaneSegmenter, points_robot: NDArray[np.float64], view: SensorView
+) -> SimpleNamespace:
+    """Return the planes of a scan as the mapper takes them, seen from where the sensor is.
+
+    A wall whose front looks at the sensor, but not at the robot's centre, is left out.
+
+    Parameters
+    ----------
+    segmenter : PlaneSegmenter
+    points_robot : (n, 2) or (n, 3) float64, robot frame, metres
+    view : SensorView
+        Where the sensor is on the robot.
+
+    Returns
+    -------
+    SimpleNamespace
+        `ends`, `end_type`, `noise`, `n_points` and `z_extent` as `relmap.segmentation.Planes` has
+        them, in the robot frame.
+    """
+    c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
+    R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])
+    points_sensor = points_robot.copy()
+    points_sensor[:, :2] = (points_robot[:, :2] - t) @ R
+    found = segmenter.fit(points_sensor).planes_
+    ends = found.ends @ R.T + t
+    front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
+    rest = ("end_type", "noise", "n_points", "z_extent")
+    return SimpleNamespace(ends=ends[front], **{name: getattr(found, name)[front] for name in rest})
