@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
@@ -88,11 +87,19 @@ class PlaneTracks(Tracks):
         """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
         from relmap.planes.matching_kernels import carried
 
-        there = deepcopy(self)
-        there.angle, there.offset, there.ends, _, there.corner_at = carried(
-            self.arrays, np.array([yaw, *t])
+        angle, offset, ends, sd, corner_at = carried(self.arrays, np.array([yaw, *t]))
+        return PlaneTracks(
+            self.plane,
+            angle,
+            offset,
+            ends,
+            sd,
+            self.corner.copy(),
+            corner_at,
+            self.corner_seen.copy(),
+            self.missed.copy(),
+            self.seen.copy(),
         )
-        return there
 
     def see(self, rows: NDArray[np.int64], seen: PlaneObservation, at: NDArray[np.int64]) -> None:
         """Note that walls `at` (k,) of a scan go on with tracks `rows`, and others were missed."""

@@ -56,8 +56,8 @@ class KnownAssociation:
         known = self._believed(known, points_robot)
         found = [self._parts[i % PARTS].get(i, UNIDENTIFIED) for i in known.tolist()]
         landmarks = np.array(found, dtype=np.int64)
-        if UNIDENTIFIED in found:
-            new = (landmarks == UNIDENTIFIED) & (known >= 0)
+        new = (landmarks == UNIDENTIFIED) & (known >= 0)
+        if new.any():
             landmarks[new] = np.arange(len(self._labels), len(self._labels) + new.sum())
             for label, number in zip(known[new].tolist(), landmarks[new].tolist(), strict=True):
                 self._parts[label % PARTS][label] = number
@@ -69,7 +69,10 @@ class KnownAssociation:
     ) -> NDArray[np.int64]:
         """Return the ids (n,) with `UNIDENTIFIED` where an observation cannot be right."""
         named = np.flatnonzero(ids >= 0)
-        good = self._rigidity.believed(ids[named], points_robot[named])
+        if len(named) == len(ids):
+            good = self._rigidity.believed(ids, points_robot)
+        else:
+            good = self._rigidity.believed(ids[named], points_robot[named])
         if good is None:
             self.rejected.append(self._n_scans - 1)
         elif len(good) == len(ids) and good.all():

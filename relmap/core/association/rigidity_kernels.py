@@ -37,13 +37,11 @@ def lay_on(
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
-    float,
 ]:
     """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
 
     The limits are the tolerance, the most pairs to fit and the fewest.  Returns the rows of both,
-    R, t, the misfits and their upper median; there are none where there are too few pairs or none
-    agree.
+    R, t and the misfits; these are none where there are too few pairs or none agree.
     """
     (n, d), m = points.shape, len(scan_ids)
     tolerance_m, sample, fewest = limits
@@ -59,7 +57,7 @@ def lay_on(
             j += 1
     rows, shared = rows[:k], shared[:k]
     if k < fewest:
-        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0), np.inf
+        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0)
     every = -(-k // sample)
     source, target = points[rows[::every]], scan_points[shared[::every]]
     R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, ROUNDS)
@@ -72,13 +70,14 @@ def lay_on(
                 apart += R[a, b] * points[rows[pair], b]
             square += apart * apart
         misfit[pair] = np.sqrt(square)
-    middle = smallest(misfit.copy(), len(misfit) // 2) if len(misfit) else np.inf
-    return rows, shared, R, t, misfit, middle
+    return rows, shared, R, t, misfit
 
 
 @compiled
 def carry(
-    places: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]],
+    ids: NDArray[np.int64],
+    points: NDArray[np.float64],
+    missed: NDArray[np.int64],
     scan_ids: NDArray[np.int64],
     scan_points: NDArray[np.float64],
     placement: tuple[NDArray[np.float64], NDArray[np.float64]],
@@ -86,10 +85,9 @@ def carry(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the landmarks of a scan, and those not in it carried along into its frame.
 
-    These are ids, points and in how many scans each was missed.  Both ids ascend, and so do those
-    returned.  Who was missed in more than the longest number of scans is left behind.
+    Both ids ascend, and so do those returned.  Who was missed in more than the longest number of
+    scans is left behind.
     """
-    ids, points, missed = places
     R, t = placement
     (n, d), m = points.shape, len(scan_ids)
     all_ids, all_points = np.empty(n + m, dtype=np.int64), np.empty((n + m, d))
@@ -110,3 +108,27 @@ def carry(
             k += 1
         i += 1
     return all_ids[:k], all_points[:k], all_missed[:k]
+
+
+@compiled
+def steady(
+    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]],
+    scan_ids: NDArray[np.int64],
+    scan_points: NDArray[np.float64],
+    limits: tuple[float, int, int, float, float],
+    longest: int,
+) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """Lay the last landmarks on a scan; where nothing is amiss, carry them along.
+
+    `last` are ids, points and scans missed as for `carry`; the limits those of `lay_on`, the
+    largest middle misfit and the largest misfit of all.  Returns the middle misfit, and what
+    `carry` does; -1 and what came in where a look is needed at what is amiss.
+    """
+    ids, points, missed = last
+    _, _, R, t, misfit = lay_on(ids, points, scan_ids, scan_points, limits[:3])
+    if len(misfit) < limits[2] or np.max(misfit) > limits[4]:
+        return -1.0, ids, points, missed
+    middle = smallest(misfit.copy(), len(misfit) // 2)
+    if middle > limits[3]:
+        return -1.0, ids, points, missed
+    return middle, *carry(ids, points, missed, scan_ids, scan_points, (R, t), longest)
