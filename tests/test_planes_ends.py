@@ -54,7 +54,7 @@ def test_an_end_that_the_view_cuts_is_not_asked() -> None:
     np.testing.assert_array_equal(found.static, kind == UNKNOWN)
 
 
-def test_a_typed_corner_that_moves_against_the_others_is_told() -> None:
+def test_a_corner_that_moves_against_the_others_is_told() -> None:
     moving = np.zeros((3, 2))
     moving[1, 1] = -0.12
     found = compared(moving, np.full((3, 2), CORNER, dtype=np.int8))
@@ -98,12 +98,10 @@ def test_an_end_that_is_typed_a_corner_but_moves_is_left_out() -> None:
     mapper = PlaneMapper()
     for k in range(40):
         walls = WALLS.copy()
-        walls[1, 1, 0] += 0.11 * k
+        walls[1, 1, 0] += 0.08 * k
         c, s = np.cos(0.01 * k), np.sin(0.01 * k)
         ends = (walls - [0.03 * k, 0.0]) @ np.array([[c, -s], [s, c]])
         mapper.update(SimpleNamespace(ends=ends, end_type=np.full((3, 2), "corner")))
-    shadow = mapper.history.corner[mapper.history.plane == mapper.history.plane[1], 1]
-    assert (shadow[-12:] < 0).all()
     mapper.finish()
     mapper.refine()
     corners = mapper.map.positions[:, :2]

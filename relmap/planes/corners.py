@@ -2,8 +2,8 @@
 
 For two walls midpoints are estimated from either end of either, and a size that is fixed over the
 interval; the pair that deviates least over time is that of static ends.  Types of ends, where a
-scan tells them, go first: an end that is cut by the view is not asked, and one that is not cut is
-checked.  Where none are told, deviation alone decides.
+scan tells them, go first: an end that is cut by the view is not asked.  Where none are told,
+deviation alone decides.  A typed corner that moves is left to the engine, which tells who moves.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STEADY = 1.6
 """A pair that deviates by no more, in units of what noise gives, is one of static ends."""
 MOVES, MOVES_M = 4.0, 0.3
 WITNESSES = 2
-"""An end moves that deviates by more from all ends that are typed corners, so many at least."""
+"""An end moves that deviates by more from all ends that are known as corners, so many at least."""
 
 
 @dataclass(frozen=True, eq=False)

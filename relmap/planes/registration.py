@@ -190,7 +190,7 @@ class PlaneRegistration:
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
         told = self._told.values[walls]
         untyped = seen.kind == UNKNOWN
-        wall, end = np.nonzero(np.where(untyped, told == STATIC, seen.static & (told != MOVING)))
+        wall, end = np.nonzero(np.where(untyped, told == STATIC, seen.static))
         row = np.array([row_of[plane] for plane in walls[wall].tolist()], dtype=np.int64)
         at = seen.ends[wall, end]
         off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
@@ -221,7 +221,7 @@ class PlaneRegistration:
     def _test_ends(self) -> None:
         """Tell by the last iterations which ends are static, where no types tell (Fig. 4).
 
-        Ends of unknown type are tested now and then, typed corners once in an interval.
+        Ends of unknown type are tested now and then.
         """
         now = len(self._motions)
         if now < INTERVAL or now % TESTED:
@@ -229,15 +229,19 @@ class PlaneRegistration:
         rows, iteration = self.store.between(now - INTERVAL, now)
         wall, kind = self.store.column("wall")[rows], self.store.column("kind")[rows]
         ends, sd = self.store.column("location")[rows], self.store.column("sd")[rows]
-        same = self._since.values[wall] <= now - INTERVAL
-        if not same.any() or (now % INTERVAL and not (kind == UNKNOWN).any()):
+        same, unknown = self._since.values[wall] <= now - INTERVAL, kind == UNKNOWN
+        if not (same & unknown.any(axis=1)).any():
             return
         told = self._told.values
-        kind = np.where((kind == UNKNOWN) & (told[wall] == STATIC), CORNER, kind)
+        untyped = np.zeros(told.shape, dtype=np.bool_)
+        np.logical_or.at(untyped, wall, unknown)
+        kind = np.where(unknown & (told[wall] == STATIC), CORNER, kind)
         found = compared_ends(iteration[same], wall[same], ends[same], sd[same], kind[same])
-        told[found.walls] = np.where(found.moving, MOVING, told[found.walls])
-        told[found.walls] = np.where(found.static, STATIC, told[found.walls])
-        for k, end in np.argwhere(found.moving & ~found.static).tolist():
+        moving = found.moving & ~found.static & untyped[found.walls]
+        static = found.static & untyped[found.walls]
+        before = told[found.walls]
+        told[found.walls] = np.where(static, STATIC, np.where(moving, MOVING, before))
+        for k, end in np.argwhere(moving).tolist():
             self._name(found.walls[k], end, NO_CORNER)
 
     def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
