@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core import afterwards, readout
-from relmap.core.config import WITH_IDS, MapperConfig
+from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
@@ -45,7 +45,7 @@ class Mapper(ABC):
     """
 
     _variant: ClassVar[str]
-    _unused: ClassVar[dict[str, str]] = {}
+    _unused: ClassVar[dict[str, str]] = WITH_POINTS
     """Settings that the variant ignores, and why."""
 
     def __init__(

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from relmap.core.state.schedule import LONGEST_INTERVAL, PASSES, WAIT, GroupingSchedule
+from relmap.core.config import MapperConfig
+from relmap.core.state.schedule import LONGEST_INTERVAL, WAIT, GroupingSchedule
 from relmap.core.state.table import LandmarkState
 
 AFTER, MISSED = 4, 2
@@ -15,7 +16,7 @@ AFTER, MISSED = 4, 2
 
 def begun(after: int = AFTER, missed: int = MISSED) -> tuple[GroupingSchedule, LandmarkState]:
     table = LandmarkState()
-    return GroupingSchedule(table, after, missed), table
+    return GroupingSchedule(table, MapperConfig(group_after=after, max_missed=missed)), table
 
 
 def see(
@@ -28,16 +29,21 @@ def see(
     return sorted(left.tolist())
 
 
-def test_the_passes_are_due_after_multiples_of_the_first() -> None:
-    schedule, table = begun()
-    due = {}
-    for k in range(AFTER * PASSES[-1] + 1):
+@pytest.mark.parametrize("passes", [(3, 6), (2, 9)])
+def test_the_passes_are_due_after_multiples_of_the_first(passes: tuple[int, int]) -> None:
+    second, third = passes
+    table = LandmarkState()
+    config = MapperConfig(
+        group_after=AFTER, second_pass=second, third_pass=third, max_missed=MISSED
+    )
+    schedule, due = GroupingSchedule(table, config), {}
+    for k in range(AFTER * third + 1):
         see(schedule, table, [0], k)
         while (now := schedule.next_due()) is not None:
             assert now[0] == 0
             due[now[1]] = k + 1
             table.level[0] = now[1]
-    assert due == {level: AFTER * n for level, n in zip((1, 2, 3), PASSES, strict=True)}
+    assert due == {1: AFTER, 2: AFTER * second, 3: AFTER * third}
 
 
 def test_one_that_found_no_group_is_due_again_after_as_many_more() -> None:
@@ -118,7 +124,7 @@ def test_what_was_seen_less_than_half_the_time_reaches_the_first_level_only() ->
 @pytest.mark.parametrize("after", [1, 4, 10, 100])
 def test_what_is_not_stored_any_longer_does_not_stand_in_the_way_of_level_3(after: int) -> None:
     schedule, table = begun(after)
-    for k in range(PASSES[-1] * max(after, LONGEST_INTERVAL)):
+    for k in range(6 * max(after, LONGEST_INTERVAL)):
         see(schedule, table, [0], k)
     stored = np.array([LONGEST_INTERVAL])
     assert schedule.reached(np.array([0]), stored, 3).tolist() == [3]

@@ -13,13 +13,19 @@ from relmap.cli import main
 from relmap.simulation import building_scene
 from tests.commands import load
 
-COMMON: dict[str, object] = {"group_after": 10, "max_missed": 5, "refine_live": True}
+COMMON: dict[str, object] = {
+    "group_after": 10,
+    "second_pass": 3,
+    "third_pass": 6,
+    "max_missed": 5,
+    "refine_live": True,
+}
 USED: dict[str, dict[str, object]] = {
     "constellation": COMMON | {"registration": "constellation", "keep_observations": False},
     "nearest-previous": COMMON
     | {"registration": "nearest-previous", "gate_m": None, "keep_observations": False},
     "known": COMMON | {"keep_observations": False},
-    "planes": COMMON,
+    "planes": COMMON | {"bridge_m": 1.0},
 }
 RUNS = {
     "constellation": ["log.csv"],
@@ -29,11 +35,14 @@ RUNS = {
 }
 SETTINGS: dict[str, object] = {
     "group_after": 7,
+    "second_pass": 2,
+    "third_pass": 9,
     "max_missed": 3,
     "registration": "constellation",
     "gate_m": 0.5,
     "keep_observations": True,
     "refine_live": False,
+    "bridge_m": 0.5,
 }
 OPTIONS = {
     "--association nearest": RUNS.keys(),

@@ -151,7 +151,7 @@ def map_command(
 def _settings(
     config: Path | None, registration: str | None, planes: bool, known: bool
 ) -> MapperConfig:
-    from relmap.core.config import WITH_IDS, WITH_WALLS
+    from relmap.core.config import WITH_IDS, WITH_POINTS, WITH_WALLS
 
-    unused = WITH_WALLS if planes else WITH_IDS if known else {}
+    unused = WITH_WALLS if planes else WITH_IDS if known else WITH_POINTS
     return args.read_config(config, registration, unused)

@@ -10,7 +10,8 @@ from typing import Any
 from relmap.core.errors import RelmapError, known_name
 
 REGISTRATIONS = ("constellation", "nearest-previous")
-WITH_IDS = dict.fromkeys(("registration", "gate_m"), "with ids nothing is matched")
+WITH_POINTS = {"bridge_m": "only walls can leave a way along themselves open"}
+WITH_IDS = WITH_POINTS | dict.fromkeys(("registration", "gate_m"), "with ids nothing is matched")
 WITH_WALLS = dict.fromkeys(
     ("registration", "gate_m", "keep_observations"),
     "walls are matched and refined in a way of their own",
@@ -29,6 +30,10 @@ class MapperConfig:
         The second and the third pass are due after multiples of it.  Grouped early, nearly
         everything in view is on the map when a new landmark is aligned to it, and groups that
         share many landmarks drift least.
+    second_pass, third_pass : int
+        Observations after which the second pass is due, and the third where a landmark stays in
+        view, in units of `group_after` (section III).  The second needs enough of them to tell who
+        moves.
     max_missed : int
         A landmark unseen for more iterations than this has left the view.
     registration : "constellation" or "nearest-previous"
@@ -42,19 +47,26 @@ class MapperConfig:
         bounded.
     refine_live : bool
         Refine the map while it is being built, when landmarks came back into view.
+    bridge_m : float
+        Only for walls, metres: along walls where nothing measures the way, the robot is taken to go
+        on as before until that may be so far off; there the submap ends.
 
     Notes
     -----
     A setting that would be ignored is refused: `gate_m` with another registration, `registration`
-    where ids are given, and both and `keep_observations` where walls are mapped.
+    where ids are given, both and `keep_observations` where walls are mapped, and `bridge_m` where
+    points are.
     """
 
     group_after: int = 10
+    second_pass: int = 3
+    third_pass: int = 6
     max_missed: int = 5
     registration: str = "constellation"
     gate_m: float | None = None
     keep_observations: bool = False
     refine_live: bool = True
+    bridge_m: float = 1.0
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -64,12 +76,18 @@ class MapperConfig:
         RelmapError
             Names the key, the value and what would be right.
         """
-        for key, lowest in (("group_after", 1), ("max_missed", 0)):
+        second, third = ("second_pass", 2), ("third_pass", 3)
+        for key, lowest in (("group_after", 1), second, third, ("max_missed", 0)):
             value = getattr(self, key)
             if type(value) is not int or value < lowest:
                 raise RelmapError(
                     f"setting {key} is {value!r}; it must be a whole number, {lowest} or more"
                 )
+        if self.third_pass <= self.second_pass:
+            raise RelmapError(
+                f"setting third_pass is {self.third_pass}; it must be more than second_pass, "
+                f"{self.second_pass}"
+            )
         if self.registration not in REGISTRATIONS:
             raise RelmapError(
                 f"setting registration is {self.registration!r}; "
@@ -80,10 +98,11 @@ class MapperConfig:
                 raise RelmapError(
                     f"setting {key} is {getattr(self, key)!r}; it must be true or false"
                 )
-        if self.gate_m is not None and not _is_length(self.gate_m):
-            raise RelmapError(
-                f"setting gate_m is {self.gate_m!r}; it must be a length above 0, in metres"
-            )
+        for key, length in (("gate_m", self.gate_m), ("bridge_m", self.bridge_m)):
+            if not ((key == "gate_m" and length is None) or _is_length(length)):
+                raise RelmapError(
+                    f"setting {key} is {length!r}; it must be a length above 0, in metres"
+                )
         if self.gate_m is not None and self.registration != "nearest-previous":
             raise RelmapError(
                 f"setting gate_m is only for registration nearest-previous, and registration is "

@@ -47,7 +47,7 @@ class RelativeMapper:
         self.association = DataAssociation(model, config)
         keeps = model.keeps_observations or config.keep_observations
         self.store = ObservationStore(model.columns, model.points, keeps)
-        self.schedule = GroupingSchedule(self.table, config.group_after, config.max_missed)
+        self.schedule = GroupingSchedule(self.table, config)
         self.averaging = Averaging(self.table, model.noise_spread)
         self.map = GlobalMap(self.table)
         self.levels = GroupLevels(self.table)

@@ -30,9 +30,7 @@ VARYING = 20
 UNSURE = 0.05
 """Share of a step that is not known at least, where the robot is taken to go on as before."""
 TORN_M = 1.0
-"""A map is torn where it disagrees with a link by more."""
-ASTRAY_M = 1.0
-"""What is not known along a wall in a row ends the submap where it may add up to this."""
+"""A map is torn where it disagrees with a link, or with weak links in a row, by more."""
 
 
 def believed(

@@ -271,7 +271,7 @@ class PlaneMapper(Mapper):
         return [self, self._engine]
 
     def _model(self) -> WallModel:
-        self._planes = PlaneRegistration(self.config.max_missed)
+        self._planes = PlaneRegistration(self.config.max_missed, self.config.bridge_m)
         return WallModel(self._planes)
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:

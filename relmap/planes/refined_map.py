@@ -15,7 +15,7 @@ from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
-from relmap.planes.links import ASTRAY_M, disagreement, stretched_m
+from relmap.planes.links import TORN_M, disagreement, stretched_m
 from relmap.planes.solving import refined, refined_to_the_noise
 from relmap.planes.stitching import stitched, weak_links, without_strays
 from relmap.planes.submaps import WallSubmap, among_all
@@ -105,7 +105,7 @@ def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, close
 def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
     """Tell whether a way over weak links is another than the one that was carried on."""
     weak = weak_links(history) - found.span[0]
-    return stretched_m(found.poses, chained.poses, weak) > ASTRAY_M
+    return stretched_m(found.poses, chained.poses, weak) > TORN_M
 
 
 def poses_of(

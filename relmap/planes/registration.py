@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
-from relmap.planes.links import ASTRAY_M, STEADY, believed, farthest_m, measured_along, unsure_m
+from relmap.planes.links import STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
@@ -46,6 +46,8 @@ class PlaneRegistration:
     ----------
     max_missed : int
         A wall unseen for more iterations than this has left the view.
+    bridge_m : float, metres
+        How far off the way along walls may be where nothing measures it; there a submap ends.
 
     Attributes
     ----------
@@ -63,8 +65,8 @@ class PlaneRegistration:
         "_unsure_each_m _half _wall_end _submap_of _told _since"
     )
 
-    def __init__(self, max_missed: int) -> None:
-        self._max_missed = max_missed
+    def __init__(self, max_missed: int, bridge_m: float) -> None:
+        self._max_missed, self._bridge_m = max_missed, bridge_m
         self._tracks = None
         self._motion = STILL
         self._n_submaps = 0
@@ -174,7 +176,7 @@ class PlaneRegistration:
             if not self._unsure_m:
                 self._unsure_each_m = unsure_m(self.motions)
             self._unsure_m += self._unsure_each_m
-        if self._unsure_m > ASTRAY_M:
+        if self._unsure_m > self._bridge_m:
             self._unsure_m = 0.0
             return None
         self._motion = motion

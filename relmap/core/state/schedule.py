@@ -5,14 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.config import MapperConfig
 from relmap.core.state.table import LandmarkState
 
-PASSES = (1, 3, 6)
-"""Observations from which levels 1, 2 and 3 are due, in units of those of level 1.
-
-The second pass needs enough to tell who moves.  The third waits for the end of the interval, but
-not longer than this: what stays in view has one interval after the other.
-"""
 WAIT = 2
 """How long level 3 waits for others to leave the view too, in units of level 1's observations."""
 LONGEST_INTERVAL = 128
@@ -30,20 +25,20 @@ class GroupingSchedule:
     Parameters
     ----------
     table : LandmarkState
-    group_after : int
-        Observations after which level 1 is due.
-    max_missed : int
-        A landmark unseen for more iterations than this has left the view.
+    config : MapperConfig
+        When each level is due; level 3 waits for the end of the interval, but not longer than
+        `third_pass` says: what stays in view has one interval after the other.
     """
 
     STATE = "_in_view _due _gone"
 
-    def __init__(self, table: LandmarkState, group_after: int, max_missed: int) -> None:
-        self.group_after = group_after
+    def __init__(self, table: LandmarkState, config: MapperConfig) -> None:
+        self.group_after = config.group_after
         self._table = table
-        self._max_missed = max_missed
-        self._wait = max_missed + WAIT * group_after
-        self._thresholds = group_after * np.array(PASSES)
+        self._max_missed = config.max_missed
+        self._wait = config.max_missed + WAIT * config.group_after
+        passes = np.array([1, config.second_pass, config.third_pass])
+        self._thresholds = config.group_after * passes
         self._in_view = np.empty(0, dtype=np.int64)
         self._due = np.empty(0, dtype=np.int64)
         self._gone = np.empty(0, dtype=np.int64)
