@@ -59,10 +59,27 @@ def refined_map(
     (submap, numbers) or None
         None where nothing is mapped, or refining does not settle or makes it worse.
     """
-    span = chained.span
     if chained.assembled is None:
         return None
-    best, closed = refined(chained.assembled, WIDELY), False
+    for cautious in (False, True):
+        found, found_numbers, closed = _solved(history, numbers, chained, moving, cautious)
+        if _better(found, chained, history, closed):
+            return found, found_numbers
+    _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *chained.span)
+    return None
+
+
+def _solved(
+    history: PlaneHistory,
+    numbers: WallNumbers,
+    chained: WallSubmap,
+    moving: NDArray[np.bool_],
+    cautious: bool,
+) -> tuple[WallSubmap, WallNumbers, bool]:
+    """Return the refined submap, who is who in it, and whether a loop was closed."""
+    span, closed = chained.span, False
+    assert chained.assembled is not None
+    best = refined(chained.assembled, WIDELY, cautious)
     for rounds, times in ((WIDELY, CLOSED), (ROUGHLY, JOINED)):
         for _ in range(times):
             if rounds is WIDELY:
@@ -74,10 +91,10 @@ def refined_map(
             numbers, closed = joined, closed or rounds is WIDELY
             path = among_all(poses_of(best, span, history), span, history)
             again = assemble(history, numbers, path, moving)
-            best = best if again is None else refined(again, rounds)
-    best = refined_to_the_noise(best)
+            best = best if again is None else refined(again, rounds, cautious)
+    best = refined_to_the_noise(best, cautious)
     found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
-    return (found, numbers) if _better(found, chained, history, closed) else None
+    return found, numbers, closed
 
 
 def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, closed: bool) -> bool:
@@ -89,17 +106,9 @@ def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, close
     motions = history.motion[slice(*found.span)]
     torn, off_m = disagreement(found.poses, motions)
     torn_before, off_before_m = disagreement(chained.poses, motions)
-    if not found.assembled.settled:
-        _LOG.warning("scans %d:%d: refining does not settle; they stay as chained", *found.span)
-    elif torn > torn_before or off_m > off_before_m + WORSE_M:
-        _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *found.span)
-    elif not closed and _stretched(found, chained, history):
-        _LOG.warning(
-            "scans %d:%d: refining stretches a weak link; they stay as chained", *found.span
-        )
-    else:
-        return True
-    return False
+    agrees = torn <= torn_before and off_m <= off_before_m + WORSE_M
+    stretched = not closed and _stretched(found, chained, history)
+    return found.assembled.settled and agrees and not stretched
 
 
 def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:

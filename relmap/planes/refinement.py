@@ -54,6 +54,9 @@ class WallSystem:
     ----------
     given : WallEquations
         In the order of iterations.
+    cautious : bool
+        Whether no step may raise the cost.  Steps that may straighten long chains in a few rounds,
+        but wander where little holds them.
 
     Attributes
     ----------
@@ -61,8 +64,8 @@ class WallSystem:
         Whether the last step that `refine` took was short.
     """
 
-    def __init__(self, given: WallEquations) -> None:
-        self.settled = False
+    def __init__(self, given: WallEquations, cautious: bool = False) -> None:
+        self.settled, self._cautious = False, cautious
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
         self._open_along = open_along(given)
@@ -98,7 +101,9 @@ class WallSystem:
         def weigh(residual: Array) -> Array:
             return self._weights(residual, doubtful, by_scan)
 
-        found = gauss_newton(self, state, weigh, rounds, unsure=UNSURE, same=np.inf)
+        found = gauss_newton(
+            self, state, weigh, rounds, unsure=UNSURE, same=np.inf, monotone=self._cautious
+        )
         self.settled = False
         if found.last is not None:
             step = np.abs(_unknowns(found.state) - _unknowns(found.last))

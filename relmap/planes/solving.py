@@ -30,7 +30,7 @@ ASTRAY_M, ASTRAY, MOSTLY = 0.04, 6.0, 0.75
 than a quarter of its sights."""
 
 
-def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]]) -> Assembled:
+def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], cautious: bool) -> Assembled:
     """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is.
 
     Parameters
@@ -40,18 +40,20 @@ def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]]) -> Assemb
         Most steps of each solution, between which the noise of each wall and corner is learnt, and
         the residual from which an observation is in doubt: none is before the rest has fallen into
         place.
+    cautious : bool
+        See `WallSystem`.
     """
-    return _solved(WallSystem(assembled.given), assembled, rounds)
+    return _solved(WallSystem(assembled.given, cautious), assembled, rounds)
 
 
-def refined_to_the_noise(assembled: Assembled) -> Assembled:
+def refined_to_the_noise(assembled: Assembled, cautious: bool) -> Assembled:
     """Solve for walls, corners and poses as accurately as the observations are.
 
     Where they are better than real walls, the least noise is lowered bit by bit: what was found
     wrong so far is out before the rest decides (graduated non-convexity; Blake and Zisserman,
     1987).
     """
-    system, share = WallSystem(assembled.given), 1.0
+    system, share = WallSystem(assembled.given, cautious), 1.0
     best = _solved(system, assembled, (LAST,))
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER

@@ -107,8 +107,9 @@ def gauss_newton(
     cost_of: Callable[[Array, Array], float] = weighted_squares,
     unsure: float = UNSURE,
     same: float = SAME,
+    monotone: bool = True,
 ) -> Solution[State]:
-    """Return a state of the least cost, found by steps that do not raise it.
+    """Return a state of the least cost.
 
     Weights change with each step.  A factor is used again as long as that gains much.
 
@@ -127,6 +128,9 @@ def gauss_newton(
     unsure, same : float
         Gain that no further step is taken for, in squared standard deviations of the whole map, and
         largest change of a weight.
+    monotone : bool
+        Whether a step that raises the cost is taken for too long.  Where weights go from lenient to
+        strict, to raise the cost is the way out of what mismatched observations hold.
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
@@ -138,10 +142,10 @@ def gauss_newton(
             factor = equations.matrix
             problem.pattern.factorise(factor)
         step = problem.pattern.solve(factor, equations.right)
-        cost = cost_of(residual, weight)
-        after = problem.stepped(state, equations, step, weight)
+        cost, after = cost_of(residual, weight), problem.stepped(state, equations, step, weight)
         left = residual if after is None else problem.residuals(after)
-        if after is None or not cost_of(left, weight) <= WORSE * cost + problem.rounding:
+        highest = WORSE * cost + problem.rounding if monotone else np.inf
+        if after is None or not cost_of(left, weight) <= highest:
             factor, before = None, np.inf
             damping = max(DAMPED, MORE * damping) if fresh else damping
             continue
