@@ -102,7 +102,14 @@ class WallSystem:
             return self._weights(residual, doubtful, by_scan)
 
         found = gauss_newton(
-            self, state, weigh, rounds, unsure=UNSURE, same=np.inf, monotone=self._cautious
+            self,
+            state,
+            weigh,
+            rounds,
+            unsure=UNSURE,
+            same=np.inf,
+            monotone=self._cautious,
+            reuse=False,
         )
         self.settled = False
         if found.last is not None:

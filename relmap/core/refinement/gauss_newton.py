@@ -108,10 +108,11 @@ def gauss_newton(
     unsure: float = UNSURE,
     same: float = SAME,
     monotone: bool = True,
+    reuse: bool = True,
 ) -> Solution[State]:
     """Return a state of the least cost.
 
-    Weights change with each step.  A factor is used again as long as that gains much.
+    Weights change with each step.
 
     Parameters
     ----------
@@ -131,6 +132,8 @@ def gauss_newton(
     monotone : bool
         Whether a step that raises the cost is taken for too long.  Where weights go from lenient to
         strict, to raise the cost is the way out of what mismatched observations hold.
+    reuse : bool
+        Whether a factor is used again as long as that gains much; not where weights change a lot.
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
@@ -158,7 +161,7 @@ def gauss_newton(
         converged = not damping and shrinks * gain <= enough
         if converged and change.max() < same:
             break
-        is_slow = damping > 0 or gain > SLOW * before or change.mean() > ALIKE
+        is_slow = not reuse or damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)
         damping = damping / MORE if damping > DAMPED else 0.0
     return Solution(state, weight, last, gained, converged, factor)
