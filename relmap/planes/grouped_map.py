@@ -40,12 +40,27 @@ class GroupedMap:
         return WallNumbers.of(self.walls.n_planes, wall_end, corner_of)
 
     @property
-    def numbers_at_rest(self) -> WallNumbers:
-        """Who is who, with corners that were seen moving left out (-1)."""
-        numbers = self.numbers
+    def unmerged(self) -> WallNumbers:
+        """Who is who before anybody is merged."""
+        return WallNumbers(np.arange(self.walls.n_planes), np.arange(len(self.walls.wall_end)))
+
+    def at_rest(self, numbers: WallNumbers) -> WallNumbers:
+        """Return who is who with corners that were seen moving left out (-1)."""
         corner_of = numbers.corner_of.copy()
         corner_of[self.moving_corners] = -1
         return WallNumbers(numbers.wall_of, corner_of)
+
+    def with_those_of(
+        self, span: tuple[int, int], numbers: WallNumbers, others: WallNumbers
+    ) -> WallNumbers:
+        """Return who is who: in one submap as others have it."""
+        there = self.history.plane[self.history.within(span)]
+        own = np.isin(np.arange(self.walls.n_planes), there)
+        corner = own[self.walls.wall_end // 2]
+        return WallNumbers(
+            np.where(own, others.wall_of, numbers.wall_of),
+            np.where(corner, others.corner_of, numbers.corner_of),
+        )
 
     @property
     def moving_corners(self) -> NDArray[np.int64]:
@@ -62,14 +77,13 @@ class GroupedMap:
         moves = np.bincount(planes[dynamic], minlength=n) > 0
         return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))
 
-    def submaps(self, moving: NDArray[np.bool_]) -> list[WallSubmap]:
+    def submaps(self, numbers: WallNumbers, moving: NDArray[np.bool_]) -> list[WallSubmap]:
         """Return the submaps without plane tracks (p,) that move, those of most scans first.
 
         A motion from scan to scan bridges between groups; where none placed any scan of a submap,
         it maps nothing.
         """
-        history, numbers = self.history, self.numbers_at_rest
-        paths, found = self._paths, []
+        history, paths, found = self.history, self._paths, list[WallSubmap]()
         for span in history.spans:
             poses, assembled = chained_poses(paths, span, history), None
             if any(np.isfinite(path[slice(*span), 0, 0]).any() for path in paths):

@@ -139,17 +139,18 @@ class PlaneMapper(Mapper):
         Walls that come to lie on one another are joined, which closes loops.
         """
         self._note_call("refine")
-        # From the map that the groups give: where they place the scans, who is who, and who moves.
+        # From where the groups place the scans, and without who moves.  Who is who is found anew,
+        # where the walls come to lie: merged by places that have drifted, some are wrong.
         self._astray = np.empty(0, dtype=np.int64)
         grouped, moving = self._grouped, self._moving
-        history, numbers, submaps = (
-            grouped.history,
-            grouped.numbers_at_rest,
-            grouped.submaps(moving),
-        )
-        for k, submap in enumerate(submaps):
+        history, numbers = grouped.history, grouped.at_rest(grouped.unmerged)
+        merged = grouped.at_rest(grouped.numbers)
+        submaps = grouped.submaps(merged, moving)
+        for k, submap in enumerate(grouped.submaps(numbers, moving)):
             found = refined_map(history, numbers, submap, moving)
-            if found is not None:
+            if found is None:
+                numbers = grouped.with_those_of(submap.span, numbers, merged)
+            else:
                 submaps[k], numbers = found
         astray = [tracks_astray(s.assembled, history) for s in submaps if s.refined and s.assembled]
         self._astray = np.concatenate([self._astray, *astray])
@@ -290,7 +291,9 @@ class PlaneMapper(Mapper):
         """What the map is now, and who is who in it."""
         if self._refined_walls is not None:
             return self._refined_walls
-        return self._grouped.submaps(self._moving), self._grouped.numbers
+        grouped = self._grouped
+        numbers = grouped.numbers
+        return grouped.submaps(grouped.at_rest(numbers), self._moving), numbers
 
     @property
     def _own_numbers(self) -> WallNumbers:
