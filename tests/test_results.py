@@ -46,3 +46,17 @@ def test_result_comes_back_bit_by_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.tracks.landmark, result.tracks.landmark)
     np.testing.assert_array_equal(again.poses[:, :, 3], result.poses[:, :, 3])
     assert again.summary == result.summary
+
+
+def test_columns_beyond_the_contract_may_be_missing(tmp_path: Path) -> None:
+    result = make_result()
+    position = result.landmarks.position.copy()
+    position[1] = np.nan
+    write_result(tmp_path, with_table(result, position=position))
+    path = tmp_path / "landmarks.csv"
+    lines = [line.rsplit(",", 2)[0] for line in path.read_text().splitlines()]
+    assert lines[0].endswith(",level,status")
+    path.write_text("\n".join(lines) + "\n")
+    landmarks = read_result(tmp_path).landmarks
+    assert landmarks.submap.tolist() == [0, -1] + [0] * (N - 2)
+    assert set(landmarks.moving_bin) == {-1}

@@ -41,6 +41,8 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
     "submap": "int",
     "moving_bin": "int",
 }
+OPTIONAL = ("submap", "moving_bin")
+"""Columns that the results of other programs, and of earlier versions, may lack."""
 SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
 TRACK_COLUMNS: dict[str, Kind] = {"iteration": "int", "row": "int", "landmark": "int"}
 
@@ -178,7 +180,9 @@ def read_result(folder: Path) -> Result:
     """
     if not (folder / SUMMARY).is_file():
         raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")
-    table = read_table(folder / LANDMARKS, LANDMARK_COLUMNS)
+    table = read_table(folder / LANDMARKS, LANDMARK_COLUMNS, OPTIONAL)
+    table.setdefault("submap", np.where(np.isfinite(table["x"]), 0, -1))
+    table.setdefault("moving_bin", np.full(len(table["x"]), -1))
     position = np.column_stack([table.pop("x"), table.pop("y"), table.pop("z")])
     tracks = Tracks(**read_table(folder / TRACKS, TRACK_COLUMNS))
     stamps_s, poses = read_tum(folder / TRAJECTORY)

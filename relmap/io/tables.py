@@ -7,7 +7,7 @@ import gzip
 import math
 import sys
 from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -52,7 +52,9 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def read_table(path: Path, columns: Mapping[str, Kind]) -> dict[str, NDArray[Any]]:
+def read_table(
+    path: Path, columns: Mapping[str, Kind], optional: Collection[str] = ()
+) -> dict[str, NDArray[Any]]:
     """Read the named columns of a CSV file with a header line; other columns are skipped.
 
     Parameters
@@ -61,6 +63,8 @@ def read_table(path: Path, columns: Mapping[str, Kind]) -> dict[str, NDArray[Any
         ``.csv`` or ``.csv.gz``.
     columns : mapping of str to Kind
         Wanted columns and what they hold.
+    optional : collection of str
+        Those that may be missing.
 
     Returns
     -------
@@ -79,6 +83,8 @@ def read_table(path: Path, columns: Mapping[str, Kind]) -> dict[str, NDArray[Any
         if not found:
             header, width = [name.strip() for name in cells], len(cells)
             for name, kind in columns.items():
+                if name not in header and name in optional:
+                    continue
                 if name not in header:
                     where = _at(path, reader.line_num)
                     raise RelmapError(f"{where}: no column {name} in the header")
