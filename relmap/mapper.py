@@ -38,6 +38,12 @@ class Mapper(ABC):
     run : dict, optional
         What the journal should tell about the run, fit for JSON.
 
+    Attributes
+    ----------
+    engine : RelativeMapper
+        What maps: its landmark table, store, schedule and groups, for experiments that look at
+        them.  What is changed there is neither checked nor kept in a journal.
+
     Raises
     ------
     RelmapError
@@ -56,7 +62,7 @@ class Mapper(ABC):
     ) -> None:
         self.config = config or MapperConfig()
         self.config.refuse(self._unused)
-        self._engine = RelativeMapper(self._model(), self.config)
+        self.engine = RelativeMapper(self._model(), self.config)
         self._journal: Journal | None = None
         if journal is not None:
             from relmap.io.journal import Journal
@@ -73,7 +79,7 @@ class Mapper(ABC):
     def finish(self) -> None:
         """Group what is still in view and not mapped yet, and what has left for the last time."""
         self._note_call("finish")
-        afterwards.finish(self._engine)
+        afterwards.finish(self.engine)
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now.
@@ -81,41 +87,41 @@ class Mapper(ABC):
         A landmark lost and seen again has a label of its own until it is recognised; -1 stays.
         A label that no update has returned raises `RelmapError`.
         """
-        labels = checked_labels(labels, np.append(readout.labels(self._engine), -1))
-        if self._engine.association.has_ids:
+        labels = checked_labels(labels, np.append(readout.labels(self.engine), -1))
+        if self.engine.association.has_ids:
             return labels
-        return np.where(labels >= 0, self._engine.table.landmark_of[labels], labels)
+        return np.where(labels >= 0, self.engine.table.landmark_of[labels], labels)
 
     @property
     def settings(self) -> dict[str, Any]:
         """The settings that the mapper makes use of, by name."""
-        is_known = self._engine.association.is_known
+        is_known = self.engine.association.is_known
         return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
     def n_iterations(self) -> int:
         """How many scans were taken in, empty ones included."""
-        return self._engine.store.n_iterations
+        return self.engine.store.n_iterations
 
     @property
     def map(self) -> LandmarkMap:
         """The mapped landmarks, in ascending order of their labels."""
-        return readout.landmark_map(self._engine)
+        return readout.landmark_map(self.engine)
 
     @property
     def landmarks(self) -> LandmarkTable:
         """Every landmark ever seen, mapped or not."""
-        return readout.landmark_table(self._engine)
+        return readout.landmark_table(self.engine)
 
     @property
     def submaps(self) -> Sequence[Submap]:
         """The submaps, the largest first; more than one where nothing ties parts of the run."""
-        return readout.map_submaps(self._engine)
+        return readout.map_submaps(self.engine)
 
     @property
     def groups(self) -> list[MappedGroup]:
         """The groups behind the map, in the order in which they were placed."""
-        return readout.mapped_groups(self._engine)
+        return readout.mapped_groups(self.engine)
 
     @property
     def refined(self) -> list[Refined]:
@@ -124,22 +130,22 @@ class Mapper(ABC):
         They tell how well each segment of the run, and each merge, fits the map.  Landmarks go by
         their numbers there, in order of first sight.
         """
-        return list(self._engine.refined)
+        return list(self.engine.refined)
 
     @property
     def rejected(self) -> NDArray[np.int64]:
         """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
-        return self._engine.association.rejected
+        return self.engine.association.rejected
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
-        return readout.path(self._engine)
+        return readout.path(self.engine)
 
     @property
     def noise_m(self) -> float:
         """Estimated standard deviation of an observed coordinate, metres; NaN if not known yet."""
-        return float(self._engine.averaging.noise.sigma_m)
+        return float(self.engine.averaging.noise.sigma_m)
 
     @classmethod
     def resume(cls, journal: PathLike[str] | str) -> Self:
@@ -268,7 +274,7 @@ class Mapper(ABC):
     @property
     def _parts(self) -> list[Any]:
         """What has state, see `relmap.core.state.saved`."""
-        return [self._engine]
+        return [self.engine]
 
     @abstractmethod
     def _model(self) -> LandmarkModel:

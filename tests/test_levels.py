@@ -113,7 +113,7 @@ def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     mapper, world = PointMapper(), walk(3, 7, sigma=0.05, iterations=300)
-    engine = mapper._engine
+    engine = mapper.engine
     group, found = engine.group, turns.found_submap
     passes: dict[int, list[int]] = {}
 
@@ -156,7 +156,7 @@ def test_who_has_left_the_view_is_grouped_over_the_whole_interval_before_the_end
     left = (table.last_iteration < 100) & (table.observations >= 20)
     assert left.sum() > 10
     assert set(table.level[left]) == {3}
-    assert len(mapper._engine.schedule.gone) <= 10
+    assert len(mapper.engine.schedule.gone) <= 10
 
 
 def test_there_are_no_more_groups_than_landmarks() -> None:
@@ -164,8 +164,8 @@ def test_there_are_no_more_groups_than_landmarks() -> None:
     made = 0
     for scan in world.log.scans():
         mapper.update(scan.points_robot, scan.ids)
-        assert len(mapper._engine.levels.groups) <= max(len(mapper._engine.table), 1)
-        made = mapper._engine.levels._n_groups
+        assert len(mapper.engine.levels.groups) <= max(len(mapper.engine.table), 1)
+        made = mapper.engine.levels.n_groups
     mapper.finish()
     assert len(mapper.groups) <= 0.7 * made
     used = {label for group in mapper.groups for label in group.landmarks.tolist()}

@@ -42,7 +42,7 @@ def seen_from(places: Points, rng: np.random.Generator) -> Points:
 
 
 def n_stored(mapper: PointMapper) -> int:
-    return mapper._engine.store.n_iterations - mapper._engine.store.first_iteration
+    return mapper.engine.store.n_iterations - mapper.engine.store.first_iteration
 
 
 @both_dimensions
@@ -61,7 +61,7 @@ def test_what_stays_in_view_becomes_better_and_the_store_does_not_grow(d: int, k
                 errors_of_run.append(aligned_rmse(mapper.map.positions[:, :d], world))
         errors.append(errors_of_run)
         assert set(mapper.landmarks.level[:15]) == {3}
-        assert (mapper._engine.table.weight[:15] >= 850).all()
+        assert (mapper.engine.table.weight[:15] >= 850).all()
     # Without ids a gate of 4.5 sigma shuts out an observation of many thousands.
     assert taken_for_others <= (0 if known else 4)
     at_60, at_250, at_1000 = np.sqrt(np.mean(np.square(errors), axis=0))
@@ -79,7 +79,7 @@ def test_one_in_view_long_before_there_is_a_map_reaches_the_highest_level(d: int
         n = early if k < 300 else 15
         mapper.update(seen_from(world[:n], rng), np.arange(n))
     assert mapper.landmarks.level.tolist() == [3] * 15
-    assert (mapper._engine.table.weight[:early] >= 180).all()
+    assert (mapper.engine.table.weight[:early] >= 180).all()
 
 
 @both_dimensions
@@ -145,7 +145,7 @@ def test_what_is_seen_only_once_does_not_queue_up(d: int, known: bool) -> None:
         clutter = scattered(3, d, rng)
         ids = np.concatenate([np.arange(15), 100 + 3 * k + np.arange(3)])
         mapper.update(np.vstack([seen_from(world, rng), clutter]), ids if known else None)
-        assert len(mapper._engine.schedule.gone) <= 3 * 40
+        assert len(mapper.engine.schedule.gone) <= 3 * 40
         assert n_stored(mapper) <= LONGEST_INTERVAL + 2 * LENGTH
     assert set(mapper.landmarks.level[:15]) == {3}
 
@@ -238,9 +238,9 @@ def test_whatever_is_seen_positions_are_finite_and_nothing_breaks(
             mapper.finish()
     mapper.finish()
     mapper.finish()
-    table, state = mapper.landmarks, mapper._engine.table
+    table, state = mapper.landmarks, mapper.engine.table
     assert np.isfinite(mapper.map.positions).all()
     assert np.isfinite(table.position[table.level > 0]).all()
     np.testing.assert_array_equal(np.isfinite(state.position).all(axis=1), state.weight > 0)
     assert set(table.status) <= {"static", "dynamic", "unmapped"}
-    assert len(np.unique(mapper._engine.schedule.in_view)) == len(mapper._engine.schedule.in_view)
+    assert len(np.unique(mapper.engine.schedule.in_view)) == len(mapper.engine.schedule.in_view)

@@ -126,7 +126,13 @@ class MapperConfig:
         refuse([name for name in default if getattr(self, name) != default[name]], unused)
 
     def in_use(self, unused: Mapping[str, str]) -> dict[str, Any]:
-        """Return the settings by name, but for those that are ignored."""
+        """Return the settings by name, but for those that are ignored.
+
+        Parameters
+        ----------
+        unused : mapping
+            Their names, and why they are.
+        """
         used = {key: value for key, value in asdict(self).items() if key not in unused}
         if used.get("registration") != "nearest-previous":
             used.pop("gate_m", None)

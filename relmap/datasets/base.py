@@ -133,11 +133,21 @@ class Dataset(Protocol[Log]):
     """What its files look like, for messages."""
 
     def recognises(self, path: Path) -> bool:
-        """Tell from its content whether the file or folder is of this format."""
+        """Tell from its content whether a file or folder is of this format.
+
+        Parameters
+        ----------
+        path : Path
+        """
         ...
 
     def load(self, path: Path) -> Log:
         """Read the log.
+
+        Parameters
+        ----------
+        path : Path
+            A file or folder that `recognises` knows.
 
         Raises
         ------

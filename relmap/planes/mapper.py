@@ -84,8 +84,8 @@ class PlaneMapper(Mapper):
         run: dict[str, Any] | None = None,
     ) -> None:
         super().__init__(config, journal, run)
-        self._engine.association.is_known = False
-        self._planes.store = self._engine.store
+        self.engine.association.is_known = False
+        self._planes.store = self.engine.store
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
@@ -122,7 +122,7 @@ class PlaneMapper(Mapper):
             self._journal.ready()
         self._refined_walls = None
         self._astray = np.empty(0, dtype=np.int64)
-        walls = self._engine.update(seen, None)
+        walls = self.engine.update(seen, None)
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
         return walls
@@ -131,7 +131,7 @@ class PlaneMapper(Mapper):
         """Map what is left: what is in view, and submaps too short for a group on the way."""
         super().finish()
         for span in self.history.spans:
-            afterwards.found_late(self._engine, *span)
+            afterwards.found_late(self.engine, *span)
 
     def refine(self) -> None:
         """Bring walls, corners and poses to where all observations agree best.
@@ -168,6 +168,11 @@ class PlaneMapper(Mapper):
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now.
 
+        Parameters
+        ----------
+        labels : (n,) array of int
+            As `update` returned them.
+
         Raises
         ------
         RelmapError
@@ -179,7 +184,7 @@ class PlaneMapper(Mapper):
     @property
     def history(self) -> PlaneHistory:
         """A view on all observations of walls, untransformed."""
-        store = self._engine.store
+        store = self.engine.store
         return PlaneHistory(
             iteration=store.iterations,
             plane=store.column("wall"),
@@ -202,7 +207,13 @@ class PlaneMapper(Mapper):
         return self.planes_of(0)
 
     def planes_of(self, number: int) -> PlaneTable:
-        """Every wall ever seen; mapped, in its frame, are those of one of `submaps`."""
+        """Return every wall ever seen; mapped, in its frame, are those of one submap.
+
+        Parameters
+        ----------
+        number : int
+            Place of the submap in `submaps`.
+        """
         submaps, numbers = self._state
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
@@ -269,7 +280,7 @@ class PlaneMapper(Mapper):
 
     @property
     def _parts(self) -> list[Any]:
-        return [self, self._engine]
+        return [self, self.engine]
 
     def _model(self) -> WallModel:
         self._planes = PlaneRegistration(self.config.max_missed, self.config.bridge_m)
@@ -312,7 +323,7 @@ class PlaneMapper(Mapper):
 
     @property
     def _grouped(self) -> GroupedMap:
-        return GroupedMap(self._engine, self._planes, self.history)
+        return GroupedMap(self.engine, self._planes, self.history)
 
     @property
     def _moving(self) -> NDArray[np.bool_]:

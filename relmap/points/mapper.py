@@ -83,14 +83,14 @@ class PointMapper(Mapper):
             Where the scan cannot be used; the mapper is then as it was.
         """
         self._finder = None
-        points_robot = checked_points(points, self._engine.store.dimension)
+        points_robot = checked_points(points, self.engine.store.dimension)
         known = None if ids is None else checked_ids(ids, len(points_robot))
         if self._journal is not None:
             self._journal.ready()
-        labels = self._engine.update(points_robot, known)
+        labels = self.engine.update(points_robot, known)
         seen = labels >= 0
-        numbers = self._engine.table.now(labels[seen])
-        labels[seen] = self._engine.association.labels_of(numbers)
+        numbers = self.engine.table.now(labels[seen])
+        labels[seen] = self.engine.association.labels_of(numbers)
         if self._journal is not None:
             self._journal.append(points_robot, known, labels)
         return labels
@@ -105,7 +105,7 @@ class PointMapper(Mapper):
         """
         self._note_call("refine")
         self._finder = None
-        afterwards.refine(self._engine)
+        afterwards.refine(self.engine)
 
     def finish(self) -> None:
         """Map what is left, spread what has drifted since, and without ids tie submaps.
@@ -116,10 +116,10 @@ class PointMapper(Mapper):
         self._finder = None
         super().finish()
         if self.config.refine_live:
-            self._engine.live.complete()
-            self._engine.merger.look_again()
-        if not self._engine.association.has_ids:
-            afterwards.tie(self._engine)
+            self.engine.live.complete()
+            self.engine.merger.look_again()
+        if not self.engine.association.has_ids:
+            afterwards.tie(self.engine)
 
     def localise(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return where a scan was taken, found from the map alone; the mapper stays as it is.
@@ -139,7 +139,7 @@ class PointMapper(Mapper):
         RelmapError
             Where the scan cannot be meant.
         """
-        placement = self._placed(checked_points(points, self._engine.store.dimension))
+        placement = self._placed(checked_points(points, self.engine.store.dimension))
         T_map_robot = np.full((4, 4), np.nan)
         if placement is not None:
             d = len(placement.t)
@@ -169,12 +169,12 @@ class PointMapper(Mapper):
         """
         if self._journal is not None:
             raise RelmapError("a run that keeps a journal begins with an empty map")
-        seen = checked_points(points, self._engine.store.dimension)
+        seen = checked_points(points, self.engine.store.dimension)
         placement = self._placed(seen)
-        registration = self._engine.association.registration
+        registration = self.engine.association.registration
         if placement is None or registration is None:
             return False
-        positions = positions_in_largest_submap(self._engine.table)
+        positions = positions_in_largest_submap(self.engine.table)
         landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
         around = (positions[landmarks] - placement.t) @ placement.R
         near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
@@ -183,7 +183,7 @@ class PointMapper(Mapper):
 
     def _placed(self, points_robot: NDArray[np.float64]) -> Placement | None:
         if self._finder is None:
-            positions = positions_in_largest_submap(self._engine.table)
+            positions = positions_in_largest_submap(self.engine.table)
             mapped = positions[np.isfinite(positions).all(axis=1)]
             self._finder = PlaceFinder(mapped, np.nan_to_num(self.noise_m))
         return self._finder.find(points_robot)

@@ -22,13 +22,13 @@ class GroupLevels:
 
     _groups: dict[int, MappedGroup]
     _users: dict[int, int]
-    STATE = "_n_groups _users mapped=_groups"
+    STATE = "n_groups _users mapped=_groups"
 
     def __init__(self, table: LandmarkState) -> None:
         self._table = table
         self._groups = {}
         self._users = {}
-        self._n_groups = 0
+        self.n_groups = 0  # ever made
 
     @property
     def groups(self) -> list[MappedGroup]:
@@ -56,10 +56,10 @@ class GroupLevels:
         """Let members (k,) have their positions from a group; drop groups that nobody needs now."""
         self._release(members)
         if len(members):
-            self._groups[self._n_groups] = group
-            self._users[self._n_groups] = len(members)
-        self._table.group[members] = self._n_groups
-        self._n_groups += 1
+            self._groups[self.n_groups] = group
+            self._users[self.n_groups] = len(members)
+        self._table.group[members] = self.n_groups
+        self.n_groups += 1
         self._table.level[members] = reached
         self._table.highest_level[members] = np.maximum(self._table.highest_level[members], reached)
         self._table.averaged[members] = n_averaged
