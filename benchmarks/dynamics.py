@@ -46,7 +46,7 @@ class CountingMapper(PointMapper):
     def __init__(self) -> None:
         super().__init__()
         self.charts: Groups = []
-        engine = self._engine
+        engine = self.engine
         relative_map = engine.relative_map
 
         def counted(chart, *settings):
