@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.evaluation import metrics
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
 from relmap.planes.corners import CORNER, CUT, UNKNOWN, compared_ends
@@ -91,6 +92,19 @@ def test_walls_without_types_of_ends_are_mapped(named: bool) -> None:
     assert np.sqrt(np.mean(off**2)) < 0.02
     due = np.flatnonzero(truth.corner_scans.ravel() >= 10)
     assert np.isin(due, 2 * matched.wall + matched.end).mean() >= 0.55
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_refining_walls_without_types_of_ends_makes_no_path_worse(seed: int) -> None:
+    """Where few ends are told, what looks like a loop may be none."""
+    building = simulate_building(points=10, sigma=0.0, seed=seed)
+    mapper = PlaneMapper()
+    for scan in building.scans:
+        mapper.update(SimpleNamespace(ends=scan.seen.ends))
+    mapper.finish()
+    chained_m = metrics.ate(mapper.trajectory, building.trajectory, planar=True)
+    mapper.refine()
+    assert metrics.ate(mapper.trajectory, building.trajectory, planar=True) <= chained_m + 1e-9
 
 
 def test_an_end_that_is_typed_a_corner_but_moves_is_left_out() -> None:

@@ -28,8 +28,9 @@ CLOSED = 3
 """How often loops are looked for, each time with less drift left."""
 ROUGHLY = ((1, 20.0), (1, 8.0), (2, 5.0))
 """Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
-WORSE_M = 0.1
-"""How much farther off the links a refined map may be than the chained one: they are rough."""
+WORSE, WORSE_M = 2.0, 0.001
+"""How many times as far off the links a refined map may be as the chained one, and metres more:
+they are rough where walls are, and all but exact where there is no noise."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
 
@@ -106,7 +107,7 @@ def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, close
     motions = history.motion[slice(*found.span)]
     torn, off_m = disagreement(found.poses, motions)
     torn_before, off_before_m = disagreement(chained.poses, motions)
-    agrees = torn <= torn_before and off_m <= off_before_m + WORSE_M
+    agrees = torn <= torn_before and off_m <= WORSE * off_before_m + WORSE_M
     stretched = not closed and _stretched(found, chained, history)
     return found.assembled.settled and agrees and not stretched
 
