@@ -172,7 +172,7 @@ def segment_scan(
     -------
     SimpleNamespace
         `ends`, `end_type`, `noise`, `n_points` and `z_extent` as `relmap.segmentation.Planes` has
-        them, in the robot frame.
+        them, in the robot frame; `origin`, and of a 2-D laser `beams`: its points.
     """
     c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
     R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])
@@ -181,5 +181,9 @@ def segment_scan(
     found = segmenter.fit(points_sensor).planes_
     ends = found.ends @ R.T + t
     front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
-    rest = ("end_type", "noise", "n_points", "z_extent")
-    return SimpleNamespace(ends=ends[front], **{name: getattr(found, name)[front] for name in rest})
+    seen = SimpleNamespace(ends=ends[front], origin=t)
+    for name in ("end_type", "noise", "n_points", "z_extent"):
+        setattr(seen, name, getattr(found, name)[front])
+    if points_robot.shape[1] == 2:
+        seen.beams = points_robot
+    return seen

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
+from relmap.planes.beams import checked_beams
 from relmap.planes.corners import CORNER, CUT, UNKNOWN
 
 SHORTEST_M = 1e-6
@@ -41,6 +42,10 @@ class PlaneObservation:
         Standard deviation of how far away a wall is, where its middle is; 0 where not known.
     z_extent : (m, 2) float64
         Lowest and highest z; 0 where not known.
+    beams : (n, 2) float32
+        Where the beams of a laser ended; none where that is not told.
+    origin : (2,) float64
+        Where its sensor is.
     """
 
     ends: NDArray[np.float64]
@@ -51,6 +56,8 @@ class PlaneObservation:
     size: NDArray[np.float64]
     sd: NDArray[np.float64]
     z_extent: NDArray[np.float64]
+    beams: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.float32))
+    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
     def __len__(self) -> int:
         """Return the number of walls."""
@@ -61,9 +68,15 @@ class PlaneObservation:
         """Whether an end is told to be the wall's own; (m, 2)."""
         return np.asarray(self.kind == CORNER)
 
+    @property
+    def arrays(self) -> Any:
+        """What the compiled matching knows of the walls."""
+        return self.ends, self.along, self.normal, self.size, self.sd, self.static
+
     def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
-        """Return some of the walls."""
-        return PlaneObservation(*(getattr(self, field.name)[rows] for field in fields(self)))
+        """Return some of the walls, without beams."""
+        walls = (self.ends, self.kind, self.along, self.normal, self.offset, self.size, self.sd)
+        return PlaneObservation(*(column[rows] for column in walls), self.z_extent[rows])
 
 
 def checked_planes(planes: Any) -> PlaneObservation:
@@ -74,7 +87,8 @@ def checked_planes(planes: Any) -> PlaneObservation:
     planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
         Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
         and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where nobody can
-        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,) and `z_extent` (m, 2)
+        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2),
+        and of a laser `beams` (n, 2), where they ended, and `origin` (2,), the place of the sensor,
         are used where they are there.
 
     Raises
@@ -88,6 +102,7 @@ def checked_planes(planes: Any) -> PlaneObservation:
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
+    beams = checked_beams(planes)
     across = ends[:, 1] - ends[:, 0]
     size = np.hypot(across[:, 0], across[:, 1])
     kept = size > SHORTEST_M
@@ -101,7 +116,7 @@ def checked_planes(planes: Any) -> PlaneObservation:
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
     return PlaneObservation(
-        ends, _coded(kind), along, normal, offset, size, sd[kept], z_extent[kept]
+        ends, _coded(kind), along, normal, offset, size, sd[kept], z_extent[kept], *beams
     )
 
 

@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
+from relmap.planes.beams import BeamStore
 from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
-from relmap.planes.links import STEADY, believed, farthest_m, measured_along, unsure_m
+from relmap.planes.links import STEADY, USUAL, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL, PlanarMotion, place
+from relmap.planes.placement import STILL, Match, PlanarMotion, place
+from relmap.planes.search import Search, View, after
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -32,6 +34,8 @@ UNTOLD, STATIC, MOVING = 0, 1, -1
 """What was found out of an end over time."""
 TESTED = 4
 """Ends of unknown type are tested every so many iterations."""
+VIEWS = 2
+"""Last scans whose beams judge a motion."""
 FAMILIAR = 8
 """Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
 
@@ -53,6 +57,8 @@ class PlaneRegistration:
     ----------
     store : ObservationStore
         What was observed so far, for ends of unknown type.
+    beams : BeamStore
+        The beams of each scan, where they are told.
     corner, landmark : (w, 2) int64
         Corner at either end of each wall of the scan seen last, and the landmark that the map hangs
         on there; -1 for none.
@@ -62,7 +68,7 @@ class PlaneRegistration:
     _motion: PlanarMotion
     STATE = (
         "_motions _submaps _tracks _motion n_planes _n_submaps _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of _told _since"
+        "_unsure_each_m _half _wall_end _submap_of _told _since beams"
     )
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
@@ -80,6 +86,7 @@ class PlaneRegistration:
         self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.n_planes = 0
         self.store = ObservationStore()
+        self.beams = BeamStore()
         self.corner = np.empty((0, 2), dtype=np.int64)
         self.landmark = np.empty((0, 2), dtype=np.int64)
 
@@ -155,6 +162,7 @@ class PlaneRegistration:
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
         self._see_corners(tracks, seen, walls)
+        self.beams.append(seen.beams, seen.origin)
         self._motions.extend(np.array([[self._motion.yaw, *self._motion.t]]))
         self._submaps.extend(np.array([-1 if self._tracks is None else self._n_submaps - 1]))
         return walls
@@ -166,11 +174,11 @@ class PlaneRegistration:
 
         None where it is tied to them by too little.
         """
-        found = place(tracks, seen, self._usual, farthest_m(self.motions))
-        if found is None or not believed(tracks, seen, found, self._usual):
+        found = self._placed(tracks, seen)
+        if found is None:
             return None
-        motion, match = found
-        if measured_along(tracks, seen, match):
+        motion, match, measured = found
+        if measured:
             self._unsure_m = 0.0
         else:
             if not self._unsure_m:
@@ -184,6 +192,38 @@ class PlaneRegistration:
         tracks.see(match.tracks, seen, match.walls)
         walls[match.walls] = tracks.plane[match.tracks]
         return tracks
+
+    def _placed(
+        self, tracks: PlaneTracks, seen: PlaneObservation
+    ) -> tuple[PlanarMotion, Match, bool] | None:
+        """Return the motion into a scan that is believed, who is who by it, and if all is known."""
+        views, reach_m = self._views() if len(seen.beams) else [], farthest_m(self._believed)
+        if views:
+            return Search(tracks, seen, views).found(self._usual, 3.5)
+        found = place(tracks, seen, self._usual, reach_m)
+        if found is None or not believed(tracks, seen, found, self._usual):
+            return None
+        return *found, measured_along(tracks, seen, found[1])
+
+    @property
+    def _believed(self) -> NDArray[np.float64]:
+        """The last motions (k, 3) that tie scans of a submap to one another."""
+        last = slice(-USUAL, None)
+        motions, submaps = self.motions[last], self.submaps[last]
+        return motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)]
+
+    def _views(self) -> list[View]:
+        """Return the beams of the last scans of the submap, the very last first."""
+        found, motion = [], np.zeros(3)
+        now = len(self._motions)
+        for i in reversed(range(max(now - VIEWS, 0), now)):
+            if self.submaps[i] != self._n_submaps - 1:
+                break
+            beams = self.beams.of(i)
+            if len(beams):
+                found.append(View(beams, motion))
+            motion = after(self.motions[i], motion[None])[0]
+        return found
 
     def _see_corners(
         self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
