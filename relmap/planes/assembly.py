@@ -46,15 +46,19 @@ class WallNumbers:
         cls, n_planes: int, wall_end: NDArray[np.int64], corner_of: NDArray[np.int64]
     ) -> WallNumbers:
         """Join tracks whose corners turned out to be the same."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
+        return cls(first_of(n_planes, np.column_stack([wall_end, wall_end[corner_of]]) // 2), corner_of)
 
-        a, b = wall_end // 2, wall_end[corner_of] // 2
-        graph = coo_array((np.ones(len(a)), (a, b)), shape=(n_planes, n_planes))
-        n, part = connected_components(graph, directed=False)
-        first = np.full(n, n_planes)
-        np.minimum.at(first, part, np.arange(n_planes))
-        return cls(first[part], corner_of)
+
+def first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each of n walls the first of those that pairs (k, 2) join it to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_parts, part = connected_components(graph, directed=False)
+    first = np.full(n_parts, n)
+    np.minimum.at(first, part, np.arange(n))
+    return np.asarray(first[part])
 
 
 @dataclass(frozen=True, eq=False)

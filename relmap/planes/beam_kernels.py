@@ -1,7 +1,7 @@
 """What beams of two scans say of a motion between them, compiled.
 
 A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where the
-sensor is.  A motion is yaw, x, y from the frame of the earlier scan into that of the later one.
+sensor is; `solid` (n,) tells which are on walls.  A motion is yaw, x, y from the frame of the earlier scan into that of the later one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from relmap.core.linalg.compiling import compiled
 
 Array = NDArray[np.float64]
-Fan = tuple[Array, Array, Array]
+Fan = tuple[Array, Array, Array, NDArray[np.bool_]]
 
 BESIDE = 3
 """Beams on either side of a point that it is compared with the surface between."""
@@ -39,10 +39,10 @@ def _distance(x: float, y: float, ax: float, ay: float, bx: float, by: float) ->
 def _compare(seen: Fan, other: Fan, motion: Array, near_m: float, step: int, sums: Array) -> None:
     """Add up how many points of `other`, brought into the frame of `seen`, agree with its beams.
 
-    `sums` are those on a surface that was seen, those before one, where a beam passed through, and
-    those that nothing is known of.
+    `sums` are those on a surface that was seen, those of walls before one, where a beam passed
+    through, and those that nothing is known of.
     """
-    points, bearings, origin = seen
+    points, bearings, origin, _ = seen
     c, s, n = math.cos(motion[0]), math.sin(motion[0]), len(bearings)
     for k in range(0, len(other[0]), step):
         x = c * other[0][k, 0] - s * other[0][k, 1] + motion[1]
@@ -63,7 +63,7 @@ def _compare(seen: Fan, other: Fan, motion: Array, near_m: float, step: int, sum
         if off < near_m:
             sums[0] += 1 - 0.5 * (off / near_m) ** 2
         elif range_m < seen_m - 2 * near_m:
-            sums[1] += 1
+            sums[1 if other[3][k] else 2] += 1
         else:
             sums[2] += 1
 
@@ -83,3 +83,19 @@ def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int)
         _compare(later, earlier, motion, near_m, step, sums[k])
         _compare(earlier, later, back, near_m, step, sums[k])
     return sums
+
+
+@compiled
+def on_walls(points: Array, ends: Array, near_m: float) -> NDArray[np.bool_]:
+    """Tell which points (n, 2) are on walls, by their ends (m, 2, 2)."""
+    solid = np.zeros(len(points), dtype=np.bool_)
+    for j in range(len(ends)):
+        ax, ay = ends[j, 0]
+        ux, uy = ends[j, 1, 0] - ax, ends[j, 1, 1] - ay
+        size = math.hypot(ux, uy)
+        for k in range(len(points)):
+            x, y = points[k, 0] - ax, points[k, 1] - ay
+            along = (x * ux + y * uy) / size
+            if abs(x * uy - y * ux) / size < near_m and -near_m < along < size + near_m:
+                solid[k] = True
+    return solid

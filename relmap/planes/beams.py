@@ -31,19 +31,28 @@ class Beams:
         Seen from the sensor, radians.
     origin : (2,) float64
         Where the sensor is.
+    solid : (n,) bool
+        Which points are on walls: people and clutter may have moved.
     """
 
     points: NDArray[np.float64]
     bearings: NDArray[np.float64]
     origin: NDArray[np.float64]
+    solid: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, points: NDArray[Any], origin: NDArray[np.float64]) -> Beams:
-        """Return the beams that end at points (n, 2)."""
+    def of(
+        cls, points: NDArray[Any], origin: NDArray[np.float64], ends: NDArray[np.float64]
+    ) -> Beams:
+        """Return the beams that end at points (n, 2), some of them on walls by ends (m, 2, 2)."""
+        from relmap.planes.beam_kernels import on_walls
+
         points = points.astype(np.float64)
         bearings = np.arctan2(points[:, 1] - origin[1], points[:, 0] - origin[0])
         order = np.argsort(bearings, kind="stable")
-        return cls(points[order], bearings[order], origin)
+        points = points[order]
+        solid = on_walls(points, ends, NEAR_M)
+        return cls(points, bearings[order], origin, solid)
 
     def __len__(self) -> int:
         """Return the number of beams."""
@@ -52,7 +61,7 @@ class Beams:
     @property
     def arrays(self) -> Any:
         """What the kernels know of it."""
-        return self.points, self.bearings, self.origin
+        return self.points, self.bearings, self.origin, self.solid
 
 
 class BeamStore:
@@ -73,10 +82,14 @@ class BeamStore:
         self._offsets.extend(np.array([len(self._points)]))
         self._origins.extend(origin[None])
 
-    def of(self, iteration: int) -> Beams:
-        """Return the beams of one scan."""
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self._points)
+
+    def of(self, iteration: int, ends: NDArray[np.float64]) -> Beams:
+        """Return the beams of one scan, of which these are the ends of walls (m, 2, 2)."""
         begin, end = self._offsets.values[iteration : iteration + 2].tolist()
-        return Beams.of(self._points.values[begin:end], self._origins.values[iteration])
+        return Beams.of(self._points.values[begin:end], self._origins.values[iteration], ends)
 
 
 def checked_beams(planes: Any) -> tuple[NDArray[np.float32], NDArray[np.float64]]:

@@ -15,6 +15,8 @@ from relmap.planes.matching_kernels import Seen, Tracks, _half_turn
 
 Array = NDArray[np.float64]
 
+USUAL_RAD = np.deg2rad(60.0)
+"""By how much a turn differs from the one before, about."""
 ALIKE_RAD = np.deg2rad(3.0)
 """Turns that differ by less tell the same motion."""
 PARALLEL_RAD = np.deg2rad(6.0)
@@ -32,28 +34,43 @@ AGREE_M = 0.15
 
 
 @compiled
-def turns(tracks: Tracks, seen: Seen, reach_rad: float, most: int) -> Array:
-    """Return the turns that bring most of the walls' length to be parallel, best first; (k,)."""
-    angle, _, ends, _, _ = tracks
-    _, _, normal, size, _, _ = seen
+def turns(
+    tracks: Tracks, seen: Seen, before: float, reach_m: float, reach_rad: float, most: int
+) -> Array:
+    """Return the turns that bring most of the walls' length to be parallel, best first; (k,).
+
+    Each wall seen counts once, for the longest track that is parallel to it then; the more, the
+    nearer the turn is to the one before.
+    """
+    angle, offset, ends, _, _ = tracks
+    wall_ends, _, normal, size, _, _ = seen
     n, m = len(angle), len(size)
-    turn, weight = np.empty(n * m), np.zeros(n * m)
+    turn, weight = np.zeros(n * m), np.zeros(n * m)
     for i in range(n):
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         for j in range(m):
-            turn[i * m + j] = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            if abs(turn[i * m + j]) < reach_rad:
-                weight[i * m + j] = min(own, size[j])
+            k = i * m + j
+            turn[k] = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            x, y = wall_ends[j, 0]
+            moved = normal[j, 0] * x + normal[j, 1] * y - offset[i]
+            if abs(turn[k]) < reach_rad and abs(moved) < reach_m:
+                weight[k] = min(own, size[j])
     support, mean = np.zeros(n * m), np.zeros(n * m)
     for k in range(n * m):
-        total, pulled = 0.0, 0.0
-        for q in range(n * m):
-            off = _half_turn(turn[q] - turn[k])
-            if abs(off) < ALIKE_RAD:
-                total += weight[q] * (1 - (off / ALIKE_RAD) ** 2)
-                pulled += weight[q] * (1 - (off / ALIKE_RAD) ** 2) * off
-        if weight[k] > 0:
-            support[k], mean[k] = total, turn[k] + pulled / total
+        if weight[k] == 0:
+            continue
+        pulled = 0.0
+        for j in range(m):
+            best, off_best = 0.0, 0.0
+            for i in range(n):
+                off = _half_turn(turn[i * m + j] - turn[k])
+                near = weight[i * m + j] * max(1 - (off / ALIKE_RAD) ** 2, 0.0)
+                if near > best:
+                    best, off_best = near, off
+            support[k] += best
+            pulled += best * off_best
+        mean[k] = turn[k] + pulled / support[k]
+        support[k] *= math.exp(-0.5 * (_half_turn(turn[k] - before) / USUAL_RAD) ** 2)
     found, count = np.empty(most), 0
     while count < most and n * m:
         k = np.argmax(support)
@@ -152,11 +169,17 @@ def _noted(
 
 @compiled
 def implied(
-    tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float, n_turns: int, each: int
+    tracks: Tracks,
+    seen: Seen,
+    before: float,
+    reach_m: float,
+    reach_rad: float,
+    n_turns: int,
+    each: int,
 ) -> Array:
     """Return the motions (k, 3) that walls and corners of a scan imply: so many of each turn."""
     motions, count = np.empty((n_turns * each, 3)), 0
-    for yaw in turns(tracks, seen, reach_rad, n_turns):
+    for yaw in turns(tracks, seen, before, reach_m, reach_rad, n_turns):
         ways = _places(tracks, seen, yaw, reach_m)
         for k in range(min(len(ways), each)):
             motions[count, 0] = yaw

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from relmap.planes.assembly import Assembled, WallNumbers, directions
+from relmap.planes.assembly import Assembled, WallNumbers, directions, first_of
 
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
@@ -30,7 +29,7 @@ OUTLYING = 0.05
 def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
     """Return who is who, with tracks on one line joined, and false corners left out (-1)."""
     low, high = wall_extents(assembled)
-    first = _first_of(len(assembled.walls), _pairs(assembled, low, high))
+    first = first_of(len(assembled.walls), _pairs(assembled, low, high))
     corner_of = _joined_corners(assembled, first)
     return WallNumbers(
         _renamed(assembled, numbers, first),
@@ -40,17 +39,8 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
 
 def join_pairs(assembled: Assembled, numbers: WallNumbers, pairs: NDArray[np.int64]) -> WallNumbers:
     """Return who is who when pairs (k, 2) of compact wall numbers are one wall each."""
-    first = _first_of(len(assembled.walls), pairs)
+    first = first_of(len(assembled.walls), pairs)
     return WallNumbers(_renamed(assembled, numbers, first), numbers.corner_of)
-
-
-def _first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each of n walls the first of those that pairs join it to."""
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_parts, part = connected_components(graph, directed=False)
-    first = np.full(n_parts, n)
-    np.minimum.at(first, part, np.arange(n))
-    return first[part]
 
 
 def _renamed(

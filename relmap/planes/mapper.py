@@ -129,6 +129,7 @@ class PlaneMapper(Mapper):
 
     def finish(self) -> None:
         """Map what is left: what is in view, and submaps too short for a group on the way."""
+        self._planes.tie()
         super().finish()
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -59,6 +59,22 @@ class PlaneObservation:
     beams: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.float32))
     origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
+    @classmethod
+    def of(
+        cls,
+        ends: NDArray[np.float64],
+        kind: NDArray[np.int8],
+        sd: NDArray[np.float64],
+        z_extent: NDArray[np.float64],
+    ) -> PlaneObservation:
+        """Return walls by what is stored of them."""
+        across = ends[:, 1] - ends[:, 0]
+        size = np.hypot(across[:, 0], across[:, 1])
+        along = across / size[:, None]
+        normal = np.column_stack([-along[:, 1], along[:, 0]])
+        offset = (normal * ends.mean(axis=1)).sum(axis=1)
+        return cls(ends, kind, along, normal, offset, size, sd, z_extent)
+
     def __len__(self) -> int:
         """Return the number of walls."""
         return len(self.ends)
@@ -102,22 +118,16 @@ def checked_planes(planes: Any) -> PlaneObservation:
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
-    beams = checked_beams(planes)
-    across = ends[:, 1] - ends[:, 0]
-    size = np.hypot(across[:, 0], across[:, 1])
-    kept = size > SHORTEST_M
-    ends, size, kind = ends[kept], size[kept], kind.reshape(m, 2)[kept]
-    along = across[kept] / size[:, None]
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    offset = (normal * ends.mean(axis=1)).sum(axis=1)
-    if (offset > 0).any():
-        wall = int(np.flatnonzero(kept)[np.argmax(offset > 0)])
+    beams, origin = checked_beams(planes)
+    kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
+    kind = _coded(kind.reshape(m, 2)[kept])
+    seen = PlaneObservation.of(ends[kept], kind, sd[kept], z_extent[kept])
+    if (seen.offset > 0).any():
+        wall = int(np.flatnonzero(kept)[np.argmax(seen.offset > 0)])
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
-    return PlaneObservation(
-        ends, _coded(kind), along, normal, offset, size, sd[kept], z_extent[kept], *beams
-    )
+    return replace(seen, beams=beams, origin=origin)
 
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
-from relmap.planes.beams import BeamStore
+from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
 from relmap.planes.links import STEADY, USUAL, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL, Match, PlanarMotion, place
-from relmap.planes.search import Search, View, after
+from relmap.planes.placement import STILL, PlanarMotion, place
+from relmap.planes.search import REACH_M, Found, Search, View, after, others
+from relmap.planes.tying import Scans, tied
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -34,6 +35,10 @@ UNTOLD, STATIC, MOVING = 0, 1, -1
 """What was found out of an end over time."""
 TESTED = 4
 """Ends of unknown type are tested every so many iterations."""
+VARYING_M = 0.15
+"""Steps that vary by more are not bridged where nothing measures them."""
+SURE, HALF_SURE = 4.0, 2.5
+"""Log odds below which a motion is to be confirmed, and at most not contradicted, by another scan."""
 VIEWS = 2
 """Last scans whose beams judge a motion."""
 FAMILIAR = 8
@@ -59,6 +64,8 @@ class PlaneRegistration:
         What was observed so far, for ends of unknown type.
     beams : BeamStore
         The beams of each scan, where they are told.
+    same_walls : (k, 2) int64
+        Numbers of walls that are one wall each, as submaps were tied.
     corner, landmark : (w, 2) int64
         Corner at either end of each wall of the scan seen last, and the landmark that the map hangs
         on there; -1 for none.
@@ -67,15 +74,16 @@ class PlaneRegistration:
     _tracks: PlaneTracks | None
     _motion: PlanarMotion
     STATE = (
-        "_motions _submaps _tracks _motion n_planes _n_submaps _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of _told _since beams"
+        "_motions _submaps _tracks _motion n_planes _n_submaps _submap _unsure_m "
+        "_unsure_each_m _half _wall_end _submap_of _told _since beams same_walls"
     )
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
         self._max_missed, self._bridge_m = max_missed, bridge_m
         self._tracks = None
         self._motion = STILL
-        self._n_submaps = 0
+        self._n_submaps, self._submap = 0, -1
+        self.same_walls = np.empty((0, 2), dtype=np.int64)
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
         self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
         self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
@@ -150,7 +158,9 @@ class PlaneRegistration:
         elif tracks is not None:
             tracks = tracks.carried(self._motion.yaw, self._motion.t)
             tracks.missed += 1
-        self._n_submaps += int(tracks is None and len(seen) > 0)
+        if tracks is None and len(seen):
+            self._submap = self._n_submaps
+            self._n_submaps += 1
         new = walls < 0
         walls[new] = self.n_planes + np.arange(new.sum())
         self.n_planes += int(new.sum())
@@ -164,7 +174,7 @@ class PlaneRegistration:
         self._see_corners(tracks, seen, walls)
         self.beams.append(seen.beams, seen.origin)
         self._motions.extend(np.array([[self._motion.yaw, *self._motion.t]]))
-        self._submaps.extend(np.array([-1 if self._tracks is None else self._n_submaps - 1]))
+        self._submaps.extend(np.array([-1 if self._tracks is None else self._submap]))
         return walls
 
     def _followed(
@@ -177,14 +187,14 @@ class PlaneRegistration:
         found = self._placed(tracks, seen)
         if found is None:
             return None
-        motion, match, measured = found
-        if measured:
+        motion, match = found.motion, found.match
+        if found.measured:
             self._unsure_m = 0.0
         else:
             if not self._unsure_m:
-                self._unsure_each_m = unsure_m(self.motions)
+                self._unsure_each_m = unsure_m(self._believed)
             self._unsure_m += self._unsure_each_m
-        if self._unsure_m > self._bridge_m:
+        if self._unsure_m > self._bridge_m or self._unsure_m and self._unsure_each_m > VARYING_M:
             self._unsure_m = 0.0
             return None
         self._motion = motion
@@ -195,15 +205,36 @@ class PlaneRegistration:
 
     def _placed(
         self, tracks: PlaneTracks, seen: PlaneObservation
-    ) -> tuple[PlanarMotion, Match, bool] | None:
-        """Return the motion into a scan that is believed, who is who by it, and if all is known."""
+    ) -> Found | None:
+        """Return the motion into a scan that is believed, and who is who by it."""
         views, reach_m = self._views() if len(seen.beams) else [], farthest_m(self._believed)
         if views:
-            return Search(tracks, seen, views).found(self._usual, 3.5)
+            beams = Beams.of(seen.beams, seen.origin, seen.ends)
+            judged = Search(tracks, seen, beams, views, self._usual).found(REACH_M)
+            return judged if judged and self._confirmed(judged, seen, beams, views) else None
         found = place(tracks, seen, self._usual, reach_m)
         if found is None or not believed(tracks, seen, found, self._usual):
             return None
-        return *found, measured_along(tracks, seen, found[1])
+        return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
+
+    def _confirmed(
+        self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
+    ) -> bool:
+        """Tell whether the scan before the last one does not contradict a motion in doubt."""
+        if found.evidence > SURE or len(views) < 2:
+            return True
+        now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])
+        expected = after(views[1].motion, motion[None])[0]
+        rows, _ = self.store.between(now - 2, now - 1)
+        earlier = seen_before(self.store, rows)
+        tracks = PlaneTracks.begun(self.store.column("wall")[rows], earlier)
+        tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
+        before = PlanarMotion(float(expected[0]), expected[1:])
+        view = [View(views[1].beams, np.zeros(3))]
+        again = Search(tracks, seen, beams, view, before).found(REACH_M)
+        if again is None:
+            return found.evidence > HALF_SURE
+        return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]
 
     @property
     def _believed(self) -> NDArray[np.float64]:
@@ -217,13 +248,31 @@ class PlaneRegistration:
         found, motion = [], np.zeros(3)
         now = len(self._motions)
         for i in reversed(range(max(now - VIEWS, 0), now)):
-            if self.submaps[i] != self._n_submaps - 1:
+            if self.submaps[i] != self.submaps[-1]:
                 break
-            beams = self.beams.of(i)
+            rows, _ = self.store.between(i, i + 1)
+            beams = self.beams.of(i, self.store.column("location")[rows])
             if len(beams):
                 found.append(View(beams, motion))
             motion = after(self.motions[i], motion[None])[0]
         return found
+
+    def tie(self) -> None:
+        """Tie submaps that follow one another where their scans, compared anew, agree."""
+        store, before = self.store, self.submaps.copy()
+        if not len(self.beams):
+            return
+        rows, _ = store.between(0, len(self._motions))
+        first_row = np.searchsorted(store.iterations, np.arange(len(before) + 1))
+        seen, wall = seen_before(store, rows), store.column("wall")[rows]
+        scans = Scans(seen, wall, first_row, self.beams, self.motions)
+        found, walls = tied(scans, before)
+        self._submaps.values[:] = found
+        self.same_walls = np.concatenate([self.same_walls, walls])
+        name = np.arange(self._n_submaps)
+        name[before[before >= 0]] = found[before >= 0]
+        self._submap_of.values[:] = name[self.submap_of]
+        self._submap = int(name[self._submap])
 
     def _see_corners(
         self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
@@ -245,7 +294,7 @@ class PlaneRegistration:
         corners = tracks.corner[row, end]
         corners[fresh] = len(self._half) + np.arange(fresh.sum())
         self._half.extend(seen.size[wall[fresh]] / 2)
-        self._submap_of.extend(np.full(fresh.sum(), self._n_submaps - 1))
+        self._submap_of.extend(np.full(fresh.sum(), self._submap))
         self._wall_end.extend(2 * walls[wall[fresh]] + end[fresh])
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]
@@ -304,6 +353,12 @@ class PlaneRegistration:
     def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
         """Return how sure the ends (m,) are along their walls, about."""
         return 3 * seen.sd
+
+
+def seen_before(store: ObservationStore, rows: slice) -> PlaneObservation:
+    """Return walls by their rows in the store."""
+    columns = ("location", "kind", "sd", "z_extent")
+    return PlaneObservation.of(*(store.column(name)[rows] for name in columns))
 
 
 def _best(size: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.int64]:

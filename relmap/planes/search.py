@@ -22,7 +22,7 @@ from relmap.planes.tracks import PlaneTracks, wrapped
 REACH_M = 3.5
 REACH_RAD = np.deg2rad(120.0)
 """How far apart two scans are at most that are tied to one another."""
-TURNS, EACH = 5, 40
+TURNS, EACH = 8, 25
 """How many turns, and motions of each, are looked at roughly."""
 ROUGH_M, ROUGH_STEP = 0.3, 12
 """What agrees roughly, and of how many beams one is looked at."""
@@ -30,7 +30,7 @@ CLOSELY = 8
 """Motions that are fitted to walls and judged by all beams."""
 AGREES = 0.25
 """Least share of the points that must agree."""
-BELIEVED = 1.2
+BELIEVED = 1.5
 """Log odds from which a motion is believed."""
 MANY = 15.0
 """Walls and corners of which more tell no more."""
@@ -41,6 +41,9 @@ RIVAL = 1.7
 SLID, PEAKS, SLIDE_M = 2, 2, 0.1
 """Motions that are slid along a wall, how many places of each are kept, and the step."""
 SLIDE_NEAR_M, SLIDE_STEP, SLIDE_CONTRADICTS = 0.15, 6, 4.0
+USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
+"""By how much a motion differs from those before."""
+FREE_REACH_M = 1.0
 FREE_M, FREE = 0.3, 0.01
 """A way along a wall is free where beams agree hardly less so far off."""
 APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
@@ -66,6 +69,8 @@ class Judged:
         Share of the points that agree, in the view that agrees best, and that contradict, in all.
     match : (k,) float64
         How well walls agree, as a share of what could.
+    surprise : (k,) float64
+        How unlikely each motion is beforehand: log odds.
     """
 
     motions: NDArray[np.float64]
@@ -73,6 +78,7 @@ class Judged:
     agree: NDArray[np.float64]
     contradict: NDArray[np.float64]
     match: NDArray[np.float64]
+    surprise: NDArray[np.float64]
 
     def and_those(self, more: Judged) -> Judged:
         """Return these motions and more."""
@@ -82,6 +88,7 @@ class Judged:
             np.concatenate([self.agree, more.agree]),
             np.concatenate([self.contradict, more.contradict]),
             np.concatenate([self.match, more.match]),
+            np.concatenate([self.surprise, more.surprise]),
         )
 
     @property
@@ -89,8 +96,28 @@ class Judged:
         """How likely each motion is right, (k,): log odds."""
         score = np.array([match.score for match in self.matches])
         many = np.minimum(score, MANY) / MANY
-        evidence = 6.8 * self.match + 4.2 * many + 4.0 * self.agree - 57.0 * self.contradict - 2.0
+        evidence = 6.8 * self.match + 4.2 * many + 4.0 * self.agree - 57.0 * self.contradict
+        evidence -= 2.0 + self.surprise
         return np.where(self.agree >= AGREES, evidence, -np.inf)
+
+
+class Found(NamedTuple):
+    """The motion that is believed, and who is who by it.
+
+    Attributes
+    ----------
+    motion : PlanarMotion
+    match : Match
+    measured : bool
+        Whether the way is known in all directions.
+    evidence : float
+        How likely it is right: log odds.
+    """
+
+    motion: PlanarMotion
+    match: Match
+    measured: bool
+    evidence: float
 
 
 class Search:
@@ -100,35 +127,42 @@ class Search:
     ----------
     tracks : PlaneTracks
     seen : PlaneObservation
+    beams : Beams
+        Of the same scan.
     views : sequence of View
         Earlier scans, the last one first.
+    before : PlanarMotion
+        How the robot went before.
     """
 
-    def __init__(self, tracks: PlaneTracks, seen: PlaneObservation, views: Sequence[View]) -> None:
-        self._tracks, self._seen, self._views = tracks, seen, views
-        self._beams = Beams.of(seen.beams, seen.origin)
+    def __init__(
+        self,
+        tracks: PlaneTracks,
+        seen: PlaneObservation,
+        beams: Beams,
+        views: Sequence[View],
+        before: PlanarMotion,
+    ) -> None:
+        self._tracks, self._seen, self._beams, self._views = tracks, seen, beams, views
+        self._before = before
 
-    def found(
-        self, before: PlanarMotion, reach_m: float
-    ) -> tuple[PlanarMotion, Match, bool] | None:
+    def found(self, reach_m: float) -> Found | None:
         """Find the motion that walls imply and beams support.
 
         Parameters
         ----------
-        before : PlanarMotion
-            How the robot went before.
         reach_m : float
             How far it may have gone.
 
         Returns
         -------
-        (motion, match, measured) or None
-            Whether the way is known in all directions; None where beams contradict all motions, or
-            another one comes near.
+        Found or None
+            None where beams contradict all motions, or another one comes near.
         """
-        every = self._judged([before, STILL])
+        every = self._judged([self._before, STILL])
         best = int(np.argmax(every.evidence))
-        if every.agree[best] < CLEARLY or every.contradict[best] > HARDLY:
+        clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
+        if not clear or not self._measured(every, best):
             every = every.and_those(self._judged(self._guesses(min(reach_m, REACH_M))))
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
                 every = every.and_those(self._judged(self._slid(every, k, reach_m)))
@@ -138,9 +172,13 @@ class Search:
         motion = every.motions[best]
         rivals = others(every.motions, motion) & (every.evidence > every.evidence[best] - RIVAL)
         measured = self._measured(every, best)
-        if rivals.any() and measured:
+        if not measured:
+            rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
+        if rivals.any():
             return None
-        return _planar(motion), every.matches[best], measured
+        return Found(
+            _planar(motion), every.matches[best], measured, float(every.evidence[best])
+        )
 
     def _guesses(self, reach_m: float) -> list[PlanarMotion]:
         """Return the motions implied by walls that the beams agree with best, roughly."""
@@ -148,7 +186,7 @@ class Search:
 
         recent = self._tracks.kept(self._tracks.missed == self._tracks.missed.min(initial=0))
         walls = recent.arrays, self._seen.arrays
-        motions = implied(*walls, reach_m, REACH_RAD, TURNS, EACH)
+        motions = implied(*walls, self._before.yaw, reach_m, REACH_RAD, TURNS, EACH)
         sums = self._compared(self._views[:1], motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")[:CLOSELY]
         return [_planar(motion) for motion in motions[order]]
@@ -200,7 +238,14 @@ class Search:
             (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0),
             sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0),
             np.array([match.score / possible for _, match in found]),
+            self._surprise(motions),
         )
+
+    def _surprise(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how unlikely motions (k, 3) are, as the robot went before."""
+        way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
+        turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
+        return np.asarray((way**2 + turn**2) / 2)
 
     def _compared(
         self, views: Sequence[View], motions: NDArray[np.float64], near_m: float, step: int
@@ -223,6 +268,13 @@ def after(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np
     c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
     x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
     return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
+
+
+def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the motion (3,) back."""
+    c, s = np.cos(motion[0]), np.sin(motion[0])
+    x, y = motion[1:]
+    return np.array([-motion[0], -c * x - s * y, s * x - c * y])
 
 
 def _planar(motion: NDArray[np.float64]) -> PlanarMotion:
