@@ -38,6 +38,8 @@ CLEARLY, HARDLY = 0.75, 0.01
 """Shares that agree and contradict by which a usual motion is believed without looking for others."""
 RIVAL = 1.7
 """Log odds by which a motion must be better than any other."""
+JUDGES = 200
+"""Beams that judge a motion, about."""
 SLID, PEAKS, SLIDE_M = 2, 2, 0.1
 """Motions that are slid along a wall, how many places of each are kept, and the step."""
 SLIDE_NEAR_M, SLIDE_STEP, SLIDE_CONTRADICTS = 0.15, 6, 4.0
@@ -229,7 +231,8 @@ class Search:
         tracks, seen = self._tracks, self._seen
         found = [settled(tracks, seen, guess) for guess in guesses]
         motions = np.array([[motion.yaw, *motion.t] for motion, _ in found]).reshape(-1, 3)
-        sums = np.array([self._compared([view], motions, NEAR_M, 1) for view in self._views])
+        step = 1 + len(self._beams) // JUDGES
+        sums = np.array([self._compared([view], motions, NEAR_M, step) for view in self._views])
         possible = max(min(worth(tracks, seen, np.ones(len(tracks), dtype=np.bool_))), 1.0)
         total = sums.sum(axis=2)
         return Judged(

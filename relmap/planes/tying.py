@@ -18,14 +18,12 @@ from relmap.planes.placement import STILL
 from relmap.planes.search import REACH_M, Search, View, after, inverse, others
 from relmap.planes.tracks import PlaneTracks
 
-NEAR = 3
-"""Scans on either side of a break that are compared."""
-WITHIN = 20
-"""Iterations that may lie between."""
+NEAR = 4
+"""Iterations that two scans lie apart at most that are compared."""
 OPEN = 3
 """Submaps of late that the next one may be tied to."""
 VOTES = 2
-"""Scans of either submap that must agree."""
+"""Pairs of scans that must agree, and none may contradict."""
 
 
 @dataclass(eq=False)
@@ -115,7 +113,7 @@ def tied(
             continue
         own = np.arange(begin, end)
         for k, before in reversed(list(enumerate(recent))):
-            tie = _tie(scans, before, own) if begin - before[-1] <= WITHIN else None
+            tie = _tie(scans, before, own) if begin - before[-1] < NEAR else None
             if tie is not None:
                 last = int(before[-1])
                 back = inverse(scans.way(last, begin - 1))
@@ -135,7 +133,7 @@ def _tie(scans: Scans, before: NDArray[np.int64], later: NDArray[np.int64]) -> T
     pairs = product(before[-NEAR:].tolist(), later[:NEAR].tolist())
     tie = None
     for i, j in sorted(pairs, key=lambda pair: (pair[1] - pair[0], pair[1])):
-        matched = _matched(scans, i, j, before) if j - i < b - a + NEAR else None
+        matched = _matched(scans, i, j, before) if j - i <= NEAR else None
         if matched is None:
             continue
         motion, walls = matched
@@ -146,9 +144,7 @@ def _tie(scans: Scans, before: NDArray[np.int64], later: NDArray[np.int64]) -> T
             return None
         tie.pairs.append((i, j))
         tie.walls.append(walls)
-    if tie is None or min(len(set(own)) for own in zip(*tie.pairs, strict=True)) < VOTES:
-        return None
-    return tie
+    return tie if tie is not None and len(tie.pairs) >= VOTES else None
 
 
 def _matched(
