@@ -1,0 +1,224 @@
+"""How well laser logs are mapped without odometry: every log, as it is and made harder.
+
+    OMP_NUM_THREADS=1 python benchmarks/laser.py DATA [--log NAME] [--scans A:B]
+
+prints a table in markdown; DATA is a folder of the real data sets.  Each log is mapped whole, with
+default settings.  Errors are against the poses that it gives, and a scan without is left out.
+Times are those of the processor.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+from pathlib import Path
+from time import process_time
+
+import numpy as np
+
+from relmap import PlaneMapper
+from relmap.core.arrays import Floats
+from relmap.datasets import open_scans
+from relmap.datasets.scans import ScanLog, stored_scans
+from relmap.evaluation import metrics
+from relmap.evaluation.feeding import Fed, feed
+from relmap.evaluation.relations import relation_errors, relations_by_clocks
+
+CARMEN = "carmen-laser2d"
+LOGS = {
+    "freiburg-079": f"{CARMEN}/freiburg-079-corrected.log.gz",
+    "fr079": f"{CARMEN}/fr079.log.gz",
+    "mit-cscail": f"{CARMEN}/mit-cscail.log.gz",
+    "belgioioso": f"{CARMEN}/belgioioso-corrected.log.gz",
+    "csail": f"{CARMEN}/csail-corrected.log.gz",
+    "edmonton": f"{CARMEN}/edmonton-corrected.log.gz",
+    "fhw": f"{CARMEN}/fhw-corrected.log.gz",
+    "freiburg-101": f"{CARMEN}/freiburg-101-corrected.log.gz",
+    "orebro": f"{CARMEN}/orebro-corrected.log.gz",
+    "mrpt-simul": "mrpt-sim-laser2d/simul.scans.csv.gz",
+}
+VARIED = "freiburg-079"
+RELATIONS, CHECKED = f"{CARMEN}/fr079.relations", ("freiburg-079", "fr079")
+"""Relations checked by hand, and the logs of the same run."""
+LOST = 0.1
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+COLUMNS = (
+    "log | scans | submaps | largest | right | ATE of the largest [m] | worst ATE [m] "
+    "| wrong steps | relations [m] | [deg] | scan, median [ms] | mean [ms] | refine [s] | all [s]"
+)
+
+
+def main() -> None:
+    """Print the table."""
+    names = ", ".join([*LOGS, *(f"{VARIED}/{name}" for name in VARIANTS)])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], epilog=names)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--log", action="append", help="a log, or several as by '*'; else all")
+    parser.add_argument("--scans", default="0:1000000", help="a part of each log: A:B")
+    arguments = parser.parse_args()
+    begin, end = map(int, arguments.scans.split(":"))
+    _row("", open_scans(arguments.data / LOGS["orebro"]).between(0, 30), arguments.data)  # compiles
+    print(f"| {COLUMNS} |\n" + "|---" * (COLUMNS.count("|") + 1) + "|")
+    for name, log in _logs(arguments.data, arguments.log or ["*"], (begin, end)):
+        print(f"| {name} | {_row(name, log, arguments.data)} |", flush=True)
+
+
+def _logs(data: Path, wanted: list[str], part: tuple[int, int]) -> Iterator[tuple[str, ScanLog]]:
+    """Yield the logs whose names are wanted, and the variants of one."""
+    for name, file in LOGS.items():
+        variants = VARIANTS if name == VARIED else {}
+        changes = {name: _unchanged} | {f"{name}/{own}": change for own, change in variants.items()}
+        for full, change in changes.items():
+            if any(fnmatch(full, one) for one in wanted):
+                yield full, change(open_scans(data / file).between(*part))
+
+
+def _unchanged(log: ScanLog) -> ScanLog:
+    return log
+
+
+def _with_points(log: ScanLog, change: Callable[[Floats], Floats]) -> ScanLog:
+    """Return a log with the points of each scan changed."""
+    scans = [change(scan.points_robot) for scan in log.scans()]
+    offsets = np.concatenate([[0], np.cumsum([len(points) for points in scans])])
+    return stored_scans(np.concatenate(scans), offsets, log.stamps_s, log.poses, log.sensor)
+
+
+def _every_beam(every: int, log: ScanLog) -> ScanLog:
+    """Return a log with one of so many beams left."""
+
+    def thinned(points: Floats) -> Floats:
+        bearing = np.arctan2(points[:, 1], points[:, 0])
+        beam = np.rint((bearing - bearing.min()) / np.median(np.abs(np.diff(bearing))))
+        return np.asarray(points[beam % every == 0])
+
+    return _with_points(log, thinned)
+
+
+def _lost(log: ScanLog) -> ScanLog:
+    rng = np.random.default_rng(0)
+    return _with_points(log, lambda points: points[rng.uniform(size=len(points)) >= LOST])
+
+
+def _noisy(sigma_m: float, log: ScanLog) -> ScanLog:
+    """Return a log whose ranges are off by as much more."""
+    rng = np.random.default_rng(0)
+    at = np.array([log.sensor.x_m, log.sensor.y_m])
+
+    def noisy(points: Floats) -> Floats:
+        range_m = np.linalg.norm(points - at, axis=1, keepdims=True)
+        return np.asarray(points + (points - at) / range_m * rng.normal(0, sigma_m, range_m.shape))
+
+    return _with_points(log, noisy)
+
+
+def _mirrored(log: ScanLog) -> ScanLog:
+    assert log.poses is not None
+    view = replace(log.sensor, y_m=-log.sensor.y_m, yaw_rad=-log.sensor.yaw_rad)
+    other = _with_points(log, lambda points: points[::-1] * [1, -1])
+    return replace(other, poses=MIRROR @ log.poses @ MIRROR, sensor=view)
+
+
+def _scans(step: int, log: ScanLog) -> ScanLog:
+    """Return a log with every so many-th scan; backwards where the step is negative."""
+    assert log.poses is not None
+    rows = np.arange(len(log))[::step]
+    stamps_s = log.stamps_s[rows]
+    return replace(
+        log,
+        points_of=lambda index: log.points_of(int(rows[index])),
+        poses=log.poses[rows],
+        stamps_s=stamps_s if step > 0 else stamps_s[0] - stamps_s,
+    )
+
+
+VARIANTS: dict[str, Callable[[ScanLog], ScanLog]] = {
+    "beams-2": lambda log: _every_beam(2, log),
+    "lost": _lost,
+    "mirrored": _mirrored,
+    "reversed": lambda log: _scans(-1, log),
+    "scans-2": lambda log: _scans(2, log),
+    "scans-3": lambda log: _scans(3, log),
+    "scans-5": lambda log: _scans(5, log),
+    "scans-8": lambda log: _scans(8, log),
+    "noise-1": lambda log: _noisy(0.01, log),
+    "noise-3": lambda log: _noisy(0.03, log),
+    "noise-5": lambda log: _noisy(0.05, log),
+}
+"""Every 2nd beam, 10 % of the beams lost, mirrored, from the end to the beginning, every so
+many-th scan, and ranges off by so many centimetres more (standard deviation)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """How right the submaps of a run are: scans with a pose, ATE [m], wrong steps; (s,) each."""
+
+    scans: np.ndarray
+    ates_m: np.ndarray
+    wrong: np.ndarray
+
+
+def judged(mapper: PlaneMapper, true_poses: Floats) -> Judged:
+    """Judge each submap by itself, that of most scans first."""
+    rows = []
+    for submap in mapper.submaps:
+        truth = true_poses[slice(*submap.span)]
+        known = np.isfinite(submap.poses).all(axis=(1, 2)) & np.isfinite(truth).all(axis=(1, 2))
+        poses, truth = submap.poses[known], truth[known]
+        ate_m = metrics.ate(poses, truth, planar=True)
+        if ate_m is not None:
+            rows.append((len(poses), ate_m, len(metrics.wrong_steps(poses, truth))))
+    scans, ates_m, wrong = np.array(rows).reshape(-1, 3).T
+    order = np.argsort(-scans, kind="stable")
+    return Judged(scans[order].astype(int), ates_m[order], wrong[order].astype(int))
+
+
+def _row(name: str, log: ScanLog, data: Path) -> str:
+    mapper = PlaneMapper()
+    fed = feed(mapper, log, "nearest", refine=True, clock=process_time)
+    assert log.poses is not None
+    found = judged(mapper, log.poses)
+    return " | ".join(
+        [str(len(log)), *told(found, len(log)), *_relations(name, mapper, log, data), *times(fed)]
+    )
+
+
+def told(found: Judged, n_scans: int) -> list[str]:
+    """Return the cells of what was judged."""
+    if not len(found.scans):
+        return ["0", "0", "0.0%", "-", "-", "0"]
+    long = found.ates_m[found.scans >= metrics.FEWEST]
+    return [
+        str(len(found.scans)),
+        str(found.scans[0]),
+        f"{metrics.share_right(found.scans, found.ates_m, n_scans):.1%}",
+        f"{found.ates_m[0]:.3f}",
+        f"{long.max():.3f}" if len(long) else "-",
+        str(found.wrong.sum()),
+    ]
+
+
+def times(fed: Fed) -> list[str]:
+    """Return the cells of the time: of a scan, of refining and of all."""
+    scan_ms = 1e3 * fed.durations_s.sum(axis=1)
+    all_s = scan_ms.sum() / 1e3 + fed.finish_s + fed.refine_s
+    figures = np.median(scan_ms), scan_ms.mean(), fed.refine_s, all_s
+    return [f"{value:.2f}" for value in figures[:2]] + [f"{value:.1f}" for value in figures[2:]]
+
+
+def _relations(name: str, mapper: PlaneMapper, log: ScanLog, data: Path) -> tuple[str, str]:
+    """Return the cells of the errors against checked relations, where there are any."""
+    if name not in CHECKED:
+        return "", ""
+    poses = mapper.trajectory
+    there = np.isfinite(poses).all(axis=(1, 2))
+    errors = relation_errors(
+        log.stamps_s[there], poses[there], relations_by_clocks(data / RELATIONS)
+    )
+    return ("", "") if errors is None else (f"{errors[0]:.3f}", f"{np.rad2deg(errors[1]):.2f}")
+
+
+if __name__ == "__main__":
+    main()
