@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from relmap import RelmapError
 from relmap.simulation import Building, BuildingScan, building_scene, simulate_building
 from relmap.simulation.building import SENSOR_HEIGHT_M
-from relmap.simulation.floor_plan import World, make_floor_plan, wall_distances
+from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.sensor import Sampling, Sensor
+from relmap.simulation.shapes import wall_distances
 
 WORLDS: tuple[World, ...] = ("building", "panels", "long-wall")
 
@@ -264,7 +265,7 @@ def test_iterations_go_on_round() -> None:
         {"world": "moon"},
         {"loops": 0},
         {"sensor": Sensor(range_m=0.0)},
-        {"sensor": Sensor(view_rad=4.0)},
+        {"sensor": Sensor(view_rad=6.3)},
     ],
 )
 def test_arguments_out_of_range_are_named(bad: dict[str, object]) -> None:
