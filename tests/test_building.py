@@ -12,6 +12,7 @@ from relmap.simulation.building import SENSOR_HEIGHT_M
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.sensor import Sampling, Sensor
 from relmap.simulation.shapes import wall_distances
+from tests.segments import crossings
 
 WORLDS: tuple[World, ...] = ("building", "panels", "long-wall")
 
@@ -19,22 +20,6 @@ WORLDS: tuple[World, ...] = ("building", "panels", "long-wall")
 @pytest.fixture(scope="module")
 def exact() -> Building:
     return simulate_building(points=300, sigma=0.0, sample_ends=True, seed=3)
-
-
-def crossings(walls: NDArray[np.float64]) -> int:
-    """Count pairs of walls that meet inside both of them, other than the sides of one."""
-    count = 0
-    a, b = walls[:, :2], walls[:, 2:4]
-    for k in range(len(walls)):
-        d, e = b[k] - a[k], b - a
-        det = d[0] * e[:, 1] - d[1] * e[:, 0]
-        offset = a - a[k]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (offset[:, 0] * e[:, 1] - offset[:, 1] * e[:, 0]) / det
-            u = (offset[:, 0] * d[1] - offset[:, 1] * d[0]) / det
-        inside = (t > 1e-9) & (t < 1 - 1e-9) & (u > 1e-9) & (u < 1 - 1e-9)
-        count += int((inside & (np.abs(det) > 1e-12)).sum())
-    return count
 
 
 @pytest.mark.parametrize("world", WORLDS)

@@ -14,8 +14,8 @@ NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
 """A wall lies on another where it is no farther off, and turned by no more (cosine)."""
 SHORT_M = 0.5
 """Walls that are no longer are not asked for."""
-SAMPLE_M = 0.05
-"""Walls are compared at points so far apart."""
+SAMPLE_M, MOST_SAMPLES = 0.05, 2000
+"""Walls are compared at points so far apart, and at no more than so many each."""
 
 
 def judge_walls(
@@ -86,11 +86,10 @@ def _covered(ends: Floats, by: Floats, others: bool = False) -> float | None:
     length_m = _lengths(ends)
     if not length_m.sum():
         return None
-    counts = np.maximum(np.ceil(length_m / SAMPLE_M).astype(np.int64), 1)
+    counts = np.clip(np.ceil(length_m / SAMPLE_M), 1, MOST_SAMPLES).astype(np.int64)
     wall = np.repeat(np.arange(len(ends)), counts)
-    share = (np.arange(len(wall)) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5) / counts[
-        wall
-    ]
+    rank = np.arange(len(wall)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (rank + 0.5) / counts[wall]
     points = ends[wall, 0] + share[:, None] * (ends[wall, 1] - ends[wall, 0])
     on = np.zeros(len(wall), dtype=bool)
     for k, other in enumerate(by):
@@ -98,7 +97,8 @@ def _covered(ends: Floats, by: Floats, others: bool = False) -> float | None:
             on |= _on_wall(points, wall, ends, other, 0.0) & (wall != k)
         else:
             on |= _on_wall(points, wall, ends, other, NEAR_M)
-    return float((on * (length_m / counts)[wall]).sum() / length_m.sum())
+    weight = (length_m / counts)[wall]
+    return float(weight[on].sum() / weight.sum())
 
 
 def _on_wall(points: Floats, wall: Ints, ends: Floats, other: Floats, beyond_m: float) -> Bools:

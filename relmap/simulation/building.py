@@ -20,7 +20,7 @@ from relmap.simulation.moving_walls import make_moving
 from relmap.simulation.noise import Array, Noise, check_arguments
 from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, sensor_of
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
-from relmap.simulation.things import glass_ranges, in_robot_frame, round_ranges, strew, walking
+from relmap.simulation.things import Things, walking
 from relmap.simulation.visibility import seen_walls
 
 SENSOR_HEIGHT_M = 1.0
@@ -129,7 +129,7 @@ def simulate_building(
     people : int
         Number of people who walk about; of a laser.
     clutter : float
-        Share of the beams of a laser that small things lie in the way of.
+        Share of the beams of a laser that meet small things, others in each scan.
 
     Returns
     -------
@@ -147,41 +147,18 @@ def simulate_building(
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
     stamps_s = STEP_S * (step_m / STEP_M) * np.arange(len(trajectory), dtype=np.float64)
-    # Movers, people and clutter have generators of their own: the rest of the world is the same
-    # with and without them.
-    things = _things(plan, people, clutter, (stamps_s, trajectory), scanner, seed)
+    # What moves or is no wall has generators of its own: the rest is the same with and without.
+    walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
+    crowd = walking(plan, people, stamps_s, trajectory, walkers)
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
+    things = [Things(at, plan.glass, clutter, others) for at in crowd]
     scans = [
-        _scan(movers.at(plan.walls, k), pose, scanner, rng, plan.glass, things[k])
+        _scan(movers.at(plan.walls, k), pose, scanner, rng, things[k])
         for k, pose in enumerate(trajectory)
     ]
     walls = movers.at(plan.walls, 0) - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
     moves = np.isin(np.arange(len(walls)), movers.row)
     return Building(walls, moves, trajectory, stamps_s, scans, sensor)
-
-
-def _things(
-    plan: FloorPlan,
-    people: int,
-    clutter: float,
-    drive: tuple[Array, Array],
-    scanner: Scanner,
-    seed: int,
-) -> Array:
-    """Return what stands before the walls at each scan, (k, d, 3): centres and radii, metres."""
-    stamps_s, trajectory = drive
-    legs = walking(plan, people, stamps_s, trajectory, np.random.default_rng([seed, people, 1]))
-    rng, exact = np.random.default_rng([seed, 0, 2]), replace(scanner, sigma=0.0)
-
-    def look(pose: Array) -> Array:
-        ranges_m = _scan(plan.walls, pose, exact, rng, plan.glass).ranges_m
-        assert ranges_m is not None
-        return ranges_m
-
-    strewn = np.empty((0, 3))
-    if clutter > 0:
-        strewn = strew(clutter, trajectory, scanner.bearing, look, rng)
-    return np.concatenate([legs, np.broadcast_to(strewn, (len(legs), *strewn.shape))], axis=1)
 
 
 def building_scene(
@@ -284,19 +261,14 @@ def _scan(
     T_map_robot: Array,
     scanner: Scanner,
     rng: np.random.Generator,
-    glass: NDArray[np.int64] | None = None,
-    things: Array | None = None,
+    things: Things | None = None,
 ) -> BuildingScan:
+    sensor, before = scanner.sensor, None
     ends_map = walls[:, :4].reshape(-1, 2, 2)
     ends_robot = (ends_map - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
-    glass = np.empty(0, np.int64) if glass is None else glass
-    opaque = np.delete(np.arange(len(walls)), glass)
-    sensor, before_m = scanner.sensor, None
+    opaque = np.arange(len(walls))
+    if things is not None and things.any:
+        before, opaque = things.seen_from(T_map_robot, ends_robot), np.delete(opaque, things.glass)
     seen = seen_walls(ends_robot[opaque], sensor.range_m, sensor.view_rad / 2)
-    if len(glass) or (things is not None and len(things)):
-        before_m = glass_ranges(ends_robot[glass], scanner.bearing, rng)
-        if things is not None:
-            round_m = round_ranges(in_robot_frame(things, T_map_robot), scanner.bearing)
-            before_m = np.minimum(before_m, round_m)
     seen = replace(seen, wall=opaque[seen.wall])
-    return scanner.scan(seen, walls[0, 4:] - SENSOR_HEIGHT_M, rng, before_m)
+    return scanner.scan(seen, walls[0, 4:] - SENSOR_HEIGHT_M, rng, before)

@@ -11,8 +11,10 @@ from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded, turne
 NO_FLOORS: Array = np.empty((0, 4))
 WIDTH_M, DEPTH_M, DOOR_M = 4.0, 4.5, 1.1
 """Of all twin rooms."""
-TWINS, ALIKE = 3, 5
-"""Twin rooms on either side of a corridor, and on each of four corridors that are alike."""
+TWINS = 3
+"""Twin rooms on either side of their corridor."""
+ALIKE_M, DOORS, DOOR_STEP_M, LEAF_M, NICHE_M = 20.0, 6, 3.0, 0.9, 0.15
+"""Length of each of four corridors that are alike; closed doors on either side, and their depth."""
 LANE_M, ROUND_M = 0.5, 1.1
 """The robot drives so far beside the middle of the corridor, and round in each room so wide."""
 BARE_M = 26.0
@@ -40,21 +42,13 @@ def twin_rooms(rng: np.random.Generator) -> FloorPlan:
 
 
 def corridor(rng: np.random.Generator) -> FloorPlan:
-    """Draw a square corridor whose four sides are the same, with doors to rooms that are too."""
+    """Draw a square corridor whose four sides are the same, with closed doors all alike."""
     del rng
-    side = ALIKE * WIDTH_M
-    hall = np.array([0.0, 0.0, side, side])
-    block = hall + CORRIDOR_M * np.array([1, 1, -1, -1])
-    walls, doors = _rooms_below(hall, ALIKE)
-    middle = hall[2:] / 2
-    four, all_doors = (
-        np.concatenate([turned(parts, k, middle) for k in range(4)])
-        for parts in (walls.reshape(-1, 2, 2), doors)
-    )
-    fronts = [cut(edge, all_doors) for edge in edges(hall)]
-    inner = edges(block)[:, ::-1].reshape(-1, 4)
-    loop = rounded((hall + block) / 2)
-    return FloorPlan(np.vstack([four.reshape(-1, 4), *fronts, inner]), NO_FLOORS, loop, all_doors)
+    block = np.array([0.0, 0.0, ALIKE_M, ALIKE_M])
+    hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
+    sides = [*edges(hall), *edges(block)[:, ::-1]]
+    walls = np.vstack([_with_doors(side) for side in sides])
+    return FloorPlan(walls, ring(hall, block), rounded((hall + block) / 2))
 
 
 def bare_corridor(rng: np.random.Generator) -> FloorPlan:
@@ -88,6 +82,19 @@ def _rooms_below(hall: Array, count: int) -> tuple[Array, Array]:
         doors.append(np.array([[middle + DOOR_M / 2, hall[1]], [middle - DOOR_M / 2, hall[1]]]))
         walls += [cut(edge, doors[-1][None]) for edge in edges(room)]
     return np.vstack(walls), np.array(doors)
+
+
+def _with_doors(edge: Array) -> Array:
+    """Return a wall (2, 2) as the parts (w, 4) between doors, their jambs, and the doors."""
+    length = float(np.linalg.norm(edge[1] - edge[0]))
+    along = (edge[1] - edge[0]) / length
+    away = NICHE_M * np.array([along[1], -along[0]])
+    spots = [edge[0]]
+    for middle in (np.arange(DOORS) - (DOORS - 1) / 2) * DOOR_STEP_M + length / 2:
+        right, left = (edge[0] + (middle + half) * along for half in (-LEAF_M / 2, LEAF_M / 2))
+        spots += [right, right + away, left + away, left]
+    way = np.array([*spots, edge[1]])
+    return np.hstack([way[:-1], way[1:]])
 
 
 def _way_round(x: float, front: float) -> Array:

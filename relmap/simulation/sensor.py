@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,6 +15,10 @@ from relmap.simulation.visibility import SeenWalls, ray_distances
 Sampling = Literal["surface", "rays", "laser"]
 """How the points lie: uniform on the visible surface, or where equally spaced beams meet it (in
 azimuth and elevation, or in the plane of the sensor)."""
+
+Before = Callable[[Array, Array], Array]
+"""Tells of beams at bearings (b,) that go so far (b,), at most as far as the sensor sees, how far
+they go to what stands before the walls (b,); infinite where nothing does."""
 
 _SLACK_RAD = 1e-12
 
@@ -91,18 +96,12 @@ class Scanner:
     sensor: Sensor
     sample_ends: bool
 
-    @property
-    def bearing(self) -> Array:
-        """Of each beam of a laser, radians, right to left; (points,)."""
-        half = self.sensor.view_rad / 2
-        return np.linspace(-half, half, self.points)
-
     def scan(
         self,
         seen: SeenWalls,
         z_robot: Array,
         rng: np.random.Generator,
-        before_m: Array | None = None,
+        before: Before | None = None,
     ) -> BuildingScan:
         """Measure the visible stretches of walls.
 
@@ -112,9 +111,8 @@ class Scanner:
         z_robot : (2,) float64, robot frame, metres
             Lower and upper edge of all walls.
         rng : numpy.random.Generator
-        before_m : (points,) float64, optional
-            Of a laser: how far each beam goes to what may stand before the walls; infinite where
-            nothing does.
+        before : callable, optional
+            Of a laser: what may stand before the walls.
 
         Returns
         -------
@@ -124,7 +122,7 @@ class Scanner:
             return self._scatter(seen, z_robot, rng)
         if self.sampling == "rays":
             return self._cast(seen, z_robot, rng)
-        return self._sweep(seen, rng, before_m)
+        return self._sweep(seen, rng, before)
 
     def _scatter(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
         """Scatter points uniformly over the visible surface; each coordinate has the noise."""
@@ -162,12 +160,14 @@ class Scanner:
         return BuildingScan(_points(flat, bearing[column], z), seen, stretch[column])
 
     def _sweep(
-        self, seen: SeenWalls, rng: np.random.Generator, before_m: Array | None
+        self, seen: SeenWalls, rng: np.random.Generator, before: Before | None
     ) -> BuildingScan:
         """Measure beams in the plane of the sensor, equally spaced from right to left."""
         bearing, stretch, distance = self._met(seen, self.points)
-        if before_m is not None:
-            hidden = before_m < np.where(stretch >= 0, distance, self.sensor.range_m)
+        if before is not None:
+            free_m = np.where(stretch >= 0, distance, self.sensor.range_m)
+            before_m = before(bearing, free_m)
+            hidden = before_m < free_m
             stretch = np.where(hidden, -1, stretch)
             distance = np.where(hidden, before_m, distance)
         met = distance > 0

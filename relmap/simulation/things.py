@@ -2,34 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from relmap.simulation.noise import Array
-from relmap.simulation.shapes import FloorPlan
+from relmap.simulation.sensor import Before
+from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.visibility import ray_distances
 
-LEG_M, APART_M, STRIDE_M = 0.07, 0.12, 0.2
-"""Radius of a leg, its distance to the side, and how far it swings to the front and back."""
-WALK_M_S = (0.6, 1.4)
-LANE_STEP_M = 0.2
-ASIDE_M, WITHIN_M = 0.6, 1.3
+BODY_M, WALK_M_S = (0.15, 0.25), (0.6, 1.4)
+"""Radius and pace of a person."""
+ASIDE_M, WITHIN_M, LANE_STEP_M = 0.6, 0.5, 0.2
 """People walk so far beside the middle of a corridor at most, and so far into rooms."""
 TARGETS = 60
 """Places that a person goes to, one after another."""
-SHY_M = 0.5
-"""People keep this distance from the robot."""
-THING_M = (0.01, 0.06)
-"""Radius of things that lie about, in the least and the greatest; so far from the way at least:"""
-FREE_M = 0.35
-BATCH, VIEWS = 10, 40
-"""So many things are added at a time until they fill their share of the beams of so many scans."""
+SHY_M, NEAREST_M = 0.5, 0.1
+"""People keep this distance from the robot, and clutter this."""
 SPECULAR_RAD, MATT = np.deg2rad(12.0), 0.05
 """How oblique a beam that glass returns is, and the share of others that its dirt returns."""
 
-Look = Callable[[Array], Array]
-"""Gives the ranges (b,) of the beams at a pose (4, 4); infinite where nothing returns them."""
+
+@dataclass(frozen=True, eq=False)
+class Things:
+    """What beams of a laser may meet before they meet walls, in one scan.
+
+    Attributes
+    ----------
+    people : (p, 3) float64, map frame, metres
+        x, y and radius.
+    glass : (g,) int64
+        Which walls are panes.
+    clutter : float
+        Share of the beams that meet small things that are anywhere, as leaves, cables or rain.
+    rng : numpy.random.Generator
+    """
+
+    people: Array
+    glass: NDArray[np.int64]
+    clutter: float
+    rng: np.random.Generator
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything."""
+        return bool(len(self.people) or len(self.glass) or self.clutter)
+
+    def seen_from(self, T_map_robot: Array, walls_robot: Array) -> Before:
+        """Return what tells how far beams go to them; walls (w, 2, 2) are in the robot frame."""
+        at = (self.people[:, :2] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
+        discs = np.column_stack([at, self.people[:, 2]])
+
+        def before(bearing: Array, ranges_m: Array) -> Array:
+            panes = glass_ranges(walls_robot[self.glass], bearing, self.rng)
+            solid_m = np.minimum(round_ranges(discs, bearing), panes)
+            free_m = np.minimum(solid_m, ranges_m).clip(NEAREST_M)
+            met = self.rng.uniform(size=len(bearing)) < self.clutter
+            return np.minimum(solid_m, np.where(met, self.rng.uniform(NEAREST_M, free_m), np.inf))
+
+        return before
 
 
 def round_ranges(discs: Array, bearing: Array) -> Array:
@@ -84,55 +116,6 @@ def glass_ranges(panes: Array, bearing: Array, rng: np.random.Generator) -> Arra
     return np.asarray(np.where(returned, ranges, np.inf).min(axis=0, initial=np.inf))
 
 
-def strew(
-    share: float, trajectory: Array, bearing: Array, look: Look, rng: np.random.Generator
-) -> Array:
-    """Strew small round things about until they fill a share of the beams.
-
-    Parameters
-    ----------
-    share : float
-        Of the beams that the walls return.
-    trajectory : (k, 4, 4) float64
-    bearing : (b,) float64, radians
-    look : callable
-        What a robot sees of the walls.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    (d, 3) float64, map frame, metres
-        x, y and radius.
-    """
-    views = trajectory[:: max(len(trajectory) // VIEWS, 1)]
-    ranges = np.array([look(pose) for pose in views])
-    discs, there = np.empty((0, 3)), np.isfinite(ranges)
-    nearest = np.full(ranges.shape, np.inf)
-    while (nearest < ranges).sum() < share * there.sum():
-        new = np.array([_thing(trajectory, bearing, look, rng) for _ in range(BATCH)])
-        way = np.linalg.norm(new[:, None, :2] - trajectory[:, :2, 3], axis=2).min(axis=1)
-        new = new[way > FREE_M]
-        for k, pose in enumerate(views):
-            nearest[k] = np.minimum(nearest[k], round_ranges(in_robot_frame(new, pose), bearing))
-        discs = np.vstack([discs, new])
-    return discs
-
-
-def _thing(trajectory: Array, bearing: Array, look: Look, rng: np.random.Generator) -> Array:
-    """Return x, y and radius of a thing somewhere before a wall, as seen on the way."""
-    pose, beam = trajectory[rng.integers(len(trajectory))], rng.integers(len(bearing))
-    range_m = look(pose)[beam]
-    far = rng.uniform(0, range_m) if np.isfinite(range_m) else 0.0
-    ray = far * np.array([np.cos(bearing[beam]), np.sin(bearing[beam])])
-    return np.append(pose[:2, :2] @ ray + pose[:2, 3], rng.uniform(*THING_M))
-
-
-def in_robot_frame(discs: Array, T_map_robot: Array) -> Array:
-    """Return round things (d, 3) of the map frame as the robot sees them."""
-    at = (discs[:, :2] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
-    return np.column_stack([at, discs[:, 2]])
-
-
 def walking(
     plan: FloorPlan, count: int, stamps_s: Array, trajectory: Array, rng: np.random.Generator
 ) -> Array:
@@ -140,31 +123,21 @@ def walking(
 
     Returns
     -------
-    (k, 2 count, 3) float64, map frame, metres
-        x, y and radius of all legs at each scan.
+    (k, count, 3) float64, map frame, metres
+        Where each is at each scan, x, y, and the radius.
     """
-    legs = [leg for _ in range(count) for leg in _legs(plan, stamps_s, rng)]
-    at = np.array(legs).reshape(-1, len(stamps_s), 2).swapaxes(0, 1)
+    people = np.empty((len(stamps_s), count, 3))
+    for k in range(count):
+        way, speed_m_s = _way(plan, rng), rng.uniform(*WALK_M_S)
+        done_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
+        at_m = (rng.uniform(0, done_m[-1]) + speed_m_s * stamps_s) % done_m[-1]
+        people[:, k, :2] = np.column_stack([np.interp(at_m, done_m, axis) for axis in way.T])
+        people[:, k, 2] = rng.uniform(*BODY_M)
     robot = trajectory[:, None, :2, 3]
-    away = at - robot
+    away = people[..., :2] - robot
     distance = np.linalg.norm(away, axis=2, keepdims=True)
-    at = robot + away * np.maximum(1.0, SHY_M / np.maximum(distance, 1e-6))
-    return np.concatenate([at, np.full((*at.shape[:2], 1), LEG_M)], axis=2)
-
-
-def _legs(plan: FloorPlan, stamps_s: Array, rng: np.random.Generator) -> list[Array]:
-    """Return where both legs of a person are (k, 2)."""
-    way = _way(plan, rng)
-    done_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))])
-    walked_m = rng.uniform(0, done_m[-1]) + rng.uniform(*WALK_M_S) * stamps_s
-    middle, next_ = (
-        np.column_stack([np.interp((walked_m + d) % done_m[-1], done_m, axis) for axis in way.T])
-        for d in (0.0, STRIDE_M)
-    )
-    ahead = (next_ - middle) / STRIDE_M
-    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    swing = STRIDE_M * np.sin(walked_m * np.pi / (2 * STRIDE_M))[:, None]
-    return [middle + side * (APART_M * left + swing * ahead) for side in (-1, 1)]
+    people[..., :2] = robot + away * np.maximum(1.0, SHY_M / np.maximum(distance, 1e-6))
+    return people
 
 
 def _way(plan: FloorPlan, rng: np.random.Generator) -> Array:
@@ -173,6 +146,8 @@ def _way(plan: FloorPlan, rng: np.random.Generator) -> Array:
     ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.linalg.norm(ahead, axis=1)[:, None]
     lane = line + rng.uniform(-ASIDE_M, ASIDE_M) * left
+    free = wall_distances(lane, plan.walls).min(axis=1) > BODY_M[1]
+    lane = np.where(free[:, None], lane, line)
     at = start = int(rng.integers(len(line)))
     parts = [lane[[at]]]
     for _ in range(TARGETS):
