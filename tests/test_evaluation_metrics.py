@@ -134,6 +134,18 @@ def test_steps_are_wrong_by_shift_or_by_turn() -> None:
     assert len(metrics.wrong_steps(poses[:1], true_poses[:1])) == 0
 
 
+def test_scans_overlap_where_the_motion_is_right() -> None:
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-50, 50, (200, 2))  # far apart: hardly any is near another by chance
+    T = poses_at(np.array([[1.0, 2.0, 0.0]]), Rotation.from_euler("z", [[0.5]]))[0]
+    seen_before = place @ T[:2, :2].T + T[:2, 3]
+    assert metrics.overlap(place, seen_before, T) == 1.0
+    assert metrics.overlap(place[:100], seen_before[50:], T) == pytest.approx(0.5, abs=0.03)
+    assert metrics.overlap(place, seen_before, np.eye(4)) < 0.05
+    assert metrics.overlap(place[:0], seen_before, T) == 0.0
+    assert metrics.overlap(place, seen_before[:0], T) == 0.0
+
+
 def test_scans_of_wrong_and_of_short_submaps_are_not_right() -> None:
     scans, ates_m = np.array([50, 30, 10, 9]), np.array([0.3, 0.31, 0.0, 0.0])
     assert metrics.share_right(scans, ates_m, 100) == pytest.approx(0.6)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.core.geometry.alignment import fit_rigid
 
@@ -14,6 +15,8 @@ MATCH_S = 0.01
 """Two stamps this close belong to one instant (the tolerance of the TUM benchmark's tools)."""
 FEWEST = 10
 """Scans of a submap that is judged by itself, at least."""
+ON_M = 0.15
+"""A point of a scan so close to one of another may be the same place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +233,30 @@ def wrong_steps(
     turn_rad = np.arccos(np.clip((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
     shift_m = np.linalg.norm(off[:, :3, 3], axis=1)
     return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))
+
+
+def overlap(
+    points: NDArray[np.float64], others: NDArray[np.float64], T: NDArray[np.float64]
+) -> float:
+    """Return the share of the points of a scan that lie on those of another scan.
+
+    Parameters
+    ----------
+    points, others : (n, 2), (m, 2) float64, metres
+        Each in the frame of its robot.
+    T : (4, 4) float64
+        From the frame of the points into that of the others.
+
+    Returns
+    -------
+    float
+        Of points within `ON_M` of another.
+    """
+    if not (len(points) and len(others)):
+        return 0.0
+    moved = points @ T[:2, :2].T + T[:2, 3]
+    away = np.asarray(cKDTree(others).query(moved)[0])
+    return float((away <= ON_M).mean())
 
 
 def share_right(
