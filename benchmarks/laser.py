@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -89,22 +89,24 @@ def main() -> None:
 
 
 Load = Callable[[], tuple[ScanLog, Truth]]
+Change = Callable[[ScanLog], ScanLog]
 
 
 def _sources(data: Path, seeds: int) -> Iterator[tuple[str, Load]]:
     """Yield the name of each log, and what loads it."""
     for name, file in LOGS.items():
         variants = VARIANTS if name == VARIED else {}
-        changes = {name: _unchanged} | {f"{name}/{own}": change for own, change in variants.items()}
-        for full, change in changes.items():
-            yield full, partial(_loaded, data / file, change)
+        yield name, partial(_loaded, data / file)
+        for own, change in variants.items():
+            yield f"{name}/{own}", partial(_loaded, data / file, change)
     for name, options in WORLDS.items():
         for seed in range(seeds):
             yield f"sim/{name}/{seed}", partial(_simulated, seed, options)
 
 
-def _loaded(file: Path, change: Callable[[ScanLog], ScanLog]) -> tuple[ScanLog, Truth]:
-    return change(open_scans(file)), Truth()
+def _loaded(file: Path, change: Change | None = None) -> tuple[ScanLog, Truth]:
+    log = open_scans(file)
+    return change(log) if change else log, Truth()
 
 
 def _simulated(seed: int, options: dict[str, Any]) -> tuple[ScanLog, Truth]:
@@ -116,10 +118,6 @@ def _simulated(seed: int, options: dict[str, Any]) -> tuple[ScanLog, Truth]:
     poses = building.trajectory
     log = stored_scans(np.concatenate(scans), offsets, building.stamps_s, poses, view)
     return log, truth_of(building)
-
-
-def _unchanged(log: ScanLog) -> ScanLog:
-    return log
 
 
 def _with_points(log: ScanLog, change: Callable[[Floats], Floats]) -> ScanLog:
@@ -177,7 +175,7 @@ def _scans(step: int, log: ScanLog) -> ScanLog:
     )
 
 
-VARIANTS: dict[str, Callable[[ScanLog], ScanLog]] = {
+VARIANTS: dict[str, Change] = {
     "beams-2": lambda log: _every_beam(2, log),
     "lost": _lost,
     "mirrored": _mirrored,
@@ -221,18 +219,8 @@ WORLDS: dict[str, dict[str, Any]] = {
 """Arguments of `simulate_building`, beside those of a usual laser: steps of 50 and 100 cm, ..."""
 
 
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """How right submaps are: scans with a pose, ATE [m], wrong steps, those disputed; (s,) each."""
-
-    scans: Ints
-    ates_m: Floats
-    wrong: Ints
-    disputed: Ints
-
-
-def judged(mapper: PlaneMapper, log: ScanLog) -> Judged:
-    """Judge each submap by itself, that of most scans first."""
+def judged(mapper: PlaneMapper, log: ScanLog) -> Floats:
+    """Return scans, ATE [m], wrong steps and disputed ones of each submap, the largest first."""
     assert log.poses is not None
     rows = []
     for submap in mapper.submaps:
@@ -244,13 +232,11 @@ def judged(mapper: PlaneMapper, log: ScanLog) -> Judged:
             submap.span[0] + np.flatnonzero(known),
         )
         ate_m = metrics.ate(poses, truth, planar=True)
-        if ate_m is not None:
-            steps = metrics.wrong_steps(poses, truth).tolist()
-            other = sum(_disputed(log, scan[k - 1 : k + 1], poses[k - 1 : k + 1]) for k in steps)
-            rows.append((len(poses), ate_m, len(steps), other))
-    scans, ates_m, wrong, disputed = np.array(rows).reshape(-1, 4).T
-    order = np.argsort(-scans, kind="stable")
-    return Judged(*(part[order] for part in (scans.astype(int), ates_m, wrong, disputed)))
+        steps = metrics.wrong_steps(poses, truth).tolist()
+        disputed = [_disputed(log, scan[k - 1 : k + 1], poses[k - 1 : k + 1]) for k in steps]
+        rows.append((len(poses), np.inf if ate_m is None else ate_m, len(steps), sum(disputed)))
+    table = np.array(rows).reshape(-1, 4)
+    return np.asarray(table[np.argsort(-table[:, 0], kind="stable")])
 
 
 def _disputed(log: ScanLog, scans: Ints, poses: Floats) -> bool:
@@ -284,19 +270,17 @@ def _row(name: str, log: ScanLog, truth: Truth, data: Path) -> str:
     return " | ".join(cells)
 
 
-def told(found: Judged, n_scans: int) -> list[str]:
+def told(submaps: Floats, n_scans: int) -> list[str]:
     """Return the cells of what was judged."""
-    if not len(found.scans):
-        return ["0", "0", "0.0%", "-", "-", "0", "0"]
-    long = found.ates_m[found.scans >= metrics.FEWEST]
+    if not len(submaps):
+        return ["0 | 0 | 0.0% | - | - | 0 | 0"]
+    scans, ates_m, wrong, disputed = submaps.T
+    worst_m = ates_m[scans >= metrics.FEWEST].max(initial=0.0)
     return [
-        str(len(found.scans)),
-        str(found.scans[0]),
-        f"{metrics.share_right(found.scans, found.ates_m, n_scans):.1%}",
-        f"{found.ates_m[0]:.3f}",
-        f"{long.max():.3f}" if len(long) else "-",
-        f"{found.wrong.sum():.0f}",
-        f"{found.disputed.sum():.0f}",
+        f"{len(scans)} | {scans[0]:.0f}",
+        f"{metrics.share_right(scans, ates_m, n_scans):.1%}",
+        f"{ates_m[0]:.3f} | {worst_m:.3f}",
+        f"{wrong.sum():.0f} | {disputed.sum():.0f}",
     ]
 
 

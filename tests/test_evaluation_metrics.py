@@ -147,7 +147,7 @@ def test_scans_overlap_where_the_motion_is_right() -> None:
 
 
 def test_scans_of_wrong_and_of_short_submaps_are_not_right() -> None:
-    scans, ates_m = np.array([50, 30, 10, 9]), np.array([0.3, 0.31, 0.0, 0.0])
+    scans, ates_m = np.array([50.0, 30, 10, 9]), np.array([0.3, 0.31, 0.0, 0.0])
     assert metrics.share_right(scans, ates_m, 100) == pytest.approx(0.6)
     assert metrics.share_right(scans, ates_m, 100, most_m=0.4) == pytest.approx(0.9)
     assert metrics.share_right(scans[:0], ates_m[:0], 100) == 0.0

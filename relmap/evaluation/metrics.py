@@ -260,13 +260,13 @@ def overlap(
 
 
 def share_right(
-    scans: NDArray[np.int64], ates_m: NDArray[np.float64], n_scans: int, most_m: float = 0.3
+    scans: NDArray[np.float64], ates_m: NDArray[np.float64], n_scans: int, most_m: float = 0.3
 ) -> float:
     """Return the share of the scans of a log that lie in a submap that is right.
 
     Parameters
     ----------
-    scans : (s,) int64
+    scans : (s,) float64
         Scans with a pose in each submap; those of fewer than `FEWEST` do not count.
     ates_m : (s,) float64
         The ATE of each submap by itself, metres.

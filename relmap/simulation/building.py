@@ -237,7 +237,7 @@ def _check(
         (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
         (
             sampling == "laser" or not (people or clutter or world == "glass"),
-            "people, clutter and glass are what a laser sees; sampling must be laser",
+            "people, clutter and glass are for lasers alone; sampling must be laser",
         ),
     ]
     check_arguments(scanner.noise, scanner.sigma, seed, *limits)

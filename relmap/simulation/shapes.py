@@ -130,15 +130,14 @@ def boxes(plan: FloorPlan, floor: Array, count: int, rng: np.random.Generator) -
         Their sides, fronts outwards; there are fewer than `count` where they do not fit.
     """
     placed, way = [NOTHING], np.hstack([plan.loop, np.roll(plan.loop, -1, axis=0)])
+    share = np.linspace(0, 1, 9)[:, None]
     for _ in range(count * TRIALS):
         half = rng.uniform(*BOX_M, 2) / 2
         yaw = rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)])
         c, s = np.cos(yaw), np.sin(yaw)
-        turned = edges(np.concatenate([-half, half])) @ np.array([[c, s], [-s, c]])
-        sides = (turned + rng.uniform(floor[:2], floor[2:]))[:, ::-1]
-        points = (sides[:, :1] + np.linspace(0, 1, 9)[:, None] * np.diff(sides, axis=1)).reshape(
-            -1, 2
-        )
+        around = edges(np.concatenate([-half, half])) @ np.array([[c, s], [-s, c]])
+        sides = (around + rng.uniform(floor[:2], floor[2:]))[:, ::-1]
+        points = ((1 - share) * sides[:, :1] + share * sides[:, 1:]).reshape(-1, 2)
         others = np.vstack([plan.walls[:, :4], plan.doors.reshape(-1, 4), *placed])
         clear = wall_distances(points, way).min() > CLEARANCE_M
         if clear and wall_distances(points, others).min() > BOX_GAP_M:
