@@ -19,9 +19,9 @@ LANE_M, ROUND_M = 0.5, 1.1
 """The robot drives so far beside the middle of the corridor, and round in each room so wide."""
 BARE_M = 26.0
 """Length of a featureless corridor: more than twice the range of the laser."""
-RADIUS_M, STRAIGHT_M, CHORD_M = 6.0, 8.0, 0.1
+RADIUS_M, STRAIGHT_M, CHORD_M = 6.0, 4.0, 0.1
 """Of the outer wall of a curved corridor, which is made of chords."""
-PILLAR_M, PILLARS = (0.3, 0.25), 4
+PILLAR_M, PILLARS = (0.3, 0.25), 5
 """Width and depth of the pilasters on the outer wall, and how many there are in a half circle."""
 
 

@@ -21,8 +21,8 @@ CLEARANCE_M = 0.6
 """Least distance of a panel from other walls, and of the robot from all walls."""
 TRIALS = 30
 """Tries to find a place for a panel."""
-BOX_M, BOX_GAP_M = (0.3, 1.2), 0.15
-"""Sides of a piece of furniture, and its least distance from walls."""
+BOX_M, BOX_GAP_M, BOX_TRIALS = (0.3, 1.2), 0.15, 10
+"""Sides of a piece of furniture, its least distance from walls, and tries to find it a place."""
 NOTHING: Array = np.empty((0, 4))
 
 
@@ -131,7 +131,7 @@ def boxes(plan: FloorPlan, floor: Array, count: int, rng: np.random.Generator) -
     """
     placed, way = [NOTHING], np.hstack([plan.loop, np.roll(plan.loop, -1, axis=0)])
     share = np.linspace(0, 1, 9)[:, None]
-    for _ in range(count * TRIALS):
+    for _ in range(count * BOX_TRIALS):
         half = rng.uniform(*BOX_M, 2) / 2
         yaw = rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)])
         c, s = np.cos(yaw), np.sin(yaw)
