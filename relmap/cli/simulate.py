@@ -15,7 +15,18 @@ if TYPE_CHECKING:
     from relmap.simulation import Building
 
 Sampling = Literal["surface", "rays", "laser"]
-World = Literal["building", "panels", "long-wall"]
+World = Literal[
+    "building",
+    "panels",
+    "long-wall",
+    "oblique",
+    "glass",
+    "furniture",
+    "twin-rooms",
+    "corridor",
+    "bare-corridor",
+    "curved",
+]
 
 app = typer.Typer(
     help="""Simulate a robot in a world whose truth is known.
@@ -121,20 +132,52 @@ def building_command(
     loops: Annotated[int, typer.Option(help="How often the robot drives round.")] = 1,
     world: Annotated[
         World,
-        typer.Option(help="A building, free-standing panels only, or a long wall among panels."),
+        typer.Option(help="Where it drives, as above."),
     ] = "building",
     moving: Annotated[
         int, typer.Option(help="Hang so many swinging doors; of panels, so many slide and turn.")
     ] = 0,
+    beams: Annotated[
+        int | None,
+        typer.Option(help="Short for --sampling laser --points: a 2-D laser with so many beams."),
+    ] = None,
+    view: Annotated[
+        float | None, typer.Option(help="Field of view of the sensor, degrees, below 360.")
+    ] = None,
+    reach: Annotated[
+        float | None, typer.Option("--range", help="Range of the sensor, metres.")
+    ] = None,
+    step: Annotated[
+        float, typer.Option(help="Way from one scan to the next, metres; turns go with it.")
+    ] = 0.22,
+    people: Annotated[int, typer.Option(help="So many people walk about; of a laser.")] = 0,
+    clutter: Annotated[
+        float, typer.Option(help="Share of the beams of a laser that meet small things, to 0.5.")
+    ] = 0.0,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated building; the help text explains the arguments."""
     from relmap.io.files import staged_folder
     from relmap.simulation import simulate_building
+    from relmap.simulation.sensor import sensor_of
 
+    if beams is not None:
+        points, sampling = beams, "laser"
     with staged_folder(out) as staging, busy("simulating"):
         building = simulate_building(
-            points, sigma, noise, sampling, iterations, seed, world, loops, moving=moving
+            points,
+            sigma,
+            noise,
+            sampling,
+            iterations,
+            seed,
+            world,
+            loops,
+            sensor=sensor_of(sampling, view, reach),
+            moving=moving,
+            step_m=step,
+            people=people,
+            clutter=clutter,
         )
         _write_building(staging, building)
     count = sum(len(scan.points) for scan in building.scans)
@@ -161,12 +204,13 @@ def _write_building(folder: Path, building: Building) -> None:
     view = SensorView(building.sensor.view_rad, building.sensor.range_m)
     write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
     ends = ("plane", "x0", "y0", "x1", "y1", "z0", "z1")
-    header = (*ends, "scans", "corner0", "corner1", "status")
+    header = (*ends, "scans", "corner0", "corner1", "status", "seen0", "seen1")
     status = np.where(building.moving, "dynamic", "static").tolist()
     walls, seen = building.walls.tolist(), building.times_seen().tolist()
+    columns = walls, seen, status, building.seen_extents().tolist()
     rows = [
-        [number, *wall, *times, moves]
-        for number, (wall, times, moves) in enumerate(zip(walls, seen, status, strict=True))
+        [number, *wall, *times, moves, *extent]
+        for number, (wall, times, moves, extent) in enumerate(zip(*columns, strict=True))
     ]
     atomic_write(truth / "planes.csv", csv_text(header, rows))
     write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)

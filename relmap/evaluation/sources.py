@@ -205,4 +205,5 @@ def truth_of(world: FigureEight | Building) -> Truth:
         poses=world.trajectory,
         ends=world.walls[still, :4].reshape(-1, 2, 2),
         corner_scans=world.times_seen()[still, 1:],
+        seen_m=world.seen_extents()[still],
     )
