@@ -127,7 +127,10 @@ def feed(
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        labels.append(method.update(seen, ids=scan.ids if known else None))
+        if isinstance(method, PlaneMapper):
+            labels.append(method.update(seen, beams=scan.points_robot))
+        else:
+            labels.append(method.update(seen, ids=scan.ids if known else None))
         durations_s.append([between - began, clock() - between])
     over = clock()
     method.finish()

@@ -76,6 +76,8 @@ class Assembled:
         Every corner ever numbered.
     settled : bool
         Whether the last solution came to rest.
+    reach : (w, 2) float64 or None, metres
+        From where to where each wall goes, along it; None where what was seen of it tells.
     """
 
     given: WallEquations
@@ -87,6 +89,7 @@ class Assembled:
     rows: NDArray[np.int64]
     all_corners: NDArray[np.int64]
     settled: bool = True
+    reach: NDArray[np.float64] | None = None
 
     @property
     def corner_wall(self) -> NDArray[np.int64]:
@@ -140,6 +143,7 @@ class Assembled:
             walls=self.walls[walls],
             corners=self.corners[corners],
             rows=self.rows[kept],
+            reach=None if self.reach is None else self.reach[walls],
         )
 
     def poses(self, n: int) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
     """Return who is who, with tracks on one line joined, and false corners left out (-1)."""
     low, high = wall_extents(assembled)
     first = _first_of(len(assembled.walls), _pairs(assembled, low, high))
-    corner_of = _joined_corners(assembled, first)
+    corner_of = joined_corners(assembled, first)
     return WallNumbers(
         _renamed(assembled, numbers, first),
         np.where(numbers.corner_of < 0, -1, corner_of[numbers.corner_of]),
@@ -67,7 +67,7 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
 
     given, state = assembled.given, assembled.state
     along = directions(state.angle)[1][given.wall]
-    reach = np.einsum("nei,ni->ne", _placed(assembled) - state.centre[given.wall][:, None], along)
+    reach = np.einsum("nei,ni->ne", placed_ends(assembled) - state.centre[given.wall][:, None], along)
     return (
         quantiles(given.wall, reach[:, 0], OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),
@@ -113,7 +113,7 @@ def _seen_together(
     return np.asarray(together[a, b] > 0).reshape(-1)
 
 
-def _joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
+def joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return for every corner ever numbered which one it is; -1 where it is none."""
     given, corners = assembled.given, assembled.corners
     every = np.arange(1 + int(max(corners.max(initial=-1), assembled.all_corners.max(initial=-1))))
@@ -148,7 +148,7 @@ def _times_seen_beyond(
     """Count how often the walls (c,) of corners were seen to go on beyond their places (c,)."""
     own = wall_of[assembled.given.wall]
     along = directions(assembled.state.angle[own])[1]
-    reach = np.einsum("nei,ni->ne", _placed(assembled), along)
+    reach = np.einsum("nei,ni->ne", placed_ends(assembled), along)
     order = np.argsort(own, kind="stable")
     begin, end = np.searchsorted(own[order], [wall, wall + 1])
     corner = np.repeat(np.arange(len(wall)), end - begin)
@@ -159,7 +159,7 @@ def _times_seen_beyond(
     return np.bincount(corner[seen], minlength=len(wall))
 
 
-def _placed(assembled: Assembled) -> NDArray[np.float64]:
+def placed_ends(assembled: Assembled) -> NDArray[np.float64]:
     """Return the ends (n, 2, 2) of what was seen in the map's frame."""
     given, state = assembled.given, assembled.state
     c, s = np.cos(state.yaw), np.sin(state.yaw)

@@ -16,6 +16,8 @@ from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers
+from relmap.planes.beams import Beams
+from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
@@ -23,7 +25,6 @@ from relmap.planes.observation import checked_planes, journaled, of_journal
 from relmap.planes.refined_map import refined_map
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
-from relmap.planes.solving import tracks_astray
 from relmap.planes.stitching import weak_links
 from relmap.planes.submaps import WallSubmap, among_all
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
@@ -74,7 +75,7 @@ class PlaneMapper(Mapper):
     _variant = "planes"
 
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
-    STATE = "walls=_planes refined_walls=_refined_walls _astray"
+    STATE = "walls=_planes refined_walls=_refined_walls _astray beams=_beams"
 
     def __init__(
         self,
@@ -90,8 +91,11 @@ class PlaneMapper(Mapper):
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
         self._astray = np.empty(0, dtype=np.int64)
+        self._beams = Beams()
 
-    def update(self, points: Any, ids: ArrayLike | None = None) -> NDArray[np.int64]:
+    def update(
+        self, points: Any, ids: ArrayLike | None = None, beams: ArrayLike | None = None
+    ) -> NDArray[np.int64]:
         """Take in one iteration.
 
         Parameters
@@ -102,6 +106,8 @@ class PlaneMapper(Mapper):
             or none is there, which ends are the walls' own shows over time (Fig. 4).
         ids : None
             Walls have no known association.
+        beams : (n, 2) array, robot frame, metres, optional
+            Where the beams of the scan ended; the points where these are given.
 
         Returns
         -------
@@ -116,6 +122,7 @@ class PlaneMapper(Mapper):
         if ids is not None:
             raise RelmapError("ids were given; a plane mapper finds out itself who is who")
         if not hasattr(points, "ends"):
+            beams = points if beams is None else beams
             points = self._segmented(points)
         seen = checked_planes(points)
         if self._journal is not None:
@@ -123,6 +130,7 @@ class PlaneMapper(Mapper):
         self._refined_walls = None
         self._astray = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None)
+        self._beams.append(beams)
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
         return walls
@@ -152,18 +160,11 @@ class PlaneMapper(Mapper):
                 numbers = grouped.with_those_of(submap.span, numbers, merged)
             else:
                 submaps[k], numbers = found
-        astray = [tracks_astray(s.assembled, history) for s in submaps if s.refined and s.assembled]
-        self._astray = np.concatenate([self._astray, *astray])
+        for k, submap in enumerate(submaps):
+            submaps[k], numbers, moved = floor_plan(submap, numbers, history, self._beams, moving)
+            self._astray = np.concatenate([self._astray, moved])
         self._spread = None
-        self._refined_walls = [self._at_rest(submap) for submap in submaps], numbers
-
-    def _at_rest(self, submap: WallSubmap) -> WallSubmap:
-        """Return a submap without the tracks that went astray."""
-        if submap.assembled is None or not submap.refined:
-            return submap
-        track = self.history.plane[submap.assembled.rows]
-        kept = submap.assembled.only(~np.isin(track, self._astray))
-        return WallSubmap.of(submap.span, submap.poses, kept, refined=True)
+        self._refined_walls = submaps, numbers
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now.

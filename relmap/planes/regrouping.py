@@ -1,0 +1,160 @@
+"""Which tracks are one wall, looked at once more where the refined map has put the scans.
+
+While loops are closed and walls joined some tracks come to belong to a wall that they do not lie
+on.  Such a track is set free; if it lies on another wall it is part of that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.assembly import Assembled, WallNumbers, assemble, directions
+from relmap.planes.history import PlaneHistory
+from relmap.planes.joining import joined_corners, placed_ends, wall_extents
+from relmap.planes.submaps import WallSubmap, among_all
+
+SCATTER_M, MOSTLY = 0.08, 0.75
+"""A track moved that is farther from its own line in more than a quarter of its sights."""
+TURN = np.cos(np.deg2rad(15.0))
+ACROSS_M, ACROSS = 0.06, 4.0
+"""How far from a wall both ends of another are that is part of it: metres, or in standard
+deviations of what was seen of a typical wall."""
+GAP_M = 0.2
+"""How far beyond its end."""
+TIMES = 2
+"""How often walls are gathered: tracks, and then what they came to be."""
+
+
+def regrouped(
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: NDArray[np.bool_]
+) -> tuple[Assembled, WallNumbers, NDArray[np.int64]]:
+    """Return the walls of a submap that its tracks lie on, where its poses put them.
+
+    Parameters
+    ----------
+    submap : WallSubmap
+        With walls.
+    numbers : WallNumbers
+        Who is who in it.
+    history : PlaneHistory
+    moving : (p,) bool
+        Plane tracks that move.
+
+    Returns
+    -------
+    assembled : Assembled
+    numbers : WallNumbers
+    moved : (m,) int64
+        Tracks that moved, which are not among the walls.
+    """
+    given = submap.assembled
+    assert given is not None
+    moved = _scattered(given, history)
+    still = moving.copy()
+    still[moved] = True
+    poses = among_all(submap.poses, submap.span, history)
+    wall_of = numbers.wall_of.copy()
+    tracks = np.unique(history.plane[given.rows])
+    wall_of[tracks] = tracks
+    for _ in range(TIMES):
+        found = _with_corners(wall_of, numbers.corner_of, history)
+        laid = assemble(history, found, poses, still)
+        if laid is None:
+            return given, numbers, moved
+        wall_of = _gathered(laid, wall_of)
+    found = _with_corners(wall_of, numbers.corner_of, history)
+    every = assemble(history, found, poses, still)
+    assert every is not None
+    corner_of = joined_corners(every, np.arange(len(every.walls)))
+    joined = np.where(found.corner_of < 0, -1, corner_of[found.corner_of])
+    found = WallNumbers(found.wall_of, joined)
+    again = assemble(history, found, poses, still)
+    assert again is not None
+    return _as_refined(again, given), found, moved
+
+
+def _with_corners(
+    wall_of: NDArray[np.int64], corner_of: NDArray[np.int64], history: PlaneHistory
+) -> WallNumbers:
+    """Return who is who with the corners that are one, unless they are now of two walls."""
+    wall = np.zeros(len(corner_of), dtype=np.int64)
+    row, end = np.nonzero(history.corner >= 0)
+    wall[history.corner[row, end]] = wall_of[history.plane[row]]
+    own = np.arange(len(corner_of))
+    same = (corner_of < 0) | (wall == wall[corner_of])
+    return WallNumbers(wall_of, np.where(same, corner_of, own))
+
+
+def _scattered(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
+    """Return the tracks that do not even lie on a line of their own."""
+    from relmap.core.linalg.order_kernels import medians, quantiles
+
+    tracks, of = np.unique(history.plane[assembled.rows], return_inverse=True)
+    ends = placed_ends(assembled)
+    x, y = (np.bincount(of, axis) for axis in (ends[:, 1] - ends[:, 0]).T)
+    normal = directions(np.arctan2(x, -y))[0][of]
+    across = np.einsum("nei,ni->ne", ends, normal)
+    middle = across.mean(axis=1)
+    off = np.abs(across - medians(of, middle)[of][:, None]).max(axis=1)
+    return tracks[quantiles(of, off, MOSTLY) > SCATTER_M]
+
+
+def _gathered(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return who is who among walls (p,) with those that lie on a larger one part of it."""
+    state = assembled.state
+    normal, along = directions(state.angle)
+    base = state.centre + state.across[:, None] * normal
+    low, high = wall_extents(assembled)
+    middle, half = (low + high) / 2, np.maximum(high - low, 0.0) / 2
+    base, low, high = base + middle[:, None] * along, -half, half
+    across_m = max(ACROSS_M, ACROSS * assembled.typical_m)
+    sights = np.bincount(assembled.given.wall, minlength=len(base))
+    part = np.arange(len(base))
+    ends = base[:, None] + np.stack([low, high], axis=1)[:, :, None] * along[:, None]
+    order = np.argsort(-sights * (half + 0.1), kind="stable")
+    taken = np.zeros(len(base), dtype=np.bool_)
+    for k in order.tolist():
+        rows = np.flatnonzero(taken & (normal @ normal[k] > TURN))
+        offset = ends[k][None] - base[rows][:, None]
+        off = np.abs(np.einsum("nei,ni->ne", offset, normal[rows])).max(axis=1)
+        place = np.einsum("nei,ni->ne", offset, along[rows])
+        apart = np.maximum(low[rows] - place[:, 1], place[:, 0] - high[rows])
+        fits = (off <= across_m) & (apart <= GAP_M)
+        if not fits.any():
+            taken[k] = True
+            continue
+        best = int(np.argmin(np.where(fits, off, np.inf)))
+        wall = rows[best]
+        part[k] = wall
+        low[wall] = min(low[wall], place[best, 0])
+        high[wall] = max(high[wall], place[best, 1])
+    renamed = np.arange(len(wall_of))
+    renamed[assembled.walls] = assembled.walls[part]
+    wall_of = renamed[wall_of]
+    _, first, of = np.unique(wall_of, return_index=True, return_inverse=True)
+    return np.asarray(first[of])
+
+
+def _as_refined(again: Assembled, before: Assembled) -> Assembled:
+    """Return walls laid out anew, those of which nothing changed as they were refined."""
+    size = max(int(again.walls.max(initial=0)), int(before.walls.max(initial=0))) + 1
+    sums = []
+    for each in (again, before):
+        wall = each.walls[each.given.wall]
+        sums.append((np.bincount(wall, minlength=size), np.bincount(wall, each.rows, size)))
+    same = (sums[0][0] == sums[1][0]) & (sums[0][1] == sums[1][1]) & (sums[0][0] > 0)
+    walls = np.flatnonzero(same[again.walls])
+    old = np.searchsorted(before.walls, again.walls[walls])
+    state, refined = again.state, before.state
+    centre, angle, across = state.centre.copy(), state.angle.copy(), state.across.copy()
+    centre[walls], angle[walls] = refined.centre[old], refined.angle[old]
+    across[walls] = refined.across[old]
+    moved = ((state.centre - centre) * directions(angle)[1]).sum(axis=1)
+    along = state.along + moved[again.corner_wall]
+    kept = np.isin(again.corner_wall, walls) & np.isin(again.corners, before.corners)
+    along[kept] = refined.along[np.searchsorted(before.corners, again.corners[kept])]
+    laid = replace(state, centre=centre, angle=angle, across=across, along=along)
+    return replace(again, state=laid)
