@@ -33,12 +33,25 @@ class Beams:
         begin, end = self._offsets.values[iteration : iteration + 2]
         return self._ends.values[begin:end]
 
-    def within(self, span: tuple[int, int], most: int) -> tuple[NDArray[Any], NDArray[np.int64]]:
-        """Return end points (n, 2) of a span of scans and the iteration (n,) of each.
+    def placed(
+        self, poses: NDArray[np.float64], span: tuple[int, int], most: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where beams of some scans begin and end by their poses, (n, 2) each.
 
-        Of more than `most` only one in so many.
+        Parameters
+        ----------
+        poses : (k, 4, 4) float64
+            ``T_map_robot`` of the scans of the span; what has none, NaN, is left out.
+        span : (int, int)
+            The first scan, and one after the last.
+        most : int
+            Of more beams only one in so many is returned.
         """
         offsets = self._offsets.values[span[0] : span[1] + 1]
         every = max(int(-(-(offsets[-1] - offsets[0]) // most)), 1)
-        iteration = np.repeat(np.arange(*span), np.diff(offsets))
-        return self._ends.values[offsets[0] : offsets[-1] : every], iteration[::every]
+        scan = np.repeat(np.arange(len(poses)), np.diff(offsets))[::every]
+        ends = self._ends.values[offsets[0] : offsets[-1] : every].astype(np.float64)
+        known = np.isfinite(poses[scan, 0, 0])
+        T, ends = poses[scan[known]], ends[known]
+        origin = T[:, :2, 3]
+        return origin, np.einsum("nij,nj->ni", T[:, :2, :2], ends) + origin

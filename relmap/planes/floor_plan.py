@@ -8,6 +8,7 @@ was seen more stands.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,8 @@ SEEN = 3
 """Sights of a stretch of a wall that is there."""
 OFTEN = 4
 """Sights of the stretch of a wall that was seen most."""
-SOLID = 0.65
+SEEN_THROUGH = 0.7
+SOLID = 0.7
 """Share of the beams that reach a wall which end on it, at least."""
 GAP_M = 0.5
 """A gap longer than this is one, though no beam went against."""
@@ -36,8 +38,8 @@ DOUBLED_M = 0.1
 PARALLEL = np.cos(np.deg2rad(12.0))
 MEETING_M = 0.25
 """A wall that ends so near another one ends there."""
-ALONE_M = 0.5
-"""A wall shorter than this that meets no other is clutter."""
+ALONE_M, IN_PART_M = 0.5, 0.25
+"""Walls shorter than this that meet no longer one are clutter: with both ends seen, or in part."""
 
 
 @dataclass(eq=False)
@@ -89,7 +91,7 @@ def floor_plan(
     moved : (m,) int64
         Tracks that turned out to have moved.
     """
-    if submap.assembled is None:
+    if submap.assembled is None or not submap.refined:
         return submap, numbers, np.empty(0, dtype=np.int64)
     walls, numbers, moved = regrouped(submap, numbers, history, moving)
     stretches = stretches_of(walls, submap.poses, submap.span, beams)
@@ -102,7 +104,7 @@ def floor_plan(
 def _standing(walls: Stretches) -> NDArray[np.bool_]:
     """Tell where walls are (b,): seen, not seen against, and not the double of a stronger one."""
     hits, against = _around(walls.hits, 1), _around(walls.against, 1)
-    open_ = (against > hits) & (against > 1)
+    open_ = (against > SEEN_THROUGH * hits) & (against > 1)
     there = (walls.seen >= SEEN) & ~open_
     if walls.hits.any():
         there &= _around(walls.hits, 2) > 0
@@ -182,23 +184,32 @@ def _pieces(walls: Stretches, there: NDArray[np.bool_]) -> Pieces:
 
 
 def _with_corners(pieces: Pieces, walls: Assembled) -> Pieces:
-    """Return pieces that end at corners where there are some near their ends."""
+    """Return pieces that end at the corners of their walls; a corner within one parts it."""
     given = walls.given
     count = np.bincount(given.corner, minlength=len(walls.corners))
     side = np.zeros(len(walls.corners), dtype=np.int64)
     side[given.corner] = given.corner_end
-    wall, place = walls.corner_wall, walls.state.along
-    offset = walls.state.across  # both count from the foot of the centre
-    del offset
-    reach, corner = pieces.reach.copy(), pieces.corner.copy()
-    for k in np.argsort(count, kind="stable").tolist():  # what was seen most often is last
-        rows = np.flatnonzero(pieces.wall == wall[k])
-        off = np.abs(pieces.reach[rows, side[k]] - place[k])
-        row = rows[off.argmin()] if len(rows) and off.min() <= CORNER_M else -1
-        other = pieces.reach[row, 1 - side[k]]
-        if row >= 0 and (other - place[k]) * (1 - 2 * side[k]) > SHORTEST_M / 2:
-            reach[row, side[k]], corner[row, side[k]] = place[k], k
-    return Pieces(pieces.wall, reach, corner)
+    wall, place = walls.corner_wall.tolist(), walls.state.along.tolist()
+    drawn: dict[int, list[list[Any]]] = {}
+    for k, (low, high) in zip(pieces.wall.tolist(), pieces.reach.tolist(), strict=True):
+        drawn.setdefault(k, []).append([low, high, -1, -1])
+    for k in np.argsort(-count, kind="stable").tolist():  # what was seen most often is first
+        parts, end = drawn.get(wall[k], []), int(side[k])
+        free = [part for part in parts if part[2 + end] < 0]
+        near = [part for part in free if abs(part[end] - place[k]) <= CORNER_M]
+        near = [part for part in near if (part[1 - end] - place[k]) * (1 - 2 * end) > SHORTEST_M]
+        if near:
+            part = min(near, key=lambda part: abs(part[end] - place[k]))
+            part[end], part[2 + end] = place[k], k
+            continue
+        for part in [part for part in free if part[0] < place[k] < part[1]]:
+            rest = part.copy()
+            rest[1 - end], rest[3 - end] = place[k], -1
+            part[end], part[2 + end] = place[k], k
+            parts.append(rest)
+    rows = [(k, part) for k in sorted(drawn) for part in sorted(drawn[k])]
+    found = np.array([part for _, part in rows]).reshape(-1, 4)
+    return Pieces(np.array([k for k, _ in rows], dtype=np.int64), found[:, :2], found[:, 2:].astype(np.int64))
 
 
 def _met(pieces: Pieces, walls: Stretches) -> Pieces:
@@ -231,9 +242,11 @@ def _without_clutter(pieces: Pieces, walls: Stretches) -> Pieces:
     n = len(pieces.wall)
     graph = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(n, n))
     n_parts, part = connected_components(graph, directed=False)
-    longest = np.zeros(n_parts)
-    np.maximum.at(longest, part, pieces.reach[:, 1] - pieces.reach[:, 0])
-    return pieces.only(longest[part] >= ALONE_M)
+    length = pieces.reach[:, 1] - pieces.reach[:, 0]
+    whole = (pieces.corner >= 0).all(axis=1)
+    alone = np.ones(n_parts, dtype=np.bool_)
+    alone[part[length >= np.where(whole, ALONE_M, IN_PART_M)]] = False
+    return pieces.only(~alone[part])
 
 
 def _drawn(
@@ -277,7 +290,14 @@ def _pieces_of_tracks(
     found = np.full(n_tracks, -1)
     rows = np.argsort(total, kind="stable")
     rows = rows[total[rows] > 0]
-    found[key[rows] // len(pieces.wall)] = key[rows] % len(pieces.wall)  # the longest is last
+    tracks, on = key[rows] // len(pieces.wall), key[rows] % len(pieces.wall)
+    found[tracks] = on  # the longest is last
+    # A piece that has none takes one from a piece that has several.
+    times = np.bincount(found[np.unique(tracks)], minlength=len(pieces.wall))
+    for each, k in zip(tracks[::-1].tolist(), on[::-1].tolist(), strict=True):
+        if times[k] == 0 and times[found[each]] > 1:
+            times[found[each]] -= 1
+            times[k], found[each] = 1, k
     return found
 
 

@@ -219,6 +219,19 @@ class PlaneMapper(Mapper):
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
 
+    def points_of(self, number: int, most: int) -> NDArray[np.float64]:
+        """Return where beams of a submap ended (n, 2), in its frame, metres; for display.
+
+        Parameters
+        ----------
+        number : int
+            Place of the submap in `submaps`.
+        most : int
+            Of more points only one in so many is returned.
+        """
+        submap = self.submaps[number]
+        return self._beams.placed(submap.poses, submap.span, most)[1]
+
     @property
     def map(self) -> LandmarkMap:
         """The mapped corners of the first submap, in ascending order of their numbers.

@@ -22,7 +22,9 @@ NEAR_M, NEAR = 0.08, 3.0
 """How far from a wall a beam ends that ends on it: metres, and in standard deviations of all."""
 BEFORE_M = 0.2
 """How much before a wall a beam ends that says it is not there."""
-LEAST_SINE = np.sin(np.deg2rad(8.0))
+SAMPLED, FAR_M = 10, 0.5
+"""One beam in so many tells how noisy all are, by how far from walls they end, up to so far."""
+LEAST_SINE = float(np.sin(np.deg2rad(8.0)))
 """A beam along a wall does not tell where it crosses that."""
 MEDIAN = 1.4826
 
@@ -95,34 +97,24 @@ def stretches_of(
     change = np.bincount(at[:, 0], minlength=first[-1]) - np.bincount(at[:, 1], minlength=first[-1])
     none = np.zeros(first[-1], dtype=np.int64)
     blank = Stretches(base, normal, along, low, first, np.cumsum(change), none, none)
-    hits, against = _crossed(blank, poses, *beams.within(span, MOST_BEAMS), span[0])
+    hits, against = _crossed(blank, beams.placed(poses, span, MOST_BEAMS))
     return Stretches(base, normal, along, low, first, blank.seen, hits, against)
 
 
 def _crossed(
-    walls: Stretches,
-    poses: NDArray[np.float64],
-    ends: NDArray[np.float32],
-    iteration: NDArray[np.int64],
-    begin: int,
+    walls: Stretches, beams: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return how many beams end in each stretch, and how many say that no wall is there."""
     from relmap.planes.plan_kernels import beams_on_walls
 
-    own = iteration - begin
-    known = np.isfinite(poses[own, 0, 0])
-    own, flat = own[known], ends[known].astype(np.float64)
-    origin = poses[own, :2, 3]
-    placed = np.einsum("nij,nj->ni", poses[own, :2, :2], flat) + origin
     high = walls.low + BIN_M * np.diff(walls.first)
-    lines, bins, grid = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), _grid(walls)
-    some = slice(None, None, 10)
-    limits = NEAR_M, NEAR_M + BEFORE_M, float(LEAST_SINE)
-    *_, off = beams_on_walls((origin[some], placed[some]), lines, bins, grid, limits)
-    near = off[off < 0.5]
-    near_m = max(NEAR_M, NEAR * MEDIAN * float(np.median(near))) if len(near) else NEAR_M
-    limits = near_m, near_m + BEFORE_M, float(LEAST_SINE)
-    hits, against, _ = beams_on_walls((origin, placed), lines, bins, grid, limits)
+    given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), _grid(walls)
+    some = beams[0][::SAMPLED], beams[1][::SAMPLED]
+    *_, off = beams_on_walls(some, *given, (NEAR_M, NEAR_M, LEAST_SINE))
+    off = off[off < FAR_M]
+    noise_m = MEDIAN * float(np.median(off)) if len(off) else 0.0
+    near_m = max(NEAR_M, NEAR * noise_m)
+    hits, against, _ = beams_on_walls(beams, *given, (near_m, near_m + BEFORE_M, LEAST_SINE))
     return hits, against
 
 

@@ -16,12 +16,14 @@ from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import joined_corners, placed_ends, wall_extents
 from relmap.planes.submaps import WallSubmap, among_all
 
-SCATTER_M, MOSTLY = 0.08, 0.75
-"""A track moved that is farther from its own line in more than a quarter of its sights."""
+SCATTER_M, SCATTER, MOSTLY = 0.08, 6.0, 0.75
+"""A track moved that is farther from its own line, and by more typical distances, in more than a
+quarter of its sights."""
+SLID_M = 0.25
+"""Likewise a corner along that line."""
 TURN = np.cos(np.deg2rad(15.0))
-ACROSS_M, ACROSS = 0.06, 4.0
-"""How far from a wall both ends of another are that is part of it: metres, or in standard
-deviations of what was seen of a typical wall."""
+ACROSS_M, ACROSS = 0.06, 3.0
+"""How far from a wall both ends of another are that is part of it: metres, or typical distances."""
 GAP_M = 0.2
 """How far beyond its end."""
 TIMES = 2
@@ -52,7 +54,7 @@ def regrouped(
     """
     given = submap.assembled
     assert given is not None
-    moved = _scattered(given, history)
+    moved, flat_m = _scattered(given, history)
     still = moving.copy()
     still[moved] = True
     poses = among_all(submap.poses, submap.span, history)
@@ -64,7 +66,7 @@ def regrouped(
         laid = assemble(history, found, poses, still)
         if laid is None:
             return given, numbers, moved
-        wall_of = _gathered(laid, wall_of)
+        wall_of = _gathered(laid, wall_of, max(ACROSS_M, ACROSS * flat_m))
     found = _with_corners(wall_of, numbers.corner_of, history)
     every = assemble(history, found, poses, still)
     assert every is not None
@@ -88,21 +90,36 @@ def _with_corners(
     return WallNumbers(wall_of, np.where(same, corner_of, own))
 
 
-def _scattered(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
-    """Return the tracks that do not even lie on a line of their own."""
+def _scattered(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int64], float]:
+    """Return the tracks that do not keep to lines of their own, and how flat the others are.
+
+    Or whose corners move along the line.  That is the median distance from it, metres.
+    """
     from relmap.core.linalg.order_kernels import medians, quantiles
 
-    tracks, of = np.unique(history.plane[assembled.rows], return_inverse=True)
+    given, track = assembled.given, history.plane[assembled.rows]
+    tracks, of = np.unique(track, return_inverse=True)
     ends = placed_ends(assembled)
     x, y = (np.bincount(of, axis) for axis in (ends[:, 1] - ends[:, 0]).T)
-    normal = directions(np.arctan2(x, -y))[0][of]
+    normal, along = (each[of] for each in directions(np.arctan2(x, -y)))
     across = np.einsum("nei,ni->ne", ends, normal)
-    middle = across.mean(axis=1)
-    off = np.abs(across - medians(of, middle)[of][:, None]).max(axis=1)
-    return tracks[quantiles(of, off, MOSTLY) > SCATTER_M]
+    off = np.abs(across - medians(of, across.mean(axis=1))[of][:, None]).max(axis=1)
+    flat_m = float(np.median(off))
+    row, end = given.corner_row, given.corner_end
+    corners, corner = np.unique(history.corner[assembled.rows[row], end], return_inverse=True)
+    place = (ends[row, end] * along[row]).sum(axis=1)
+    slid = np.abs(place - medians(corner, place)[corner])
+    owner = np.zeros(len(corners), dtype=np.int64)
+    owner[corner] = track[row]
+    limit = max(SCATTER_M, SCATTER * flat_m)
+    moved = quantiles(of, off, MOSTLY) > limit
+    slides = quantiles(corner, slid, MOSTLY) > max(SLID_M, limit)
+    return np.union1d(tracks[moved], owner[slides]), flat_m
 
 
-def _gathered(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
+def _gathered(
+    assembled: Assembled, wall_of: NDArray[np.int64], across_m: float
+) -> NDArray[np.int64]:
     """Return who is who among walls (p,) with those that lie on a larger one part of it."""
     state = assembled.state
     normal, along = directions(state.angle)
@@ -110,19 +127,24 @@ def _gathered(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.in
     low, high = wall_extents(assembled)
     middle, half = (low + high) / 2, np.maximum(high - low, 0.0) / 2
     base, low, high = base + middle[:, None] * along, -half, half
-    across_m = max(ACROSS_M, ACROSS * assembled.typical_m)
     sights = np.bincount(assembled.given.wall, minlength=len(base))
     part = np.arange(len(base))
     ends = base[:, None] + np.stack([low, high], axis=1)[:, :, None] * along[:, None]
     order = np.argsort(-sights * (half + 0.1), kind="stable")
+    ends_there = np.zeros((len(base), 2), dtype=np.bool_)
+    given = assembled.given
+    ends_there[given.wall[given.corner_row], given.corner_end] = True
     taken = np.zeros(len(base), dtype=np.bool_)
     for k in order.tolist():
         rows = np.flatnonzero(taken & (normal @ normal[k] > TURN))
         offset = ends[k][None] - base[rows][:, None]
         off = np.abs(np.einsum("nei,ni->ne", offset, normal[rows])).max(axis=1)
         place = np.einsum("nei,ni->ne", offset, along[rows])
-        apart = np.maximum(low[rows] - place[:, 1], place[:, 0] - high[rows])
-        fits = (off <= across_m) & (apart <= GAP_M)
+        right, left = place[:, 0] - high[rows], low[rows] - place[:, 1]
+        gap_m = np.where(ends_there[k, 0] | ends_there[rows, 1], -GAP_M, GAP_M)
+        fits = (off <= across_m) & (right <= gap_m)
+        gap_m = np.where(ends_there[k, 1] | ends_there[rows, 0], -GAP_M, GAP_M)
+        fits &= left <= gap_m
         if not fits.any():
             taken[k] = True
             continue
