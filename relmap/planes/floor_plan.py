@@ -34,7 +34,7 @@ SOLID = 0.7
 GAP_M = 0.5
 """A gap longer than this is one, though no beam went against."""
 SHORTEST_M = 0.12
-DOUBLED_M = 0.1
+DOUBLED_M = 0.12
 PARALLEL = np.cos(np.deg2rad(12.0))
 MEETING_M = 0.25
 """A wall that ends so near another one ends there."""
@@ -108,8 +108,9 @@ def _standing(walls: Stretches) -> NDArray[np.bool_]:
     there = (walls.seen >= SEEN) & ~open_
     if walls.hits.any():
         there &= _around(walls.hits, 2) > 0
-    there &= ~_doubled(walls, there)
-    return there | _small_gaps(there, open_, walls)
+    doubled = _doubled(walls, there)
+    there &= ~doubled
+    return there | _small_gaps(there, open_ | doubled, walls)
 
 
 def _around(counts: NDArray[np.int64], beside: int) -> NDArray[np.int64]:

@@ -6,6 +6,8 @@ tracks with one normal and one offset that overlap along the wall show the same 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
@@ -94,23 +96,21 @@ def _pairs(
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
     if not len(a):
         return np.empty((0, 2), dtype=np.int64)  # scipy's sparse arrays index nothing badly
-    both = _seen_together(assembled, a, b)
+    both = np.asarray(seen_together(assembled)[a, b] > 0).reshape(-1)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)
     return np.column_stack([a[on_one_another], b[on_one_another]])
 
 
-def _seen_together(
-    assembled: Assembled, a: NDArray[np.int64], b: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def seen_together(assembled: Assembled) -> Any:
+    """Return in how many scans each wall was seen with each other; a sparse array (w, w)."""
     given = assembled.given
     n = len(assembled.walls)
     seen = coo_array(
         (np.ones(len(given.wall)), (given.wall, given.iteration)),
         shape=(n, len(assembled.iterations)),
     ).tocsr()
-    together = (seen @ seen.T).tocsr()
-    return np.asarray(together[a, b] > 0).reshape(-1)
+    return (seen @ seen.T).tocsr()
 
 
 def joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:

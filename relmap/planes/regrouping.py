@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from relmap.planes.assembly import Assembled, WallNumbers, assemble, directions
 from relmap.planes.history import PlaneHistory
-from relmap.planes.joining import joined_corners, placed_ends, wall_extents
+from relmap.planes.joining import (
+    OVERLAP,
+    joined_corners,
+    placed_ends,
+    seen_together,
+    wall_extents,
+)
 from relmap.planes.submaps import WallSubmap, among_all
 
 SCATTER_M, SCATTER, MOSTLY = 0.08, 6.0, 0.75
@@ -134,6 +140,7 @@ def _gathered(
     ends_there = np.zeros((len(base), 2), dtype=np.bool_)
     given = assembled.given
     ends_there[given.wall[given.corner_row], given.corner_end] = True
+    together = seen_together(assembled)
     taken = np.zeros(len(base), dtype=np.bool_)
     for k in order.tolist():
         rows = np.flatnonzero(taken & (normal @ normal[k] > TURN))
@@ -145,6 +152,9 @@ def _gathered(
         fits = (off <= across_m) & (right <= gap_m)
         gap_m = np.where(ends_there[k, 1] | ends_there[rows, 0], -GAP_M, GAP_M)
         fits &= left <= gap_m
+        inside = np.minimum(place[:, 1], high[rows]) - np.maximum(place[:, 0], low[rows])
+        beside = np.isin(rows, together.indices[together.indptr[k] : together.indptr[k + 1]])
+        fits |= (off <= 2 * across_m) & (inside > OVERLAP * 2 * half[k]) & ~beside
         if not fits.any():
             taken[k] = True
             continue
