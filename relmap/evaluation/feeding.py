@@ -118,8 +118,10 @@ def feed(
     if known and getattr(log, "ids", None) is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
     scans: Iterable[Any] = ()
+    first = log.first_iteration
+    if isinstance(method, PlaneMapper) and n_seen:
+        method.retell_beams(s.points_robot for s in log.between(first, first + n_seen).scans())
     if n_seen < len(log):
-        first = log.first_iteration
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = _preparation(method, log, segmenter)
     labels, durations_s = [], []

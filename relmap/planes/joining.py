@@ -69,7 +69,9 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
 
     given, state = assembled.given, assembled.state
     along = directions(state.angle)[1][given.wall]
-    reach = np.einsum("nei,ni->ne", placed_ends(assembled) - state.centre[given.wall][:, None], along)
+    reach = np.einsum(
+        "nei,ni->ne", placed_ends(assembled) - state.centre[given.wall][:, None], along
+    )
     return (
         quantiles(given.wall, reach[:, 0], OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),

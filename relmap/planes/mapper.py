@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -75,7 +76,7 @@ class PlaneMapper(Mapper):
     _variant = "planes"
 
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
-    STATE = "walls=_planes refined_walls=_refined_walls _astray beams=_beams"
+    STATE = "walls=_planes refined_walls=_refined_walls _moved beams=_beams"
 
     def __init__(
         self,
@@ -90,7 +91,7 @@ class PlaneMapper(Mapper):
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
-        self._astray = np.empty(0, dtype=np.int64)
+        self._moved = np.empty(0, dtype=np.int64)
         self._beams = Beams()
 
     def update(
@@ -128,12 +129,24 @@ class PlaneMapper(Mapper):
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = None
-        self._astray = np.empty(0, dtype=np.int64)
+        self._moved = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None)
         self._beams.append(beams)
         if self._journal is not None:
             self._journal.append(journaled(seen), None, walls)
         return walls
+
+    def retell_beams(self, scans: Iterable[ArrayLike | None]) -> None:
+        """Take in again where the beams of all scans so far ended: a journal does not keep them.
+
+        Parameters
+        ----------
+        scans : iterable of (n, 2) array, robot frame, metres, or None
+            Those of each scan, as `update` takes them.
+        """
+        self._beams = Beams()
+        for ends in scans:
+            self._beams.append(ends)
 
     def finish(self) -> None:
         """Map what is left: what is in view, and submaps too short for a group on the way."""
@@ -149,7 +162,7 @@ class PlaneMapper(Mapper):
         self._note_call("refine")
         # From where the groups place the scans, and without who moves.  Who is who is found anew,
         # where the walls come to lie: merged by places that have drifted, some are wrong.
-        self._astray = np.empty(0, dtype=np.int64)
+        self._moved = np.empty(0, dtype=np.int64)
         grouped, moving = self._grouped, self._moving
         history, numbers = grouped.history, grouped.at_rest(grouped.unmerged)
         merged = grouped.at_rest(grouped.numbers)
@@ -162,7 +175,7 @@ class PlaneMapper(Mapper):
                 submaps[k], numbers = found
         for k, submap in enumerate(submaps):
             submaps[k], numbers, moved = floor_plan(submap, numbers, history, self._beams, moving)
-            self._astray = np.concatenate([self._astray, moved])
+            self._moved = np.concatenate([self._moved, moved])
         self._spread = None
         self._refined_walls = submaps, numbers
 
@@ -343,5 +356,5 @@ class PlaneMapper(Mapper):
     def _moving(self) -> NDArray[np.bool_]:
         """Which plane tracks (p,) move, or are not where the refined map has them."""
         moving = self._grouped.moving_walls
-        moving[self._astray] = True
+        moving[self._moved] = True
         return moving

@@ -110,7 +110,7 @@ def _crossed(
     high = walls.low + BIN_M * np.diff(walls.first)
     given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), _grid(walls)
     some = beams[0][::SAMPLED], beams[1][::SAMPLED]
-    *_, off = beams_on_walls(some, *given, (NEAR_M, NEAR_M, LEAST_SINE))
+    *_, off = beams_on_walls(some, *given, (FAR_M, FAR_M, LEAST_SINE))
     off = off[off < FAR_M]
     noise_m = MEDIAN * float(np.median(off)) if len(off) else 0.0
     near_m = max(NEAR_M, NEAR * noise_m)
@@ -120,9 +120,7 @@ def _crossed(
 
 def _grid(
     walls: Stretches,
-) -> tuple[
-    NDArray[np.float64], float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]
-]:
+) -> tuple[NDArray[np.float64], float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return a grid over the walls with those in or beside each cell; see `beams_on_walls`."""
     wall, n = walls.wall, len(walls.low)
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]

@@ -1,4 +1,4 @@
-"""Where beams end on walls and where they go through them, compiled; see `plan_evidence`."""
+"""Where beams end on walls, and where they say that none is, compiled; see `plan_evidence`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,50 @@ Index = NDArray[np.int64]
 
 
 @compiled
+def _vote(
+    line: tuple[float, float, float, float],
+    beam: tuple[float, float, float, float],
+    limits: tuple[float, float, float],
+) -> tuple[int, float, float]:
+    """Return what a beam says of a line: 1 for, -1 against, 0 nothing; where, and its distance.
+
+    `line` is a point and the normal, `beam` the origin and what leads to its end; a place along
+    the line counts from its right to its left as seen from its front.
+    """
+    x, y, nx, ny = line
+    fx, fy, dx, dy = beam[0] - x, beam[1] - y, beam[2], beam[3]
+    near_m, before_m, least_sine = limits
+    before = nx * fx + ny * fy
+    after = before + nx * dx + ny * dy
+    place, off = ny * (fx + dx) - nx * (fy + dy), abs(after)
+    if off <= near_m:
+        return (1 if before > 0 else 0), place, off
+    if before * after >= 0:
+        return (-1 if 0 < after <= before_m else 0), place, off
+    if abs(before - after) < least_sine * np.hypot(dx, dy):
+        return 0, place, off
+    crossed = before / (before - after)
+    return -1, ny * (fx + crossed * dx) - nx * (fy + crossed * dy), off
+
+
+@compiled
+def _cells(
+    beam: tuple[float, float, float, float], corner: Array, cell_m: float, shape: Index
+) -> Index:
+    """Return the cells of a grid that lie along a beam, a cell's size apart."""
+    x, y, dx, dy = beam
+    steps = int(np.hypot(dx, dy) / cell_m) + 1
+    cells, n = np.empty(steps + 1, np.int64), 0
+    for s in range(steps + 1):
+        i = int(np.floor((x + s / steps * dx - corner[0]) / cell_m))
+        j = int(np.floor((y + s / steps * dy - corner[1]) / cell_m))
+        if 0 <= i < shape[0] and 0 <= j < shape[1]:
+            cells[n] = i * shape[1] + j
+            n += 1
+    return cells[:n]
+
+
+@compiled
 def beams_on_walls(
     beams: tuple[Array, Array],
     lines: tuple[Array, Array, Array, Array],
@@ -19,7 +63,7 @@ def beams_on_walls(
     grid: tuple[Array, float, Index, Index, Index],
     limits: tuple[float, float, float],
 ) -> tuple[Index, Index, Array]:
-    """Return how many beams end on each bin (b,) of the walls, and how many where none is.
+    """Return how many beams end on each bin (b,) of the walls, and how many say that none is there.
 
     They go through it, or end a little before.  And how far each beam (n,) ends from the nearest
     wall, across it; infinity where none is near.
@@ -34,46 +78,26 @@ def beams_on_walls(
     limits : how far from a wall a beam that ends on it may end, how far before it one ends that
         ends a little before, and the least sine of the angle between a beam and a wall
     """
-    origin, end = beams
-    base, normal, low, high = lines
-    first, bin_m = bins
+    (origin, end), (base, normal, low, high), (first, bin_m) = beams, lines, bins
     corner, cell_m, shape, starts, members = grid
-    near_m, before_m, least_sine = limits
     hits, against = np.zeros(first[-1], np.int64), np.zeros(first[-1], np.int64)
     off, last = np.full(len(end), np.inf), np.full(len(base), -1)
     for r in range(len(end)):
-        dx, dy = end[r, 0] - origin[r, 0], end[r, 1] - origin[r, 1]
-        length = np.hypot(dx, dy)
-        steps = int(length / cell_m) + 1
-        for s in range(steps + 1):
-            x = int((origin[r, 0] + s / steps * dx - corner[0]) / cell_m)
-            y = int((origin[r, 1] + s / steps * dy - corner[1]) / cell_m)
-            if x < 0 or y < 0 or x >= shape[0] or y >= shape[1]:
-                continue
-            cell = x * shape[1] + y
-            for m in range(starts[cell], starts[cell + 1]):
-                w = members[m]
+        x, y = origin[r]
+        beam = x, y, end[r, 0] - x, end[r, 1] - y
+        for cell in _cells(beam, corner, cell_m, shape):
+            for w in members[starts[cell] : starts[cell + 1]]:
                 if last[w] == r:
                     continue
                 last[w] = r
-                nx, ny = normal[w]
-                fx, fy = origin[r, 0] - base[w, 0], origin[r, 1] - base[w, 1]
-                before = nx * fx + ny * fy
-                after = before + nx * dx + ny * dy
-                # Along a wall is from right to left as seen from its front.
-                place = ny * (fx + dx) - nx * (fy + dy)
-                if before > 0 and low[w] <= place < high[w]:
-                    k = first[w] + int((place - low[w]) / bin_m)
-                    off[r] = min(off[r], abs(after))
-                    if abs(after) <= near_m:
-                        hits[k] += 1
-                    elif 0 < after <= before_m:
-                        against[k] += 1
-                if before * after >= 0 or abs(after) <= near_m:
+                line = base[w, 0], base[w, 1], normal[w, 0], normal[w, 1]
+                vote, place, far = _vote(line, beam, limits)
+                if vote == 0 or not low[w] <= place < high[w]:
                     continue
-                if abs(before - after) < least_sine * length:
-                    continue
-                place = ny * fx - nx * fy + (ny * dx - nx * dy) * before / (before - after)
-                if low[w] <= place < high[w]:
-                    against[first[w] + int((place - low[w]) / bin_m)] += 1
+                k = first[w] + int((place - low[w]) / bin_m)
+                if vote > 0:
+                    hits[k] += 1
+                else:
+                    against[k] += 1
+                off[r] = min(off[r], far)
     return hits, against, off

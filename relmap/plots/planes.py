@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -80,9 +81,9 @@ def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
     axes.plot(*at[0], "o", color=INK, markersize=5, zorder=7, label="start", linestyle="")
     axes.plot(*at[-1], "s", color=INK, markersize=5, zorder=7, label="end", linestyle="")
     if len(submap.weak):
-        ring = {"color": RED, "markerfacecolor": "none", "markersize": 7, "linestyle": ""}
+        ring: dict[str, Any] = {"color": RED, "markerfacecolor": "none", "markersize": 7}
         between = (at[submap.weak - 1] + at[submap.weak]) / 2
-        axes.plot(*between.T, "o", zorder=7, label="weak link", **ring)
+        axes.plot(*between.T, "o", zorder=7, label="weak link", linestyle="", **ring)
     return counts
 
 
