@@ -48,6 +48,8 @@ class Beams:
             Of more beams only one in so many is returned.
         """
         offsets = self._offsets.values[span[0] : span[1] + 1]
+        if len(offsets) <= len(poses):
+            return np.empty((0, 2)), np.empty((0, 2))
         every = max(int(-(-(offsets[-1] - offsets[0]) // most)), 1)
         scan = np.repeat(np.arange(len(poses)), np.diff(offsets))[::every]
         ends = self._ends.values[offsets[0] : offsets[-1] : every].astype(np.float64)

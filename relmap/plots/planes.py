@@ -22,7 +22,9 @@ from relmap.simulation import Building
 WALL = BLUE
 CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
-POINT = "#c4c4c4"
+POINT = "#b4b4b4"
+FINE, DOT, FINE_DPI = 1.1, 1.6, 240
+"""Width of a wall, and size of a corner, hardly wider, for pictures to be hung up."""
 PANEL_IN = 3.4
 TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
@@ -90,17 +92,18 @@ def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
 def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return how many walls and corners."""
     mapped = planes.status == "static"
-    draw_walls(axes, planes.ends[mapped], "wall")
+    draw_walls(axes, planes.ends[mapped], "wall", width=FINE)
     at = planes.ends[mapped][planes.corner[mapped] >= 0]
-    axes.plot(*at.T, "o", color=CORNER, markersize=1.6, zorder=6, label="corner", linestyle="")
+    dot: dict[str, Any] = {"color": CORNER, "markersize": DOT, "markeredgewidth": 0}
+    axes.plot(*at.T, "o", zorder=6, label="corner", linestyle="", **dot)
     path = broken_at_jumps(poses[:, :2, 3])
-    axes.plot(*path.T, color=PATH, linewidth=0.8, zorder=2, label="path of the robot")
+    axes.plot(*path.T, color=PATH, linewidth=0.6, zorder=2, label="path of the robot")
     return int(mapped.sum()), len(at)
 
 
 def _sheet(places: NDArray[np.float64], poses: NDArray[np.float64]) -> Sheet:
     """Return a sheet with room for places (n, 2) and the path of poses (k, 4, 4)."""
-    return Sheet(_in_space(places), _in_space(poses[:, :2, 3]), planar=True)
+    return Sheet(_in_space(places), _in_space(poses[:, :2, 3]), planar=True, dpi=FINE_DPI)
 
 
 def plot_planes(
