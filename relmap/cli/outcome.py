@@ -86,8 +86,8 @@ def _advice(summary: dict[str, Any]) -> str:
     view = "" if view_deg is None else f" (here {view_deg:.0f} degrees)"
     return (
         f". What helps is more to see in common from scan to scan: shorter steps (here "
-        f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a wider "
-        f"view{view}; odometry would bridge the breaks, but is not used for walls"
+        f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
+        f"wider view{view}; odometry would bridge the breaks, but is not used for walls"
     )
 
 
