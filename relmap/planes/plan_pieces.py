@@ -20,7 +20,7 @@ MEETING_M = 0.25
 """A wall that ends so near another one ends there."""
 CROSSING = np.sin(np.deg2rad(30.0))
 """Walls that cross at a smaller angle (sine) do not tell where they meet."""
-ALONE_M, IN_PART_M = 0.5, 0.25
+ALONE_M, IN_PART_M = 0.5, 0.15
 """Walls shorter than this that meet no longer one are clutter: with both ends seen, or in part."""
 
 
