@@ -74,7 +74,7 @@ def status(mapper: PlaneMapper, number: int) -> str:
 
 def drawn(mapper: PlaneMapper) -> NDArray[np.float64]:
     planes = mapper.planes
-    return planes.ends[planes.status == "static"]
+    return np.asarray(planes.ends[planes.status == "static"])
 
 
 def on_line(mapper: PlaneMapper, x: float) -> NDArray[np.float64]:
@@ -233,6 +233,8 @@ def test_beams_keep_what_is_finite() -> None:
     origin, end = beams.placed(poses, (0, 3), 100)
     assert origin.tolist() == [[10.0, 20.0]]
     assert end.tolist() == [[13.0, 24.0]]
+    beams.append(np.zeros((50_000, 3)))
+    assert 1000 < len(beams.of(3)) <= 2000
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from relmap.core.state.growing import FEW, GrowingArray
 
+PER_SCAN = 2000
+"""Of more beams of a scan only one in so many is kept: a cloud has a hundred thousand."""
+
 
 class Beams:
     """End points of beams in the robot frame, scan after scan, in single precision."""
@@ -25,6 +28,7 @@ class Beams:
     def append(self, ends: Any) -> None:
         """Store those of one scan: (n, 2) or more columns, metres; None where there are none."""
         rows = np.empty((0, 2)) if ends is None else np.asarray(ends)[:, :2]
+        rows = rows[:: max(-(-len(rows) // PER_SCAN), 1)]
         self._ends.extend(rows[np.isfinite(rows).all(axis=1)])
         self._offsets.extend(np.array([len(self._ends)]))
 
@@ -48,8 +52,6 @@ class Beams:
             Of more beams only one in so many is returned.
         """
         offsets = self._offsets.values[span[0] : span[1] + 1]
-        if len(offsets) <= len(poses):
-            return np.empty((0, 2)), np.empty((0, 2))
         every = max(int(-(-(offsets[-1] - offsets[0]) // most)), 1)
         scan = np.repeat(np.arange(len(poses)), np.diff(offsets))[::every]
         ends = self._ends.values[offsets[0] : offsets[-1] : every].astype(np.float64)
