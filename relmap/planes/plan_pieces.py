@@ -114,7 +114,7 @@ def with_corners(pieces: Pieces, walls: Assembled) -> Pieces:
 def met(pieces: Pieces, walls: Stretches) -> Pieces:
     """Return pieces that end where they meet others, neither beyond nor short of them.
 
-    An end that is a corner stays where it was seen.
+    An end that is a corner stays where it was seen, and what is beyond is shorter than the rest.
     """
     if not len(pieces):
         return pieces
@@ -126,9 +126,11 @@ def met(pieces: Pieces, walls: Stretches) -> Pieces:
     own, side, other, cross = own[rows], side[rows], other[rows], cross[rows]
     place = ((base[other] - base[own]) * normal[other]).sum(axis=1) / cross
     there = ((base[own] + place[:, None] * along[own] - base[other]) * along[other]).sum(axis=1)
-    off = np.abs(place - pieces.reach[own, side])
+    off, left = (np.abs(place - pieces.reach[own, end]) for end in (side, 1 - side))
     low, high = pieces.reach[other].T
-    meets = (off < MEETING_M) & (there > low - MEETING_M) & (there < high + MEETING_M)
+    meets = (
+        (off < np.minimum(left, MEETING_M)) & (there > low - MEETING_M) & (there < high + MEETING_M)
+    )
     order = np.flatnonzero(meets)[np.argsort(-off[meets], kind="stable")]
     reach = pieces.reach.copy()
     reach[own[order], side[order]] = place[order]  # the nearest is last
