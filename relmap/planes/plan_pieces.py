@@ -20,8 +20,9 @@ MEETING_M = 0.25
 """A wall that ends so near another one ends there."""
 CROSSING = np.sin(np.deg2rad(30.0))
 """Walls that cross at a smaller angle (sine) do not tell where they meet."""
-ALONE_M, IN_PART_M = 0.5, 0.15
-"""Walls shorter than this that meet no longer one are clutter: with both ends seen, or in part."""
+ALONE_M, IN_PART_M, FEW = 0.5, 0.15, 2
+"""Walls shorter than this that meet no longer one are clutter: with both ends seen, or in part, for
+which they must be so few."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +162,7 @@ def without_clutter(pieces: Pieces, walls: Stretches) -> Pieces:
     near = cKDTree(ends).query_pairs(MEETING_M, output_type="ndarray") // 2
     graph = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(n, n))
     n_parts, part = connected_components(graph, directed=False)
-    whole = (pieces.corner >= 0).all(axis=1)
+    whole = (pieces.corner >= 0).all(axis=1) | (np.bincount(part)[part] > FEW)
     clutter = np.ones(n_parts, dtype=np.bool_)
     clutter[part[pieces.length_m >= np.where(whole, ALONE_M, IN_PART_M)]] = False
     return pieces.only(~clutter[part])
