@@ -198,7 +198,7 @@ def assemble(
     corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     ends = history.ends[rows]
     given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd)
-    state = _laid_out(given, poses[iterations])
+    state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))
     return Assembled(given, typical, state, iterations, walls, corners, rows, every)
@@ -215,7 +215,7 @@ def _corners(
     return row, end, corners, compact
 
 
-def _laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
+def laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
     """Return walls and corners as the average of what was seen of them, by given poses."""
     R, t = poses[:, :2, :2], poses[:, :2, 3]
     placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.planes.assembly import Assembled, WallNumbers, assemble, directions
+from relmap.planes.assembly import Assembled, WallNumbers, assemble, directions, laid_out
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import (
     OVERLAP,
@@ -82,7 +82,9 @@ def regrouped(
     found = WallNumbers(found.wall_of, joined)
     again = assemble(history, found, poses, still)
     assert again is not None
-    return _as_refined(again, given), found, moved
+    again = _as_noisy(again, given)
+    state = laid_out(again.given, poses[again.iterations])
+    return _as_refined(replace(again, state=state), given), found, moved
 
 
 def _with_corners(
@@ -201,6 +203,22 @@ def _gathered(
     return np.asarray(first[of])
 
 
+def _as_noisy(again: Assembled, before: Assembled) -> Assembled:
+    """Return walls with the noise of each observation that was learnt before."""
+    old, given = before.given, again.given
+    sd, corner_sd = given.sd.copy(), given.corner_sd.copy()
+    there = np.flatnonzero(np.isin(again.rows, before.rows))
+    sd[there] = old.sd[np.searchsorted(before.rows, again.rows[there])]
+    keys, old_keys = (
+        2 * each.rows[each.given.corner_row] + each.given.corner_end for each in (again, before)
+    )
+    order = np.argsort(old_keys, kind="stable")
+    there = np.flatnonzero(np.isin(keys, old_keys))
+    at = order[np.searchsorted(old_keys[order], keys[there])]
+    corner_sd[there] = old.corner_sd[at]
+    return replace(again, given=replace(given, sd=sd, corner_sd=corner_sd))
+
+
 def _as_refined(again: Assembled, before: Assembled) -> Assembled:
     """Return walls laid out anew; those of the same observations as before stay as refined."""
     size = 1 + int(max(again.walls.max(initial=0), before.walls.max(initial=0)))
@@ -216,9 +234,10 @@ def _as_refined(again: Assembled, before: Assembled) -> Assembled:
     centre, angle, across = state.centre.copy(), state.angle.copy(), state.across.copy()
     centre[walls], angle[walls] = refined.centre[old], refined.angle[old]
     across[walls] = refined.across[old]
-    shift = ((state.centre - centre) * directions(angle)[1]).sum(axis=1)
-    along = state.along + shift[again.corner_wall]
-    kept = np.isin(again.corner_wall, walls) & np.isin(again.corners, before.corners)
-    along[kept] = refined.along[np.searchsorted(before.corners, again.corners[kept])]
+    # Corners stay where they were refined, or where they were seen on average, along their walls.
+    wall, at = again.corner_wall, again.corner_at
+    kept = np.isin(again.corners, before.corners)
+    at[kept] = before.corner_at[np.searchsorted(before.corners, again.corners[kept])]
+    along = ((at - centre[wall]) * directions(angle[wall])[1]).sum(axis=1)
     laid = replace(state, centre=centre, angle=angle, across=across, along=along)
     return replace(again, state=laid)
