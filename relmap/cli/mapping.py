@@ -147,8 +147,7 @@ def _write(folder: Path, run: Run) -> None:
         return
     write_planes(folder, result.planes)
     write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in result.drawn])
-    drawn = [(submap.planes, submap.poses) for submap in result.drawn]
-    write_submaps_png(picture, drawn, len(result.summary["submaps"]))
+    write_submaps_png(picture, result.drawn, len(result.summary["submaps"]))
 
 
 def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder | None:

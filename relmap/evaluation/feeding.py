@@ -118,8 +118,8 @@ def feed(
     if known and getattr(log, "ids", None) is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
     scans: Iterable[Any] = ()
+    first = log.first_iteration
     if n_seen < len(log):
-        first = log.first_iteration
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = _preparation(method, log, segmenter)
     labels, durations_s = [], []
@@ -127,7 +127,10 @@ def feed(
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        labels.append(method.update(seen, ids=scan.ids if known else None))
+        if isinstance(method, PlaneMapper):
+            labels.append(method.update(seen, beams=scan.points_robot))
+        else:
+            labels.append(method.update(seen, ids=scan.ids if known else None))
         durations_s.append([between - began, clock() - between])
     over = clock()
     method.finish()
@@ -172,7 +175,7 @@ def segment_scan(
     -------
     SimpleNamespace
         `ends`, `end_type`, `noise`, `n_points` and `z_extent` as `relmap.segmentation.Planes` has
-        them, in the robot frame; `origin`, and of a 2-D laser `beams`: its points.
+        them, in the robot frame, and `origin`, where the sensor is.
     """
     c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
     R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])
@@ -184,6 +187,4 @@ def segment_scan(
     seen = SimpleNamespace(ends=ends[front], origin=t)
     for name in ("end_type", "noise", "n_points", "z_extent"):
         setattr(seen, name, getattr(found, name)[front])
-    if points_robot.shape[1] == 2:
-        seen.beams = points_robot
     return seen

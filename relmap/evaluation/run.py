@@ -24,6 +24,8 @@ from relmap.segmentation import PlaneSegmenter
 
 FEWEST_DRAWN = 10
 """Scans without which a submap beside the map is listed only."""
+POINTS_DRAWN = 100_000
+"""Points of scans that a picture of a submap shows at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +150,25 @@ def result_of(
     if not isinstance(method, PlaneMapper):
         return result
     drawn = tuple(
-        DrawnSubmap(stamps_s[slice(*submap.span)], submap.poses, method.planes_of(number))
+        _drawn(method, number, stamps_s[slice(*submap.span)])
         for number, submap in enumerate(method.submaps)
         if number == 0 or len(submap.poses) >= FEWEST_DRAWN
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
+
+
+def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> DrawnSubmap:
+    """Return a submap as files and pictures show it."""
+    submap = mapper.submaps[number]
+    begin, end = submap.span
+    weak = mapper.weak_links - begin
+    return DrawnSubmap(
+        stamps_s,
+        submap.poses,
+        mapper.planes_of(number),
+        mapper.points_of(number, POINTS_DRAWN),
+        weak[(weak > 0) & (weak < end - begin)],
+    )
 
 
 def _tracks(method: Method, log: Log, labels: Sequence[NDArray[np.int64]]) -> Tracks:

@@ -62,7 +62,8 @@ def summary_of(
     told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
     told["refinement"] = weakness(mapper.refined, offset)
     if isinstance(mapper, PlaneMapper):
-        return told | {"weak_links": (mapper.weak_links + offset).tolist()}
+        weak = (mapper.weak_links + offset).tolist()
+        return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
     return told | {"rejected_iterations": rejected_iterations(mapper.rejected + offset)}
 
 
@@ -103,6 +104,25 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
         scans, metres = len(submap.poses), submap.length_m
         row |= {"scans": scans, "metres": metres, "refined": submap.refined}
     return row
+
+
+def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict[str, float | None]:
+    """Return how far apart scans of a submap lie in the median, and how wide the sensor's view is.
+
+    None where it is not known; metres and degrees.
+    """
+    steps = [np.linalg.inv(s.poses[:-1]) @ s.poses[1:] for s in submaps if len(s.poses) > 1]
+    view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
+    view_deg = None if view_rad is None else float(np.rad2deg(view_rad))
+    if not steps:
+        return {"median_m": None, "median_deg": None, "view_deg": view_deg}
+    T = np.concatenate(steps)
+    turn_rad = np.abs(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+    return {
+        "median_m": float(np.median(np.hypot(T[:, 0, 3], T[:, 1, 3]))),
+        "median_deg": float(np.rad2deg(np.median(turn_rad))),
+        "view_deg": view_deg,
+    }
 
 
 def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:

@@ -142,9 +142,7 @@ def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservatio
     """Return all that was seen, scan after scan."""
     rows = assembled.rows
     kind = (history.corner[rows] >= 0).astype(np.int8)
-    return PlaneObservation.of(
-        history.ends[rows], kind, history.sd[rows], history.z_extent[rows]
-    )
+    return PlaneObservation.of(history.ends[rows], kind, history.sd[rows], history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:

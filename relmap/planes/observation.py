@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
-from relmap.planes.beams import checked_beams
+from relmap.planes.beams import ToldBeams
 from relmap.planes.corners import CORNER, CUT, UNKNOWN
 
 SHORTEST_M = 1e-6
 """A wall shorter than this has no direction."""
+NO_BEAMS = ToldBeams.checked(np.empty((0, 2)), np.zeros(2))
 FARTHEST_END_M = FARTHEST_M / 4
 """Beyond this an end is damage; what is estimated from it is within reach of a point then."""
 
@@ -42,10 +43,8 @@ class PlaneObservation:
         Standard deviation of how far away a wall is, where its middle is; 0 where not known.
     z_extent : (m, 2) float64
         Lowest and highest z; 0 where not known.
-    beams : (n, 2) float32
-        Where the beams of a laser ended; none where that is not told.
-    origin : (2,) float64
-        Where its sensor is.
+    beams : ToldBeams
+        None where they are not told.
     """
 
     ends: NDArray[np.float64]
@@ -56,8 +55,7 @@ class PlaneObservation:
     size: NDArray[np.float64]
     sd: NDArray[np.float64]
     z_extent: NDArray[np.float64]
-    beams: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 2), dtype=np.float32))
-    origin: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    beams: ToldBeams = NO_BEAMS
 
     @classmethod
     def of(
@@ -91,11 +89,11 @@ class PlaneObservation:
 
     def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
         """Return some of the walls, without beams."""
-        walls = (self.ends, self.kind, self.along, self.normal, self.offset, self.size, self.sd)
-        return PlaneObservation(*(column[rows] for column in walls), self.z_extent[rows])
+        walls = (getattr(self, field.name)[rows] for field in fields(self)[:-1])
+        return PlaneObservation(*walls)
 
 
-def checked_planes(planes: Any) -> PlaneObservation:
+def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     """Return the walls of one scan.
 
     Parameters
@@ -103,9 +101,10 @@ def checked_planes(planes: Any) -> PlaneObservation:
     planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
         Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
         and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where nobody can
-        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2),
-        and of a laser `beams` (n, 2), where they ended, and `origin` (2,), the place of the sensor,
-        are used where they are there.
+        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2)
+        and `origin` (2,), where the sensor is, are used where they are there.
+    beams : (n, 2) or (n, 3) array, optional
+        Where beams ended; see `ToldBeams.checked`.
 
     Raises
     ------
@@ -118,7 +117,9 @@ def checked_planes(planes: Any) -> PlaneObservation:
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
-    beams, origin = checked_beams(planes)
+    told = NO_BEAMS
+    if beams is not None:
+        told = ToldBeams.checked(beams, getattr(planes, "origin", np.zeros(2)))
     kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
     kind = _coded(kind.reshape(m, 2)[kept])
     seen = PlaneObservation.of(ends[kept], kind, sd[kept], z_extent[kept])
@@ -127,7 +128,7 @@ def checked_planes(planes: Any) -> PlaneObservation:
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
-    return replace(seen, beams=beams, origin=origin)
+    return replace(seen, beams=told)
 
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:

@@ -8,6 +8,7 @@ of the corners alone, which hold it, broke csail into 91 submaps, not 58, and fh
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 

@@ -20,8 +20,8 @@ from relmap.planes.links import STEADY, USUAL, believed, farthest_m, measured_al
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.search import REACH_M, Found, Search, View, after, others
-from relmap.planes.tying import Scans, tied
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
+from relmap.planes.tying import Scans, tied
 
 STRAYED_M = 0.15
 SIGMAS = 5.0
@@ -172,7 +172,7 @@ class PlaneRegistration:
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
         self._see_corners(tracks, seen, walls)
-        self.beams.append(seen.beams, seen.origin)
+        self.beams.append(seen.beams)
         self._motions.extend(np.array([[self._motion.yaw, *self._motion.t]]))
         self._submaps.extend(np.array([-1 if self._tracks is None else self._submap]))
         return walls
@@ -194,7 +194,7 @@ class PlaneRegistration:
             if not self._unsure_m:
                 self._unsure_each_m = unsure_m(self._believed)
             self._unsure_m += self._unsure_each_m
-        if self._unsure_m > self._bridge_m or self._unsure_m and self._unsure_each_m > VARYING_M:
+        if self._unsure_m > self._bridge_m or (self._unsure_m and self._unsure_each_m > VARYING_M):
             self._unsure_m = 0.0
             return None
         self._motion = motion
@@ -203,13 +203,12 @@ class PlaneRegistration:
         walls[match.walls] = tracks.plane[match.tracks]
         return tracks
 
-    def _placed(
-        self, tracks: PlaneTracks, seen: PlaneObservation
-    ) -> Found | None:
+    def _placed(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
         """Return the motion into a scan that is believed, and who is who by it."""
-        views, reach_m = self._views() if len(seen.beams) else [], farthest_m(self._believed)
+        told, reach_m = seen.beams, farthest_m(self._believed)
+        views = self._views() if told.in_order and len(told.points) else []
         if views:
-            beams = Beams.of(seen.beams, seen.origin, seen.ends)
+            beams = Beams.of(told.points, told.origin, seen.ends)
             judged = Search(tracks, seen, beams, views, self._usual).found(REACH_M)
             return judged if judged and self._confirmed(judged, seen, beams, views) else None
         found = place(tracks, seen, self._usual, reach_m)
@@ -241,7 +240,7 @@ class PlaneRegistration:
         """The last motions (k, 3) that tie scans of a submap to one another."""
         last = slice(-USUAL, None)
         motions, submaps = self.motions[last], self.submaps[last]
-        return motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)]
+        return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
 
     def _views(self) -> list[View]:
         """Return the beams of the last scans of the submap, the very last first."""

@@ -35,7 +35,7 @@ BELIEVED = 1.5
 MANY = 15.0
 """Walls and corners of which more tell no more."""
 CLEARLY, HARDLY = 0.75, 0.01
-"""Shares that agree and contradict by which a usual motion is believed without looking for others."""
+"""Shares that agree and contradict by which a usual motion is believed at once."""
 RIVAL = 1.7
 """Log odds by which a motion must be better than any other."""
 JUDGES = 200
@@ -178,9 +178,7 @@ class Search:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():
             return None
-        return Found(
-            _planar(motion), every.matches[best], measured, float(every.evidence[best])
-        )
+        return Found(_planar(motion), every.matches[best], measured, float(every.evidence[best]))
 
     def _guesses(self, reach_m: float) -> list[PlanarMotion]:
         """Return the motions implied by walls that the beams agree with best, roughly."""
@@ -196,7 +194,7 @@ class Search:
     def _along(self, match: Match) -> NDArray[np.float64]:
         """Return the direction of the longest wall that matches."""
         sizes = self._seen.size[match.walls]
-        return self._seen.along[match.walls[np.argmax(sizes)]]
+        return np.asarray(self._seen.along[match.walls[np.argmax(sizes)]])
 
     def _slides(
         self, judged: Judged, k: int, way_m: NDArray[np.float64]
@@ -214,7 +212,7 @@ class Search:
         if not len(judged.matches[k].walls):
             return []
         n = int(min(reach_m, REACH_M) / SLIDE_M)
-        way_m = SLIDE_M * np.arange(-n, n + 1)
+        way_m = SLIDE_M * np.arange(-n, n + 1.0)
         motions, value = self._slides(judged, k, way_m)
         inner = value[1:-1]
         peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))

@@ -87,9 +87,7 @@ class Tie:
     walls: list[NDArray[np.int64]] = field(default_factory=list)
 
 
-def tied(
-    scans: Scans, submap: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+def tied(scans: Scans, submap: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Tie submaps that follow one another.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +31,13 @@ class RecordedScan:
     ids : (n,) int64 or None
     labels : (n,) int64
         What the mapper called the landmarks.
+    beams : bytes
     """
 
     values: Floats
     ids: Ints | None
     labels: Ints
+    beams: bytes
 
 
 class JournalReader:
@@ -72,6 +74,11 @@ class JournalReader:
             self._require({"meta": META})
             self.meta = self._read_meta()
             self.layout: Layout = LAYOUTS[self.meta["variant"]]
+            if self.layout.has_beams and self._version < SCHEMA:
+                raise RelmapError(
+                    f"journal {path} is of version {self._version}, which kept no beams: map its "
+                    "log again"
+                )
             self._require(self.layout.tables)
             self.calls = self._read_calls()
         except _WRONG as error:
@@ -111,14 +118,14 @@ class JournalReader:
         k = -1
         try:
             scans = self._connection.execute(
-                "SELECT iteration, rows, known, checksum FROM scans ORDER BY iteration"
+                f"SELECT {self.layout.scans} FROM scans ORDER BY iteration"
             )
             rows = self._connection.execute(
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
-            for k, (iteration, n, known, check) in enumerate(scans):
-                scan = self._scan(rows, k, n, bool(known))
-                if iteration != k or check != checksum(k, scan.values, scan.ids, scan.labels):
+            for k, (iteration, n, known, check, *beams) in enumerate(scans):
+                scan = replace(self._scan(rows, k, n, bool(known)), beams=bytes(*beams))
+                if iteration != k or check != checksum(k, **vars(scan)):
                     raise ValueError("its checksum does not match")
                 yield scan
                 k += 1
@@ -145,16 +152,16 @@ class JournalReader:
         if ids and n and columns[2][0] is None:
             values = np.ascontiguousarray(values[:, :2])
         of = np.array(columns[-2] if n else [], dtype=np.int64) if ids and known else None
-        return RecordedScan(values, of, labels)
+        return RecordedScan(values, of, labels, b"")
 
     def _check_version(self) -> None:
         (application,) = self._connection.execute("PRAGMA application_id").fetchone()
-        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        (self._version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise RelmapError(f"{self.path} is an SQLite file, but not a journal of relmap")
-        if version > SCHEMA:
+        if self._version > SCHEMA:
             raise RelmapError(
-                f"journal {self.path} is of version {version}, and this relmap reads up to "
+                f"journal {self.path} is of version {self._version}, and this relmap reads up to "
                 f"{SCHEMA}: a newer relmap can resume it"
             )
         self._connection.execute("PRAGMA trusted_schema = OFF")

@@ -83,7 +83,7 @@ class Journal:
         if self._failure is not None:
             self.flush()
 
-    def append(self, values: Floats, ids: Ints | None, labels: Ints) -> None:
+    def append(self, values: Floats, ids: Ints | None, labels: Ints, beams: bytes = b"") -> None:
         """Take in one scan; where it cannot be written, the next `ready` or `flush` says so.
 
         Parameters
@@ -92,6 +92,8 @@ class Journal:
             What was seen, in the order of the layout's columns; of points (n, 2) or (n, 3).
         ids : (n,) int64 or None
         labels : (n,) int64
+        beams : bytes
+            Where the layout has beams.
         """
         k, n = self.n_scans, len(labels)
         columns = values.T.tolist() if n else []
@@ -101,8 +103,10 @@ class Journal:
             columns += [] if ids is None else [ids.tolist()]
         rows = zip(repeat(k, n), range(n), *columns, labels.tolist(), strict=True)
         self._insert(f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows)), n)
-        scan = (k, n, int(ids is not None), checksum(k, values, ids, labels))
-        self._waiting.append(("INSERT INTO scans VALUES (?, ?, ?, ?)", [scan]))
+        kept = (beams,) * self._layout.has_beams
+        scan = (k, n, int(ids is not None), checksum(k, values, ids, labels, beams), *kept)
+        slots = ["?"] * len(scan)
+        self._waiting.append((f"INSERT INTO scans VALUES ({', '.join(slots)})", [scan]))
         self.n_scans += 1
         self._try(sure=monotonic() - self._sure_at >= INTERVAL_S)
 
