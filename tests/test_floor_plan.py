@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.core.errors import RelmapError
 from relmap.planes.beams import BeamStore, ToldBeams
 from relmap.planes.plan_kernels import beams_on_walls
 

@@ -1,7 +1,8 @@
 """What beams of two scans say of a motion between them, compiled.
 
-A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where the
-sensor is; `solid` (n,) tells which are on walls.  A motion is yaw, x, y from the frame of the earlier scan into that of the later one.
+A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where
+the sensor is; `solid` (n,) tells which are on walls.  A motion is yaw, x, y from the frame of the
+earlier scan into that of the later one.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def _compare(seen: Fan, other: Fan, motion: Array, near_m: float, step: int, sum
     for k in range(0, len(other[0]), step):
         x = c * other[0][k, 0] - s * other[0][k, 1] + motion[1]
         y = s * other[0][k, 0] + c * other[0][k, 1] + motion[2]
-        i = np.searchsorted(bearings, math.atan2(y - origin[1], x - origin[0]))
+        i = int(np.searchsorted(bearings, math.atan2(y - origin[1], x - origin[0])))
         if i == 0 or i == n or bearings[i] - bearings[i - 1] > GAP_RAD:
             sums[2] += 1
             continue

@@ -34,59 +34,73 @@ AGREE_M = 0.15
 
 
 @compiled
+def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tuple[Array, Array]:
+    """Return the turn of each track into each wall, and the length that tells it; (n, m) each."""
+    angle, offset, ends, _, _ = tracks
+    wall_ends, _, normal, size, _, _ = seen
+    n, m = len(angle), len(size)
+    turn, weight = np.zeros((n, m)), np.zeros((n, m))
+    for i in range(n):
+        own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
+        for j in range(m):
+            turn[i, j] = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            x, y = wall_ends[j, 0]
+            moved = normal[j, 0] * x + normal[j, 1] * y - offset[i]
+            if abs(turn[i, j]) < reach_rad and abs(moved) < reach_m:
+                weight[i, j] = min(own, size[j])
+    return turn, weight
+
+
+@compiled
+def _support(turn: Array, weight: Array, chosen: float) -> tuple[float, float]:
+    """Return how much of the walls' length is parallel after a turn, and by how much it is off.
+
+    Each wall seen counts once, for the longest track that is parallel to it then.
+    """
+    total, off_total = 0.0, 0.0
+    for j in range(turn.shape[1]):
+        best, off_best = 0.0, 0.0
+        for i in range(turn.shape[0]):
+            off = _half_turn(turn[i, j] - chosen)
+            near = weight[i, j] * max(1 - (off / ALIKE_RAD) ** 2, 0.0)
+            if near > best:
+                best, off_best = near, off
+        total += best
+        off_total += best * off_best
+    return total, off_total / max(total, 1e-12)
+
+
+@compiled
 def turns(
     tracks: Tracks, seen: Seen, before: float, reach_m: float, reach_rad: float, most: int
 ) -> Array:
     """Return the turns that bring most of the walls' length to be parallel, best first; (k,).
 
-    Each wall seen counts once, for the longest track that is parallel to it then; the more, the
-    nearer the turn is to the one before.
+    The nearer a turn is to the one before, the more it counts.
     """
-    angle, offset, ends, _, _ = tracks
-    wall_ends, _, normal, size, _, _ = seen
-    n, m = len(angle), len(size)
-    turn, weight = np.zeros(n * m), np.zeros(n * m)
-    for i in range(n):
-        own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
-        for j in range(m):
-            k = i * m + j
-            turn[k] = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            x, y = wall_ends[j, 0]
-            moved = normal[j, 0] * x + normal[j, 1] * y - offset[i]
-            if abs(turn[k]) < reach_rad and abs(moved) < reach_m:
-                weight[k] = min(own, size[j])
-    support, mean = np.zeros(n * m), np.zeros(n * m)
-    for k in range(n * m):
-        if weight[k] == 0:
-            continue
-        pulled = 0.0
-        for j in range(m):
-            best, off_best = 0.0, 0.0
-            for i in range(n):
-                off = _half_turn(turn[i * m + j] - turn[k])
-                near = weight[i * m + j] * max(1 - (off / ALIKE_RAD) ** 2, 0.0)
-                if near > best:
-                    best, off_best = near, off
-            support[k] += best
-            pulled += best * off_best
-        mean[k] = turn[k] + pulled / support[k]
-        support[k] *= math.exp(-0.5 * (_half_turn(turn[k] - before) / USUAL_RAD) ** 2)
+    turn, weight = _turned(tracks, seen, reach_m, reach_rad)
+    every, mean = turn.ravel(), turn.ravel().copy()
+    support = np.zeros(len(every))
+    for k in range(len(every)):
+        if weight.ravel()[k] > 0:
+            total, off = _support(turn, weight, every[k])
+            mean[k] += off
+            unusual = _half_turn(every[k] - before) / USUAL_RAD
+            support[k] = total * math.exp(-0.5 * unusual**2)
     found, count = np.empty(most), 0
-    while count < most and n * m:
-        k = np.argmax(support)
-        if support[k] <= 0:
-            break
+    while count < most and len(every) and support.max() > 0:
+        k = int(np.argmax(support))
         found[count], count = mean[k], count + 1
-        for q in range(n * m):
-            if abs(_half_turn(turn[q] - turn[k])) < 2 * ALIKE_RAD:
+        for q in range(len(every)):
+            if abs(_half_turn(every[q] - every[k])) < 2 * ALIKE_RAD:
                 support[q] = 0.0
     return found[:count]
 
 
 @compiled
 def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> tuple[Array, Array, Array]:
-    """Return what pairs of parallel walls say of the way: normal (k, 2), distance (k,), size (k,)."""
-    angle, offset, ends, _, _ = tracks
+    """Return what pairs of parallel walls say of the way: normal, distance and size; k rows."""
+    angle, _, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
     n, m = len(angle), len(size)
     weight, told = np.empty(n * m), np.empty((n * m, 3))
@@ -112,19 +126,33 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> tuple[Arra
 
 
 @compiled
-def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
-    """Return the ways (k, 2) of one turn that corners, and walls that cross, imply.
+def _noted(
+    found: Array, count: int, x: float, y: float, reach_m: float, taken: NDArray[np.bool_]
+) -> int:
+    """Note a way that is within reach and not noted yet; return how many there are."""
+    if not math.hypot(x, y) < reach_m or count == len(found):
+        return count
+    i, j = int((x + reach_m) / CELL_M), int((y + reach_m) / CELL_M)
+    if taken[i, j]:
+        return count
+    taken[i, j] = True
+    found[count, 0], found[count, 1] = x, y
+    return count + 1
 
-    And to go at right angles to each wall.  Those that most of the walls agree with, by length,
-    come first.
-    """
+
+@compiled
+def _corners(
+    tracks: Tracks,
+    seen: Seen,
+    yaw: float,
+    reach_m: float,
+    found: Array,
+    taken: NDArray[np.bool_],
+) -> int:
+    """Note the ways of one turn that bring a corner onto a corner; return how many there are."""
     angle, _, _, _, corner_at = tracks
     wall_ends, _, normal, _, _, static = seen
-    c, s = math.cos(yaw), math.sin(yaw)
-    cells = np.int64(2 * math.ceil(reach_m / CELL_M) + 1)
-    taken = np.zeros((cells, cells), dtype=np.bool_)
-    across, way, size = _lines(tracks, seen, yaw, reach_m)
-    found, count = np.empty((MOST, 2)), 0
+    c, s, count = math.cos(yaw), math.sin(yaw), 0
     for i in range(len(angle)):
         for j in range(len(static)):
             turn = math.atan2(normal[j, 1], normal[j, 0]) - angle[i] - yaw
@@ -135,6 +163,21 @@ def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
                 if static[j, e]:  # of a track without that corner x and y are NaN
                     count = _noted(found, count, x, y, reach_m, taken)
+    return count
+
+
+@compiled
+def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
+    """Return the ways (k, 2) of one turn that corners, and walls that cross, imply.
+
+    And to go at right angles to each wall.  Those that most of the walls agree with, by length,
+    come first.
+    """
+    cells = np.int64(2 * math.ceil(reach_m / CELL_M) + 1)
+    taken = np.zeros((cells, cells), dtype=np.bool_)
+    across, way, size = _lines(tracks, seen, yaw, reach_m)
+    found = np.empty((MOST, 2))
+    count = _corners(tracks, seen, yaw, reach_m, found, taken)
     for p in range(len(way)):
         x, y = way[p] * across[p, 0], way[p] * across[p, 1]
         count = _noted(found, count, x, y, reach_m, taken)
@@ -150,21 +193,6 @@ def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
             off = across[p, 0] * found[k, 0] + across[p, 1] * found[k, 1] - way[p]
             against[k] -= size[p] * max(1 - (off / AGREE_M) ** 2, 0.0)
     return found[np.argsort(against)]
-
-
-@compiled
-def _noted(
-    found: Array, count: int, x: float, y: float, reach_m: float, taken: NDArray[np.bool_]
-) -> int:
-    """Note a way that is within reach and not noted yet; return how many there are."""
-    if not math.hypot(x, y) < reach_m or count == len(found):
-        return count
-    i, j = int((x + reach_m) / CELL_M), int((y + reach_m) / CELL_M)
-    if taken[i, j]:
-        return count
-    taken[i, j] = True
-    found[count, 0], found[count, 1] = x, y
-    return count + 1
 
 
 @compiled

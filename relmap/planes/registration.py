@@ -16,7 +16,15 @@ from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
-from relmap.planes.links import STEADY, USUAL, believed, farthest_m, measured_along, unsure_m
+from relmap.planes.links import (
+    STEADY,
+    USUAL,
+    VARYING,
+    believed,
+    farthest_m,
+    measured_along,
+    unsure_m,
+)
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
 from relmap.planes.search import REACH_M, Found, Search, View, after, others
@@ -37,8 +45,10 @@ TESTED = 4
 """Ends of unknown type are tested every so many iterations."""
 VARYING_M = 0.15
 """Steps that vary by more are not bridged where nothing measures them."""
-SURE, HALF_SURE = 4.0, 2.5
-"""Log odds below which a motion is to be confirmed, and at most not contradicted, by another scan."""
+SURE, USUALLY = 4.0, 0.5
+"""Log odds below which another scan must confirm a motion; and as a share of the usual ones."""
+TOGETHER = 5.0
+"""Log odds that both must have in sum."""
 VIEWS = 2
 """Last scans whose beams judge a motion."""
 FAMILIAR = 8
@@ -75,7 +85,7 @@ class PlaneRegistration:
     _motion: PlanarMotion
     STATE = (
         "_motions _submaps _tracks _motion n_planes _n_submaps _submap _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of _told _since beams same_walls"
+        "_unsure_each_m _half _wall_end _submap_of _told _since _evidence beams same_walls"
     )
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
@@ -92,6 +102,7 @@ class PlaneRegistration:
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._told: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
         self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)
         self.n_planes = 0
         self.store = ObservationStore()
         self.beams = BeamStore()
@@ -188,6 +199,7 @@ class PlaneRegistration:
         if found is None:
             return None
         motion, match = found.motion, found.match
+        self._evidence.extend(np.array([found.evidence]))
         if found.measured:
             self._unsure_m = 0.0
         else:
@@ -219,8 +231,9 @@ class PlaneRegistration:
     def _confirmed(
         self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
     ) -> bool:
-        """Tell whether the scan before the last one does not contradict a motion in doubt."""
-        if found.evidence > SURE or len(views) < 2:
+        """Tell whether the scan before the last one confirms a motion, where that is in doubt."""
+        usual = np.median(np.append(self._evidence.values[-VARYING:], SURE))
+        if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
         now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])
         expected = after(views[1].motion, motion[None])[0]
@@ -231,8 +244,8 @@ class PlaneRegistration:
         before = PlanarMotion(float(expected[0]), expected[1:])
         view = [View(views[1].beams, np.zeros(3))]
         again = Search(tracks, seen, beams, view, before).found(REACH_M)
-        if again is None:
-            return found.evidence > HALF_SURE
+        if again is None or found.evidence + again.evidence < TOGETHER:
+            return False
         return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]
 
     @property

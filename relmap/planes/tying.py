@@ -24,6 +24,8 @@ OPEN = 3
 """Submaps of late that the next one may be tied to."""
 VOTES = 2
 """Pairs of scans that must agree, and none may contradict."""
+TOGETHER = 7.0
+"""Log odds that they must have in sum: they are not independent."""
 
 
 @dataclass(eq=False)
@@ -78,12 +80,15 @@ class Tie:
     motion : (3,) float64
     pairs : list of (int, int)
         Scans that tell it.
+    evidence : float
+        The sum of what each pair says: log odds.
     walls : list of (k, 2) int64
         Numbers of walls that are one wall each.
     """
 
     motion: NDArray[np.float64]
     pairs: list[tuple[int, int]] = field(default_factory=list)
+    evidence: float = 0.0
     walls: list[NDArray[np.int64]] = field(default_factory=list)
 
 
@@ -134,7 +139,7 @@ def _tie(scans: Scans, before: NDArray[np.int64], later: NDArray[np.int64]) -> T
         matched = _matched(scans, i, j, before) if j - i <= NEAR else None
         if matched is None:
             continue
-        motion, walls = matched
+        motion, walls, evidence = matched
         into_last, from_first = inverse(scans.way(i, a)), inverse(scans.way(b, j))
         at_ends = after(after(into_last, motion[None])[0], from_first[None])[0]
         tie = tie or Tie(at_ends)
@@ -142,13 +147,16 @@ def _tie(scans: Scans, before: NDArray[np.int64], later: NDArray[np.int64]) -> T
             return None
         tie.pairs.append((i, j))
         tie.walls.append(walls)
-    return tie if tie is not None and len(tie.pairs) >= VOTES else None
+        tie.evidence += evidence
+    if tie is None or len(tie.pairs) < VOTES or tie.evidence < TOGETHER:
+        return None
+    return tie
 
 
 def _matched(
     scans: Scans, i: int, j: int, before: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Return the motion from one scan into another, and which of their walls are one."""
+) -> tuple[NDArray[np.float64], NDArray[np.int64], float] | None:
+    """Return the motion from one scan into another, which of their walls are one, and how sure."""
     earlier, later = scans.seen(i), scans.seen(j)
     beams = scans.beams_of(j)
     if not len(earlier) or not len(later) or not len(beams):
@@ -163,4 +171,4 @@ def _matched(
         return None
     rows = found.match.tracks, found.match.walls
     planes = np.column_stack([tracks.plane[rows[0]], scans.plane[scans.rows(j)][rows[1]]])
-    return np.array([found.motion.yaw, *found.motion.t]), planes
+    return np.array([found.motion.yaw, *found.motion.t]), planes, found.evidence
