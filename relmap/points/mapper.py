@@ -95,6 +95,15 @@ class PointMapper(Mapper):
             self._journal.append(points_robot, known, labels)
         return labels
 
+    @property
+    def rejected_observations(self) -> NDArray[np.int64]:
+        """Iteration, and row in its scan, of each observation (r, 2) whose id was overruled.
+
+        It lies far from where its landmark is, and so is of no landmark or of the one that was
+        expected there, as its label says.  Those of `rejected` iterations are not listed.
+        """
+        return self.engine.association.overruled
+
     def refine(self) -> None:
         """Bring all landmarks to where all observations agree best, by joint least squares.
 

@@ -15,7 +15,7 @@ from relmap.core.refinement.gauss_newton import SAME, WORSE, gauss_newton
 Array = NDArray[np.float64]
 Weights = Callable[[Array, float], Array]
 
-ROUNDS = 30
+ROUNDS = 100
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which it is said
 that it did not settle."""
