@@ -55,12 +55,11 @@ def refine(engine: RelativeMapper) -> None:
     Without ids, landmarks that then lie where older ones do that they may be are merged.
     """
     kept = engine.store if engine.config.keep_observations else None
-    engine.refined = refine_submaps(engine.map, engine.rows, kept)
-    if engine.association.is_known and extend_submaps(engine.map, engine.rows):
-        engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
+    again = engine.association.is_known and extend_submaps(engine.map, engine.rows)
     merged = not engine.association.has_ids and merge_doubles(
         engine.table, engine.merger, engine.merge
     )
-    if merged:
-        engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    if again or merged:
+        engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
     engine.merger.look_again()

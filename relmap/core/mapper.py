@@ -28,6 +28,7 @@ from relmap.core.refinement.live import LiveRefinement
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import LandmarkState
+from relmap.core.state.weighed import WeighedObservations
 from relmap.core.turns import take_turns
 
 
@@ -37,7 +38,7 @@ class RelativeMapper:
     refined: list[Refined]
     STATE = (
         "landmarks=table association observations=store schedule averaging map groups=levels "
-        "merger segments live refined"
+        "merger segments weighed live refined"
     )
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
@@ -54,10 +55,16 @@ class RelativeMapper:
         self.placing = Placing(self.store, self.schedule, self.map, self.levels)
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
+        self.weighed = WeighedObservations()
         self.live = LiveRefinement(self.segments, self.map)
         self.refined = []
 
-    def update(self, seen: Any, ids: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    def update(
+        self,
+        seen: Any,
+        ids: NDArray[np.int64] | None,
+        covariances: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.int64]:
         """Take in one scan.
 
         Parameters
@@ -65,6 +72,8 @@ class RelativeMapper:
         seen : sequence of n observations of the model's kind, robot frame
         ids : (n,) int64, optional
             Known association; negative where a landmark was not identified.
+        covariances : (n, d, d) float64, optional
+            Of points alone, robot frame, square metres.
 
         Returns
         -------
@@ -84,6 +93,9 @@ class RelativeMapper:
         # Store every observation as it was made (Fig. 3).
         rows["landmark"] = self.table.now(rows["landmark"])
         self.store.append(**rows)
+        if covariances is not None:
+            named = found >= 0
+            self.weighed.append(landmarks, seen[named], covariances[named], iteration)
         left = self.schedule.see(landmarks, iteration)
         # Group who is due, merge and forget (section III).
         take_turns(self, landmarks, left)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
+from relmap.core.refinement.equations import Laid, segment_problem
 from relmap.core.refinement.residuals import (
     MergeResiduals,
     SegmentResiduals,
@@ -36,8 +37,8 @@ SURELY = 3.0
 class Spread:
     """Works out the covariances of some landmarks, turned and scaled (d, d)."""
 
-    problem: SegmentProblem
-    settled: Settled
+    problem: Any
+    settled: Settled[Any]
     chosen: NDArray[np.bool_]
     scale: NDArray[np.float64]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.equations import FreeLandmarks, FreePlacements, Laid
-from relmap.core.refinement.gauss_newton import SAME, WORSE, gauss_newton
+from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
 
 Array = NDArray[np.float64]
 Weights = Callable[[Array, float], Array]
@@ -21,13 +21,26 @@ WORTH_SAYING = 1.0
 that it did not settle."""
 
 
+class HasPositions(Protocol):
+    """A state with landmarks (m, d), metres."""
+
+    @property
+    def positions(self) -> Array:
+        """Where the landmarks are."""
+        ...
+
+
+State = TypeVar("State", bound=HasPositions)
+
+
 @dataclass(frozen=True, eq=False)
-class Settled:
+class Settled(Generic[State]):
     """What the robust joint least squares came to.
 
     Attributes
     ----------
-    state : Laid
+    state : tuple
+        With the positions of the landmarks, as the problem has it.
     weight : (n,) float64
         Of an observation of each row.
     converged : bool
@@ -35,12 +48,12 @@ class Settled:
         start from.
     """
 
-    state: Laid
+    state: State
     weight: Array
     converged: bool
 
 
-def settle(problem: FreePlacements | FreeLandmarks, start: Laid) -> Settled:
+def settle(problem: Problem[State], start: State) -> Settled[State]:
     """Return the state of the least robust cost, no worse than the one to start from.
 
     The first weights are those of the start: a few wrong matches would drag a map that is solved
