@@ -6,6 +6,7 @@ done with the whole map, when no scan is to come for now, in `afterwards`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -118,7 +119,11 @@ class RelativeMapper:
     def chart(self, seed: int) -> PointChart:
         """Chart what was seen with a landmark in its present interval (Figs 9 and 10)."""
         begin = max(self.table.begin[seed], self.store.first_iteration)
-        return PointChart.around(seed, self.store, begin, self.store.n_iterations)
+        chart = PointChart.around(seed, self.store, begin, self.store.n_iterations)
+        if not len(self.weighed):
+            return chart
+        of = chart.landmarks, begin, self.store.n_iterations, self.table.landmark_of
+        return replace(chart, variance=self.weighed.variances(*of))
 
     def relative_map(
         self, chart: PointChart, weights: NDArray[np.float64], min_shared: int

@@ -129,11 +129,11 @@ def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> 
         raise RelmapError(
             f"covariances has shape {array.shape}; it must be {shape}, one matrix per point"
         )
-    finite = np.isfinite(array).all(axis=(1, 2))
-    _require(finite, array, "finite")
+    _require(np.asarray(np.isfinite(array).all(axis=(1, 2))), array, "finite")
     across = np.swapaxes(array, 1, 2)
     size = np.abs(array).max(axis=(1, 2))
-    _require(np.abs(array - across).max(axis=(1, 2)) <= ASYMMETRY * size, array, "symmetric")
+    apart = np.asarray(np.abs(array - across).max(axis=(1, 2)))
+    _require(apart <= ASYMMETRY * size, array, "symmetric")
     array = (array + across) / 2
     eigenvalues = np.linalg.eigvalsh(array)
     _require(eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1], array, "positive definite")

@@ -123,11 +123,14 @@ def feed(
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = _preparation(method, log, segmenter)
     labels, durations_s = [], []
+    takes_covariances = isinstance(method, PointMapper)
     for scan in progress(scans) if progress else scans:
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        labels.append(method.update(seen, ids=scan.ids if known else None))
+        noise = getattr(scan, "covariances", None)
+        weighed = {"covariances": noise} if noise is not None and takes_covariances else {}
+        labels.append(method.update(seen, ids=scan.ids if known else None, **weighed))
         durations_s.append([between - began, clock() - between])
     over = clock()
     method.finish()

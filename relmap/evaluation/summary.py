@@ -76,7 +76,7 @@ def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: i
     iteration = iteration + offset
     first = np.searchsorted(log.iteration, iteration)
     inside = (iteration >= log.first_iteration) & (iteration < log.end_iteration)
-    return log.rows[(first + row)[inside]]
+    return np.asarray(log.rows[(first + row)[inside]])
 
 
 def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:

@@ -178,10 +178,12 @@ class Rigidity:
         # The usual misfit is learnt first, which lowers the gate by so much at most.
         strict_m = (1 - SLOWNESS) * self._gate_m()
         limits = (self._tolerance_m(), SAMPLE, PLENTY, self._limit_m(), strict_m)
-        usual_m, *places = steady(last.parts, scan.ids, scan.points, limits, CARRIED)
+        usual_m, ids, points, missed, times = steady(
+            last.parts, scan.ids, scan.points, limits, CARRIED
+        )
         if usual_m >= 0:
             self._learn(usual_m)
-            self._last, self._strayed = _Places(*places), None
+            self._last, self._strayed = _Places(ids, points, missed, times), None
         return bool(usual_m >= 0)
 
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 Weights = Callable[[Array, float], Array]
 
 ROUNDS = 100
+FAINT = 0.03
+"""Gain of a damped step, in squared standard deviations of the whole map, that is the last."""
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which it is said
 that it did not settle."""
@@ -73,10 +75,10 @@ def settle(problem: Problem[State], start: State) -> Settled[State]:
 
         return weigh
 
-    found = gauss_newton(problem, start, weighing(lenient), ROUNDS)
+    found = gauss_newton(problem, start, weighing(lenient), ROUNDS, faint=FAINT)
     final = strict(problem.residuals(found.state), limit)
     if np.abs(final - found.weight).max() > SAME:
-        found = gauss_newton(problem, found.state, weighing(strict), ROUNDS)
+        found = gauss_newton(problem, found.state, weighing(strict), ROUNDS, faint=FAINT)
     rounding = len(residual) * (EXACT * size) ** 2
     cost = robust_cost(problem.residuals(found.state), first)
     if not cost <= WORSE * robust_cost(residual, first) + rounding:

@@ -53,6 +53,34 @@ class WeighedObservations:
         self._covariance.extend(covariance)
         self._iteration.extend(np.full(len(landmark), iteration))
 
+    def variances(
+        self,
+        landmarks: NDArray[np.int64],
+        begin: int,
+        end: int,
+        landmark_of: NDArray[np.int64],
+    ) -> NDArray[np.float64]:
+        """Return the mean variance (k,) of a coordinate of landmarks (k,), square metres.
+
+        Parameters
+        ----------
+        landmarks : (k,) int64
+            Seen in iterations `begin` to `end`.
+        begin, end : int
+        landmark_of : (m,) int64
+            The landmark that each number stands for, after merging.
+        """
+        rows = slice(*np.searchsorted(self.iteration, [begin, end]))
+        order = np.argsort(landmarks)
+        seen = landmark_of[self.landmark[rows]]
+        at = np.searchsorted(landmarks[order], seen).clip(0, len(landmarks) - 1)
+        own = landmarks[order][at] == seen
+        each = np.trace(self.covariance[rows][own], axis1=1, axis2=2) / self.location.shape[1]
+        at = order[at[own]]
+        counts = np.bincount(at, minlength=len(landmarks))
+        total = np.bincount(at, each, minlength=len(landmarks))
+        return np.asarray(total / np.maximum(counts, 1))
+
     @property
     def landmark(self) -> NDArray[np.int64]:
         """Of which landmark each is (n,), as numbered when it was seen."""
