@@ -113,7 +113,8 @@ class RelativeMapper:
             # Align: least squares to those of its members that are mapped.
             placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
-                return self.placing.place(submap, level, placed, relative)
+                sure = np.isfinite(placed[:, 0])
+                return self.placing.place(submap, level, placed[sure], relative.only(sure))
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:

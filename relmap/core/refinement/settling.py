@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
+from relmap.core.refinement.equations import Laid, SegmentProblem
 from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
 
 Array = NDArray[np.float64]
 Weights = Callable[[Array, float], Array]
 
-ROUNDS = 100
+ROUNDS, FEW_ROUNDS = 100, 10
+"""Steps at most, and from where another problem that is nearly the same has settled."""
 FAINT = 0.03
 """Gain of a damped step, in squared standard deviations of the whole map, that is the last."""
 WORTH_SAYING = 1.0
@@ -85,6 +87,21 @@ def settle(problem: Problem[State], start: State) -> Settled[State]:
         return Settled(start, strict(residual, first), converged=False)
     converged = found.converged or found.gain <= WORTH_SAYING
     return Settled(found.state, found.weight, converged)
+
+
+def polished(problem: SegmentProblem, settled: Settled[Laid]) -> Settled[Laid]:
+    """Return the state of the least cost near one that another problem has settled in.
+
+    The residuals are those of segments as a whole, which this problem need not make less: what
+    counts is its own cost.
+    """
+
+    def cost(state: Laid) -> float:
+        return problem.equations(state, settled.weight, with_matrix=False, damping=0.0).cost
+
+    start, weight = settled.state, settled.weight
+    found = gauss_newton(problem, start, lambda _: weight, FEW_ROUNDS, monotone=False)
+    return replace(settled, state=found.state) if cost(found.state) <= cost(start) else settled
 
 
 def size_of(positions: Array) -> float:
