@@ -169,7 +169,8 @@ def _tracks(
     known, rejected = label >= 0, None
     if isinstance(log, ObservationLog) and log.ids is not None and association == "known":
         rejected = np.where(label != log.ids, log.ids, -1)[known]
-    return Tracks(iteration[known], rows[known], label[known], rejected)
+    overruled = None if rejected is None or not (rejected >= 0).any() else rejected
+    return Tracks(iteration[known], rows[known], label[known], overruled)
 
 
 def stamps_of(log: Log) -> NDArray[np.float64]:

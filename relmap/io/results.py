@@ -60,7 +60,7 @@ class Tracks:
         0-based rows of the log.
     landmark : (n,) int64
     rejected_id : (n,) int64, optional
-        Where ids were given, the one that was overruled; -1 where none was.
+        The id that was given and overruled, -1 where none was; only where there is any.
     """
 
     iteration: Ints

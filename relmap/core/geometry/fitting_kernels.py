@@ -136,7 +136,7 @@ def swings(points: NDArray[np.float64], rows: NDArray[np.bool_]) -> NDArray[np.f
     In units of that of one of these.  They leave those far from their line free to swing.
     """
     means, swing = np.empty((2, 3)), np.zeros(len(points))
-    means[0, 0], means[0, 1], means[0, 2], count = centre_of(points, rows)
+    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
     means[1] = means[0]
     add_swings(points, rows, _moments(points, points, rows, means)[1], swing)
     return swing

@@ -22,8 +22,10 @@ from relmap.core.state.table import NONE, LandmarkState
 TIERS = (3.0, 10.0, 100.0)
 """Variance of a place that a segment gives, in units of an observation's: the surest go first."""
 STEADY, LEAST_STEADY = 3.0, 0.95
-"""Median deviation up to which segments agree on a place, in units of that of the least steady of
-the mapped landmarks, but for one in twenty: landmarks are not equally noisy."""
+"""Deviation up to which segments agree on a place, in units of that of the least steady of the
+mapped landmarks, but for one in twenty: landmarks are not equally noisy."""
+AGREEING = 0.8
+"""Share of the segments that must agree: one who stands still for half of the time moves."""
 SURE = 3
 """Segments that must agree on the place of a landmark that was taken for moving."""
 SEEN_AGAIN = 2
@@ -116,16 +118,16 @@ def _lay(
     variance[~fixed[rows.segment]] = np.inf
     inside = np.flatnonzero(known)[fixed[of]]
     apart = np.linalg.norm(placed[inside] - positions[landmark[inside]], axis=1)
-    deviation = _medians(apart / np.sqrt(variance[inside]), landmark[inside])
+    deviation = _upper(apart / np.sqrt(variance[inside]), landmark[inside])
     usual = float(np.quantile(deviation, LEAST_STEADY)) if len(deviation) else 0.0
     return _Laid(placed, variance, STEADY * usual)
 
 
-def _medians(values: NDArray[np.float64], of: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the upper median of the values (n,) of each number in `of`."""
+def _upper(values: NDArray[np.float64], of: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return what most of the values (n,) of each number in `of` do not exceed."""
     order = np.lexsort((values, of))
     _, first, counts = np.unique(of[order], return_index=True, return_counts=True)
-    return np.asarray(values[order][first + counts // 2])
+    return np.asarray(values[order][first + (AGREEING * counts).astype(np.int64)])
 
 
 def _variances(rows: SegmentRows, fitted: NDArray[np.int64], n: int) -> NDArray[np.float64]:
@@ -166,7 +168,7 @@ def _placed(
             continue
         place = np.median(laid.placed[of], axis=0)
         apart = np.linalg.norm(laid.placed[of] - place, axis=1) / np.sqrt(laid.variance[of])
-        if len(of) == 1 or np.median(apart) <= laid.limit:
+        if len(of) == 1 or np.sort(apart)[int(AGREEING * len(of))] <= laid.limit:
             found.append(number)
             places.append(place)
             weights.append(float(rows.n_seen[of].sum()))
