@@ -91,6 +91,7 @@ def _extend(
             continue
         table.take_off_map(placed[0])
         table.dynamic[placed[0]] = False
+        table.highest_level[placed[0]] = np.maximum(table.highest_level[placed[0]], 1)
         global_map.place(submap, *placed)
         tier, grew = 0, True
     return grew
