@@ -9,6 +9,7 @@ from relmap.core.association.tying import tie_submaps
 from relmap.core.grouping.chart import PointChart
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
+from relmap.core.refinement.extending import extend_submaps
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
 
@@ -22,6 +23,8 @@ def finish(engine: RelativeMapper) -> None:
     for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
         if engine.table.is_gone[seed]:
             last_pass(engine, seed)
+    if engine.association.is_known:
+        extend_submaps(engine.map, engine.rows)
 
 
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
@@ -52,10 +55,11 @@ def refine(engine: RelativeMapper) -> None:
     Without ids, landmarks that then lie where older ones do that they may be are merged.
     """
     kept = engine.store if engine.config.keep_observations else None
-    engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
+    again = engine.association.is_known and extend_submaps(engine.map, engine.rows)
     merged = not engine.association.has_ids and merge_doubles(
         engine.table, engine.merger, engine.merge
     )
-    if merged:
-        engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    if again or merged:
+        engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
     engine.merger.look_again()

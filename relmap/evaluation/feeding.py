@@ -123,14 +123,16 @@ def feed(
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = _preparation(method, log, segmenter)
     labels, durations_s = [], []
+    takes_covariances = isinstance(method, PointMapper)
     for scan in progress(scans) if progress else scans:
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        if isinstance(method, PlaneMapper):
-            labels.append(method.update(seen, beams=scan.points_robot))
-        else:
-            labels.append(method.update(seen, ids=scan.ids if known else None))
+        noise = getattr(scan, "covariances", None)
+        more = {"beams": scan.points_robot} if isinstance(method, PlaneMapper) else {}
+        if noise is not None and takes_covariances:
+            more["covariances"] = noise
+        labels.append(method.update(seen, ids=scan.ids if known else None, **more))
         durations_s.append([between - began, clock() - between])
     over = clock()
     method.finish()

@@ -141,7 +141,7 @@ def result_of(
     scans = [first, first + k]
     result = Result(
         shifted(method.landmarks, offset),
-        _tracks(method, log, labels),
+        _tracks(method, log, labels, association),
         stamps_s[there],
         poses[there],
         {"association": association, "dimensions": dimensions, "scans": scans},
@@ -171,7 +171,9 @@ def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> D
     )
 
 
-def _tracks(method: Method, log: Log, labels: Sequence[NDArray[np.int64]]) -> Tracks:
+def _tracks(
+    method: Method, log: Log, labels: Sequence[NDArray[np.int64]], association: Association
+) -> Tracks:
     """Return what each observation is of; of walls `row` counts those of a scan."""
     counts = [len(each) for each in labels]
     iteration = log.first_iteration + np.repeat(np.arange(len(counts)), counts)
@@ -180,8 +182,11 @@ def _tracks(method: Method, log: Log, labels: Sequence[NDArray[np.int64]]) -> Tr
     else:
         rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
     label = method.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
-    known = label >= 0
-    return Tracks(iteration[known], rows[known], label[known])
+    known, rejected = label >= 0, None
+    if isinstance(log, ObservationLog) and log.ids is not None and association == "known":
+        rejected = np.where(label != log.ids, log.ids, -1)[known]
+    overruled = None if rejected is None or not (rejected >= 0).any() else rejected
+    return Tracks(iteration[known], rows[known], label[known], overruled)
 
 
 def stamps_of(log: Log) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 import relmap
+from relmap.core.arrays import Ints
 from relmap.core.landmarks import Submap
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
@@ -23,7 +24,7 @@ from relmap.planes.submaps import WallSubmap
 from relmap.points import PointMapper
 
 MANY = 100
-"""Rejected iterations that the summary lists one by one."""
+"""Rejected iterations, and observations, that the summary lists one by one."""
 SHOWN = 5
 """Weakest segments and merges that are listed."""
 STATUS = ("static", "dynamic", "unmapped")
@@ -64,7 +65,19 @@ def summary_of(
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
         return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
-    return told | {"rejected_iterations": rejected_iterations(mapper.rejected + offset)}
+    told["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
+    told["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
+    return told
+
+
+def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:
+    """Return the rows (r,) of the log whose ids were overruled."""
+    assert isinstance(log, ObservationLog)
+    iteration, row = mapper.rejected_observations.T
+    iteration = iteration + offset
+    first = np.searchsorted(log.iteration, iteration)
+    inside = (iteration >= log.first_iteration) & (iteration < log.end_iteration)
+    return np.asarray(log.rows[(first + row)[inside]])
 
 
 def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:
@@ -125,12 +138,12 @@ def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict
     }
 
 
-def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
-    """Return how many iterations were rejected, and the first and last of them."""
-    numbers = rejected.tolist()
-    if len(numbers) > MANY:
-        numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
-    return {"count": len(rejected), "iterations": numbers}
+def ends_of(numbers: Ints, of: str) -> dict[str, Any]:
+    """Return how many numbers (n,) there are, and as what they are of the first and last."""
+    listed = numbers.tolist()
+    if len(listed) > MANY:
+        listed = listed[: MANY // 2] + listed[-MANY // 2 :]
+    return {"count": len(numbers), of: listed}
 
 
 def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any] | None:

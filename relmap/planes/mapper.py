@@ -135,7 +135,7 @@ class PlaneMapper(Mapper):
         self._moved = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None)
         if self._journal is not None:
-            self._journal.append(journaled(seen), None, walls, seen.beams.to_bytes())
+            self._journal.append(journaled(seen), None, walls, beams=seen.beams.to_bytes())
         return walls
 
     def finish(self) -> None:

@@ -80,6 +80,14 @@ class DataAssociation:
         scans = [] if self.registration is None else self.registration.rejected
         return np.array(scans, dtype=np.int64) + self._first_scan
 
+    @property
+    def overruled(self) -> NDArray[np.int64]:
+        """Iteration, and row in its scan, of each observation (r, 2) not of the landmark given."""
+        if not isinstance(self.registration, KnownAssociation):
+            return np.empty((0, 2), dtype=np.int64)
+        scans = np.array(self.registration.overruled_scans, dtype=np.int64) + self._first_scan
+        return np.column_stack([scans, np.array(self.registration.overruled_rows, dtype=np.int64)])
+
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (n,) are called outside."""
         return landmarks if self.registration is None else self.registration.labels_of(landmarks)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.association.base import middle
+from relmap.core.association.base import UNIDENTIFIED, middle
 from relmap.core.association.placement import Placement
 
 PLENTY = 6
@@ -37,8 +37,12 @@ DOUBT = 2.0
 CARRIED = 5
 """Scans for which a landmark that is not seen is carried along."""
 WARY, MOST_WARY = 10, 60
-"""Scans in which two observations stray before a new landmark must be seen twice to be believed,
-and most that this lasts."""
+"""Scans for which an observation that strays makes new ids doubtful, and most that this lasts."""
+SURE = 3
+"""How often a landmark must have been seen before another's observation is taken for its own."""
+NEAR, ALONE = 4.0, 2.0
+"""Misfit, in units of the usual one, up to which an observation is that of a landmark expected
+there; and how many times as far away any other must be."""
 
 
 @dataclass(eq=False)
@@ -46,12 +50,25 @@ class _Places:
     """Where landmarks are in the frame of one scan.
 
     ``ids`` (n,) int64 ascend; ``points`` (n, d), robot frame, metres; ``missed`` (n,) int64 scans
-    since each was seen.
+    since each was seen; ``times`` (n,) int64 how often it was, under the id that was given.
     """
 
     ids: NDArray[np.int64]
     points: NDArray[np.float64]
     missed: NDArray[np.int64]
+    times: NDArray[np.int64]
+
+    @classmethod
+    def begun(cls, ids: NDArray[np.int64], points: NDArray[np.float64]) -> _Places:
+        """Return those of a scan by itself."""
+        return cls(ids, points, np.zeros_like(ids), np.ones_like(ids))
+
+    @property
+    def parts(
+        self,
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """All of it, as the kernels take it."""
+        return self.ids, self.points, self.missed, self.times
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +99,8 @@ class Rigidity:
 
     def believed(
         self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
-    ) -> NDArray[np.bool_] | None:
-        """Tell which observations can be right.
+    ) -> NDArray[np.int64] | None:
+        """Tell of which landmarks the observations are.
 
         Parameters
         ----------
@@ -93,34 +110,60 @@ class Rigidity:
 
         Returns
         -------
-        (n,) bool or None
-            None where the scan is rejected as a whole.
+        (n,) int64 or None
+            The ids, others where these cannot be right, or `UNIDENTIFIED`; None where the scan is
+            rejected as a whole.
         """
         from relmap.core.association.rigidity_kernels import extent_of
 
         self._extent_m = extent_of(points_robot)
         order = np.argsort(ids)
-        scan = _Places(ids[order], points_robot[order], np.zeros(len(ids), dtype=np.int64))
-        good = np.ones(len(ids), dtype=bool)
+        scan = _Places.begun(ids[order], points_robot[order])
         if self._is_steady(scan):
-            return good
+            return ids
         fit = self._fit(self._last, scan)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:
                 self._begin_with(scan)
-            return good
+            return ids
         usual_m = middle(fit.misfit_m) if len(fit.misfit_m) else np.inf
         if usual_m > self._limit_m():
-            return good if self._fits_the_doubted(scan) else None
+            return ids if self._fits_the_doubted(scan) else None
         self._learn(usual_m)
         far = self._far(fit, scan)
         self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
-        if self._wary > WARY:
-            good[:] = False
-            good[order[fit.shared]] = True
-        good[order[fit.shared[far]]] = False
-        self._go_on(fit, scan, far)
-        return good
+        named = self._named(fit, scan, far)
+        self._go_on(fit, scan, far, named)
+        believed = np.empty_like(ids)
+        believed[order] = named
+        return believed
+
+    def _named(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the ids (n,) of a scan, those in doubt by the landmarks that are expected there.
+
+        In doubt are observations far from where they should be, and of late also new ids.
+        """
+        assert self._last is not None
+        last, named = self._last, scan.ids.copy()
+        named[fit.shared[far]] = UNIDENTIFIED
+        doubtful = named == UNIDENTIFIED
+        if self._wary:
+            doubtful |= ~np.isin(scan.ids, last.ids)
+        free = last.times >= SURE
+        free[np.delete(fit.rows, far)] = False
+        rows, candidates = np.flatnonzero(doubtful), np.flatnonzero(free)
+        if not len(rows) or not len(candidates):
+            return named
+        expected = fit.placement.apply(last.points[candidates])
+        apart = np.linalg.norm(scan.points[rows][:, None] - expected, axis=2)
+        reach_m = NEAR * self._usual() * (1 + last.missed[candidates])
+        for row, distances in zip(rows.tolist(), apart, strict=True):
+            nearest = int(np.argmin(distances))
+            others = np.append(np.delete(distances, nearest), np.inf).min()
+            own = distances[nearest] <= reach_m[nearest] and others > ALONE * reach_m[nearest]
+            if own and distances[nearest] == apart[:, nearest].min():
+                named[row] = last.ids[candidates[nearest]]
+        return named
 
     def _is_steady(self, scan: _Places) -> bool:
         """Go on with a scan in which nothing is amiss, as most are; tell whether it is one.
@@ -130,18 +173,17 @@ class Rigidity:
         from relmap.core.association.rigidity_kernels import steady
 
         last = self._last
-        if last is None or self._usual_m is None or self._wary > WARY:
+        if last is None or self._usual_m is None or self._wary:
             return False
         # The usual misfit is learnt first, which lowers the gate by so much at most.
         strict_m = (1 - SLOWNESS) * self._gate_m()
         limits = (self._tolerance_m(), SAMPLE, PLENTY, self._limit_m(), strict_m)
-        usual_m, ids, points, missed = steady(
-            (last.ids, last.points, last.missed), scan.ids, scan.points, limits, CARRIED
+        usual_m, ids, points, missed, times = steady(
+            last.parts, scan.ids, scan.points, limits, CARRIED
         )
         if usual_m >= 0:
             self._learn(usual_m)
-            self._wary = max(self._wary - 1, 0)
-            self._last, self._strayed = _Places(ids, points, missed), None
+            self._last, self._strayed = _Places(ids, points, missed, times), None
         return bool(usual_m >= 0)
 
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
@@ -210,18 +252,20 @@ class Rigidity:
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
         return np.asarray(far[~gone])
 
-    def _go_on(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> None:
-        """Make this the last scan; what is not in it is carried along into its frame."""
+    def _go_on(
+        self, fit: _Fit, scan: _Places, far: NDArray[np.int64], named: NDArray[np.int64]
+    ) -> None:
+        """Make this the last scan, as it is named now; the rest is carried along into its frame."""
         from relmap.core.association.rigidity_kernels import carry
 
-        assert self._last is not None
-        last, self._strayed = self._last, None
-        if len(far):
-            rows = fit.shared[far]
-            self._strayed = _Places(scan.ids[rows], scan.points[rows], scan.missed[rows])
-            scan.points[rows] = fit.placement.apply(last.points[fit.rows[far]])
+        last, rows = self._last, fit.shared[far]
+        assert last is not None
+        self._strayed, rows = None, rows[named[rows] == UNIDENTIFIED]
+        if len(rows):
+            self._strayed = _Places.begun(scan.ids[rows], scan.points[rows])
+        good = np.flatnonzero(named != UNIDENTIFIED)
+        good = good[np.argsort(named[good])]
         placement = fit.placement.R, fit.placement.t
-        carried = carry(
-            last.ids, last.points, last.missed, scan.ids, scan.points, placement, CARRIED
-        )
-        self._last = _Places(*carried)
+        self._last = _Places(*carry(last.parts, named[good], scan.points[good], placement, CARRIED))
+        renamed = named[good][named[good] != scan.ids[good]]
+        self._last.times[np.searchsorted(self._last.ids, renamed)] -= 1

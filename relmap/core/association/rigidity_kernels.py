@@ -75,60 +75,60 @@ def lay_on(
 
 @compiled
 def carry(
-    ids: NDArray[np.int64],
-    points: NDArray[np.float64],
-    missed: NDArray[np.int64],
+    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
     scan_ids: NDArray[np.int64],
     scan_points: NDArray[np.float64],
     placement: tuple[NDArray[np.float64], NDArray[np.float64]],
     longest: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the landmarks of a scan, and those not in it carried along into its frame.
 
-    Both ids ascend, and so do those returned.  Who was missed in more than the longest number of
-    scans is left behind.
+    `last` are ids, points, scans missed and how often each was seen.  Both ids ascend, and so do
+    those returned.  Who was missed in more than the longest number of scans is left behind.
     """
+    ids, points, missed, times = last
     R, t = placement
     (n, d), m = points.shape, len(scan_ids)
     all_ids, all_points = np.empty(n + m, dtype=np.int64), np.empty((n + m, d))
-    all_missed = np.zeros(n + m, dtype=np.int64)
+    all_missed, all_times = np.zeros(n + m, dtype=np.int64), np.ones(n + m, dtype=np.int64)
     k, i, j = 0, 0, 0
     while i < n or j < m:
         if i == n or (j < m and scan_ids[j] <= ids[i]):
-            i += i < n and scan_ids[j] == ids[i]
             all_ids[k], all_points[k] = scan_ids[j], scan_points[j]
+            if i < n and scan_ids[j] == ids[i]:
+                all_times[k] += times[i]
+                i += 1
             k, j = k + 1, j + 1
             continue
         if missed[i] < longest:
-            all_ids[k], all_missed[k] = ids[i], missed[i] + 1
+            all_ids[k], all_missed[k], all_times[k] = ids[i], missed[i] + 1, times[i]
             for a in range(d):
                 all_points[k, a] = t[a]
                 for b in range(d):
                     all_points[k, a] += R[a, b] * points[i, b]
             k += 1
         i += 1
-    return all_ids[:k], all_points[:k], all_missed[:k]
+    return all_ids[:k], all_points[:k], all_missed[:k], all_times[:k]
 
 
 @compiled
 def steady(
-    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]],
+    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
     scan_ids: NDArray[np.int64],
     scan_points: NDArray[np.float64],
     limits: tuple[float, int, int, float, float],
     longest: int,
-) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Lay the last landmarks on a scan; where nothing is amiss, carry them along.
 
-    `last` are ids, points and scans missed as for `carry`; the limits those of `lay_on`, the
-    largest middle misfit and the largest misfit of all.  Returns the middle misfit, and what
-    `carry` does; -1 and what came in where a look is needed at what is amiss.
+    `last` is as for `carry`; the limits those of `lay_on`, the largest middle misfit and the
+    largest misfit of all.  Returns the middle misfit, and what `carry` does; -1 and what came in
+    where a look is needed at what is amiss.
     """
-    ids, points, missed = last
-    _, _, R, t, misfit = lay_on(ids, points, scan_ids, scan_points, limits[:3])
+    _, _, R, t, misfit = lay_on(last[0], last[1], scan_ids, scan_points, limits[:3])
     if len(misfit) < limits[2] or np.max(misfit) > limits[4]:
-        return -1.0, ids, points, missed
+        return -1.0, *last
     middle = smallest(misfit.copy(), len(misfit) // 2)
     if middle > limits[3]:
-        return -1.0, ids, points, missed
-    return middle, *carry(ids, points, missed, scan_ids, scan_points, (R, t), longest)
+        return -1.0, *last
+    return middle, *carry(last, scan_ids, scan_points, (R, t), longest)

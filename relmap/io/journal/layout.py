@@ -18,6 +18,9 @@ version of what follows.
     Of planes the right end ``x0``, ``y0`` and the left end ``x1``, ``y1``, robot frame, metres, the
     extent ``z0``, ``z1``, ``sd`` of the wall's distance, ``end0`` and ``end1`` (1 for a corner,
     else 0), and ``landmark``, the number of the wall.
+``covariances``
+    Only where covariances came with points: ``iteration``, ``row``, and ``xx``, ``xy``, ``xz``,
+    ``yy``, ``yz``, ``zz``, robot frame, square metres, those of z null in a planar world.
 ``calls``
     What else was asked of the mapper, "finish" or "refine", when it had taken in the scans before
     ``iteration``.
@@ -37,6 +40,11 @@ SCHEMA = 2
 APPLICATION = 0x726C6D70
 """What SQLite's ``application_id`` says: relmap."""
 META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)"
+PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""The entries of a covariance: those of its upper triangle."""
+COVARIANCES = (
+    f"CREATE TABLE covariances (iteration INTEGER, row INTEGER, {' REAL, '.join(PAIRS)} REAL)"
+)
 
 
 @dataclass(frozen=True)
@@ -95,16 +103,22 @@ LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 
 
 def checksum(
-    iteration: int, values: Floats, ids: Ints | None, labels: Ints, beams: bytes = b""
+    iteration: int,
+    values: Floats,
+    ids: Ints | None,
+    labels: Ints,
+    covariances: Floats | None = None,
+    beams: bytes = b"",
 ) -> int:
     """Return the CRC-32 of one scan.
 
-    It is that of the iteration number, the values (n, c) row by row, the ids where they came, and
-    the landmarks (n,); all as little-endian numbers of 8 bytes; and of the beams.
+    It is that of the iteration number, the values (n, c) row by row, the ids where they came, the
+    landmarks (n,), and where they came the covariances (n, d, d) row by row; all as little-endian
+    numbers of 8 bytes; and of the beams.
     """
-    parts = [np.array([iteration]), values, *([] if ids is None else [ids]), labels]
+    came = [part for part in (ids, labels, covariances) if part is not None]
     total = 0
-    for part in parts:
+    for part in (np.array([iteration]), values, *came):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"
         total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
     return zlib.crc32(beams, total)

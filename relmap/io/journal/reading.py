@@ -13,7 +13,16 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
-from relmap.io.journal.layout import APPLICATION, LAYOUTS, META, SCHEMA, Layout, checksum
+from relmap.io.journal.layout import (
+    APPLICATION,
+    COVARIANCES,
+    LAYOUTS,
+    META,
+    PAIRS,
+    SCHEMA,
+    Layout,
+    checksum,
+)
 
 MOST_ROWS = 10_000_000
 """Observations in one scan above which the number is damage."""
@@ -31,13 +40,16 @@ class RecordedScan:
     ids : (n,) int64 or None
     labels : (n,) int64
         What the mapper called the landmarks.
+    covariances : (n, d, d) float64 or None
+        Of points, where they came; None for a scan without observations.
     beams : bytes
     """
 
     values: Floats
     ids: Ints | None
     labels: Ints
-    beams: bytes
+    covariances: Floats | None = None
+    beams: bytes = b""
 
 
 class JournalReader:
@@ -80,6 +92,9 @@ class JournalReader:
                     "log again"
                 )
             self._require(self.layout.tables)
+            self._has_covariances = self._holds("covariances")
+            if self._has_covariances:
+                self._require({"covariances": COVARIANCES})
             self.calls = self._read_calls()
         except _WRONG as error:
             self.close()
@@ -123,8 +138,11 @@ class JournalReader:
             rows = self._connection.execute(
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
+            covariances = self._covariances()
             for k, (iteration, n, known, check, *beams) in enumerate(scans):
                 scan = replace(self._scan(rows, k, n, bool(known)), beams=bytes(*beams))
+                if covariances is not None and n:
+                    scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
                 if iteration != k or check != checksum(k, **vars(scan)):
                     raise ValueError("its checksum does not match")
                 yield scan
@@ -137,6 +155,13 @@ class JournalReader:
                 f"journal {self.path} is damaged at iteration {k}: {reason(error)}; the {k} scans "
                 "before can be recovered: relmap resume --salvage does it"
             ) from error
+
+    def _covariances(self) -> sqlite3.Cursor | None:
+        """Return a cursor at the first covariance; None where none came."""
+        if not self._has_covariances:
+            return None
+        names = ", ".join(("iteration", "row", *PAIRS))
+        return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
 
     def _scan(self, cursor: sqlite3.Cursor, k: int, n: int, known: bool) -> RecordedScan:
         if not 0 <= n <= MOST_ROWS:
@@ -152,7 +177,7 @@ class JournalReader:
         if ids and n and columns[2][0] is None:
             values = np.ascontiguousarray(values[:, :2])
         of = np.array(columns[-2] if n else [], dtype=np.int64) if ids and known else None
-        return RecordedScan(values, of, labels, b"")
+        return RecordedScan(values, of, labels)
 
     def _check_version(self) -> None:
         (application,) = self._connection.execute("PRAGMA application_id").fetchone()
@@ -175,6 +200,10 @@ class JournalReader:
             raise ValueError("its table meta lacks variant or configuration")
         return meta
 
+    def _holds(self, table: str) -> bool:
+        sql = "SELECT count(*) FROM sqlite_master WHERE name = ?"
+        return bool(self._connection.execute(sql, (table,)).fetchone()[0])
+
     def _require(self, tables: dict[str, str]) -> None:
         """Make sure that tables are just what they should be: nothing hides behind their names."""
         found = self._connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
@@ -195,6 +224,18 @@ class JournalReader:
                 raise ValueError(f"its table calls holds {call!r}")
             calls.setdefault(int(iteration), []).append(call)
         return calls
+
+
+def _matrices(cursor: sqlite3.Cursor, k: int, n: int, d: int) -> Floats:
+    """Return the covariances (n, d, d) of scan k, which are next."""
+    rows = cursor.fetchmany(n)
+    if [row[:2] for row in rows] != [(k, i) for i in range(n)]:
+        raise ValueError("covariances are missing")
+    entries = np.array([row[2:] for row in rows], dtype=np.float64)
+    found = np.empty((n, d, d))
+    for a, b in zip(*np.triu_indices(d), strict=True):
+        found[:, a, b] = found[:, b, a] = entries[:, PAIRS.index("xyz"[a] + "xyz"[b])]
+    return found
 
 
 def stated_size(path: Path) -> int:
