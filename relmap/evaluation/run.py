@@ -152,7 +152,7 @@ def result_of(
     drawn = tuple(
         _drawn(method, number, stamps_s[slice(*submap.span)])
         for number, submap in enumerate(method.submaps)
-        if number == 0 or len(submap.poses) >= FEWEST_DRAWN
+        if number == 0 or submap.n_scans >= FEWEST_DRAWN
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
 
@@ -160,14 +160,14 @@ def result_of(
 def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> DrawnSubmap:
     """Return a submap as files and pictures show it."""
     submap = mapper.submaps[number]
-    begin, end = submap.span
-    weak = mapper.weak_links - begin
+    known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
+    weak = np.searchsorted(known, np.intersect1d(mapper.weak_links - submap.span[0], known))
     return DrawnSubmap(
-        stamps_s,
-        submap.poses,
+        stamps_s[known],
+        submap.poses[known],
         mapper.planes_of(number),
         mapper.points_of(number, POINTS_DRAWN),
-        weak[(weak > 0) & (weak < end - begin)],
+        weak[weak > 0],
     )
 
 

@@ -114,7 +114,7 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
         "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
     }
     if isinstance(submap, WallSubmap):
-        scans, metres = len(submap.poses), submap.length_m
+        scans, metres = submap.n_scans, submap.length_m
         row |= {"scans": scans, "metres": metres, "refined": submap.refined}
     return row
 
@@ -127,9 +127,10 @@ def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict
     steps = [np.linalg.inv(s.poses[:-1]) @ s.poses[1:] for s in submaps if len(s.poses) > 1]
     view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
     view_deg = None if view_rad is None else float(np.rad2deg(view_rad))
-    if not steps:
+    if not any(np.isfinite(T[:, 0, 3]).any() for T in steps):
         return {"median_m": None, "median_deg": None, "view_deg": view_deg}
     T = np.concatenate(steps)
+    T = T[np.isfinite(T[:, 0, 3])]
     turn_rad = np.abs(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
     return {
         "median_m": float(np.median(np.hypot(T[:, 0, 3], T[:, 1, 3]))),

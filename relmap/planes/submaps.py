@@ -53,6 +53,11 @@ class WallSubmap(Submap):
         return self.first_iteration, self.last_iteration + 1
 
     @property
+    def n_scans(self) -> int:
+        """How many scans are tied to it."""
+        return int(np.isfinite(self.poses[:, 0, 3]).sum())
+
+    @property
     def length_m(self) -> float:
         """Length of the path, metres."""
         known = np.isfinite(self.poses[:, 0, 3])
