@@ -10,16 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from relmap.core.association.base import UNIDENTIFIED, Numbered, middle, nearest
-from relmap.core.association.placement import (
-    DISTINCT,
-    Placement,
-    consistent_placements,
-    trimmed_fit,
-)
-from relmap.core.association.scale import Scale, spacing_of
+from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
+from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
+from relmap.core.association.scale import SIGMAS, WIDER, Scale, spacing_of
+from relmap.core.association.search import log_chance, search, settled
 from relmap.core.association.tracks import LiveTracks
 
 ENOUGH = 3
@@ -28,22 +23,18 @@ PLENTY = 6
 """Matches whose agreement is never chance."""
 SHARE = 0.6
 """Share of the nearest neighbours that must agree before a wider search is spared."""
-SCARCE_SHARE = 0.4
-"""Share of what could be matched that must agree where matches are few."""
 SAMPLE = 32
 """Tracks that a placement is fitted to at most; more would not make it better."""
 SEARCH = 30
 """Tracks that the wider search looks at, those seen longest."""
-NEIGHBOURS = 8
-"""Candidates of each of them."""
+CROWD = 60
+"""Points of a scan that it looks at, the nearest."""
+LOG_CHANCE = float(np.log(1e-3))
+"""Log of how often a wrong placement may be taken for right."""
 FAMILIAR = 5
 """Sightings of a landmark that two of them, alone in a planar scan, must have to fix it."""
 NEARBY = 0.2
 """How far these two may have moved, in spacings."""
-REACH = 1.6
-"""How far the wider search goes, in spacings."""
-IDLE_STEP, LONG_IDLE = 10, 20
-"""Scans without landmarks after which the search goes as far again, and most that count."""
 CONTINUITY = 0.15
 """How far a moving landmark may stray in an iteration, in spacings."""
 YOUNG = 3
@@ -169,19 +160,38 @@ class Constellation(Numbered):
         claimed = claims(target, distance, n)
         rows = sample[claimed]
         near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._scale.tolerance_m)
-        missed = int(tracks.missed.min())
-        enough = ENOUGH + max(missed, min(missed + self._idle, PLENTY - ENOUGH))
         if near is not None:
-            if near.n_agreeing >= max(enough, SHARE * len(rows)):
-                return near
             alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
                 return near
+            near = settled(tracks.expected[sample], points, near, self._scale.tolerance_m)
+            if near is not None and not self._is_unlike_chance(near, len(sample), d, tracks, None):
+                near = None
+        if near is not None and near.n_agreeing >= SHARE * min(len(sample), n):
+            return near
         far = self._search(tracks, points)
-        if d == 3:  # any three points in space can be turned onto their mirror image
-            enough += 1
-        needed = max(enough, min(PLENTY, SCARCE_SHARE * possible))
-        return far if far is not None and far.n_agreeing >= needed else None
+        return far if near is None or (far and far.n_agreeing > near.n_agreeing) else near
+
+    def _is_unlike_chance(
+        self,
+        placement: Placement,
+        n: int,
+        d: int,
+        tracks: LiveTracks,
+        extent_m: float | None,
+    ) -> bool:
+        """Tell whether so many of n tracks do not agree by chance.
+
+        Within an extent the robot may have moved in any way; where there is none, landmarks have
+        moved less than they are apart.
+        """
+        tolerance_m, spacing_m = self._scale.tolerance_m, self._scale.spacing_m
+        freedoms = d * (d + 1) // 2
+        moved_m = spacing_m * (1 + tracks.missed.min()) if extent_m is None else extent_m
+        turns = 0.0 if extent_m is None else np.log(2 * np.pi) * (2 * d - 3)
+        placements = freedoms * np.log(1 + 2 * moved_m / tolerance_m) + turns
+        share = min(np.log(2) * (tolerance_m / spacing_m) ** d, 0.5)
+        return log_chance(n, placement.n_agreeing, share, placements) <= LOG_CHANCE
 
     def _is_familiar_pair(
         self, tracks: LiveTracks, rows: NDArray[np.int64], distance: NDArray[np.float64]
@@ -194,31 +204,34 @@ class Constellation(Numbered):
         self, tracks: LiveTracks, points: NDArray[np.float64]
     ) -> Placement | None:
         """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
-        learnt, self._scale.noise_m = self._scale.noise_m, None
-        possible = min(np.sum(tracks.missed == tracks.missed.min()), len(points))
-        if learnt is not None and possible >= PLENTY:
-            placement = self._placement(tracks, points)
-            if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
-                return placement
-        self._scale.noise_m = learnt
+        scale, possible = self._scale, min(int(np.sum(tracks.missed == 0)), len(points))
+        learnt, scale.noise_m = scale.noise_m, None
+        for scale.wider in WIDER if possible >= PLENTY else ():
+            if learnt is None or scale.tolerance_m > SIGMAS * learnt:
+                placement = self._placement(tracks, points)
+                if placement is not None and placement.n_agreeing >= SHARE * min(possible, SEARCH):
+                    return placement
+        scale.noise_m, scale.wider = learnt, 1.0
         return None
 
     def _search(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
-        """Look for a constellation that moved farther than its landmarks are apart."""
-        recent = np.flatnonzero(tracks.missed <= tracks.missed.min() + 1)
-        known = recent[np.argsort(-tracks.seen[recent], kind="stable")[:SEARCH]]
-        further = 1 + min(self._idle, LONG_IDLE) / IDLE_STEP
-        neighbours = round(further * NEIGHBOURS)
-        distance, target = nearest(cKDTree(points), tracks.expected[known], neighbours)
-        row, column = np.nonzero(distance <= further * REACH * self._scale.spacing_m)
-        if len(row) < ENOUGH:
+        """Look for the tracks in the scan however the robot moved and turned.
+
+        Of many, for those near the robot.
+        """
+        away = np.linalg.norm(points, axis=1)
+        within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
+        recent = tracks.missed <= tracks.missed.min() + 1
+        recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
+        known = np.flatnonzero(recent)
+        known = known[np.argsort(-tracks.seen[known], kind="stable")[:SEARCH]]
+        near = points[away <= within_m]
+        found = search(tracks.expected[known], near, self._scale.tolerance_m, ENOUGH)
+        if found is None or found[1] > DISTINCT * found[0].n_agreeing:
             return None
-        pairs = np.column_stack([known[row], target[row, column]])
-        limits = 1.5 * self._scale.tolerance_m, self._scale.tolerance_m
-        found = consistent_placements(tracks.expected, points, pairs, *limits)
-        placement, matches = next(found, (None, pairs[:0]))
-        _, rival = next(found, (None, pairs[:0]))
-        return placement if len(rival) <= DISTINCT * len(matches) else None
+        extent_m = float(np.ptp(near, axis=0).max())
+        n, d = min(len(known), len(near)), points.shape[1]
+        return found[0] if self._is_unlike_chance(found[0], n, d, tracks, extent_m) else None
 
     def _links(
         self, carried: LiveTracks, points: NDArray[np.float64]
