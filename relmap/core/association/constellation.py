@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.association.base import UNIDENTIFIED, Numbered, middle
-from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
+from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import SIGMAS, WIDER, Scale, spacing_of
 from relmap.core.association.search import log_chance, search, settled
 from relmap.core.association.tracks import LiveTracks
@@ -27,10 +27,14 @@ SAMPLE = 32
 """Tracks that a placement is fitted to at most; more would not make it better."""
 SEARCH = 30
 """Tracks that the wider search looks at, those seen longest."""
+SHARP = 0.16
+"""Tolerance, in spacings, up to which nearest neighbours that agree need no search for rivals."""
+CLEAR = 0.6
+"""Share of its matches that a rival may have."""
 CROWD = 60
 """Points of a scan that it looks at, the nearest."""
-LOG_CHANCE = float(np.log(1e-3))
-"""Log of how often a wrong placement may be taken for right."""
+LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(5e-2))
+"""Log of how often a wrong placement may be taken for right, and where little has moved."""
 FAMILIAR = 5
 """Sightings of a landmark that two of them, alone in a planar scan, must have to fix it."""
 NEARBY = 0.2
@@ -154,8 +158,9 @@ class Constellation(Numbered):
         if possible < 2:
             return None
         sample = latest[:: -(-len(latest) // SAMPLE)]
+        apart, _ = two_nearest(points, points[:: -(-n // SAMPLE)])
+        self._scale.see_spacing(middle(apart[:, 1]))
         distances, target = two_nearest(points, tracks.expected[sample])
-        self._scale.see_spacing(middle(distances[:, 1]))
         distance = np.where(distances[:, 0] > self._scale.spacing_m, np.inf, distances[:, 0])
         claimed = claims(target, distance, n)
         rows = sample[claimed]
@@ -164,34 +169,47 @@ class Constellation(Numbered):
             alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
                 return near
-            near = settled(tracks.expected[sample], points, near, self._scale.tolerance_m)
-            if near is not None and not self._is_unlike_chance(near, len(sample), d, tracks, None):
+            here = tracks.expected[sample]
+            near = settled(here, points, near, self._scale.tolerance_m)
+            if near is not None and not self._is_unlike_chance(near, here, points):
                 near = None
-        if near is not None and near.n_agreeing >= SHARE * min(len(sample), n):
+        is_sharp = self._scale.tolerance_m <= SHARP * self._scale.spacing_m
+        if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
             return near
         far = self._search(tracks, points)
-        return far if near is None or (far and far.n_agreeing > near.n_agreeing) else near
+        if near is None or not is_sharp or (far and far.n_agreeing > near.n_agreeing):
+            return far
+        return near
 
     def _is_unlike_chance(
-        self,
-        placement: Placement,
-        n: int,
-        d: int,
-        tracks: LiveTracks,
-        extent_m: float | None,
+        self, placement: Placement, here: NDArray[np.float64], there: NDArray[np.float64]
     ) -> bool:
-        """Tell whether so many of n tracks do not agree by chance.
+        """Tell whether a placement brings tracks (n, d) onto points (m, d) not just by chance."""
+        moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
+        if moved_m <= self._scale.spacing_m:
+            return self._log_chance(placement.n_agreeing, here, there, moved_m) <= LOG_CHANCE_NEAR
+        return self._log_chance(placement.n_agreeing, here, there) <= LOG_CHANCE
 
-        Within an extent the robot may have moved in any way; where there is none, landmarks have
-        moved less than they are apart.
+    def _log_chance(
+        self,
+        n_agreeing: int,
+        here: NDArray[np.float64],
+        there: NDArray[np.float64],
+        moved_m: float | None = None,
+    ) -> float:
+        """Return the log of how many placements bring so many tracks onto points by chance.
+
+        They are counted in tolerances: those that move the tracks no farther, or all of them.
         """
-        tolerance_m, spacing_m = self._scale.tolerance_m, self._scale.spacing_m
-        freedoms = d * (d + 1) // 2
-        moved_m = spacing_m * (1 + tracks.missed.min()) if extent_m is None else extent_m
-        turns = 0.0 if extent_m is None else np.log(2 * np.pi) * (2 * d - 3)
-        placements = freedoms * np.log(1 + 2 * moved_m / tolerance_m) + turns
-        share = min(np.log(2) * (tolerance_m / spacing_m) ** d, 0.5)
-        return log_chance(n, placement.n_agreeing, share, placements) <= LOG_CHANCE
+        tolerance_m, d, placements = self._scale.tolerance_m, here.shape[1], 0.0
+        if moved_m is None:
+            moved_m = float(np.ptp(there, axis=0).max())
+            placements = (2 * d - 3) * np.log(2 * np.pi)
+        placements += d * (d + 1) / 2 * np.log(1 + 2 * moved_m / tolerance_m)
+        share = min(np.log(2) * (tolerance_m / self._scale.spacing_m) ** d, 0.5)
+        return log_chance(
+            max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements
+        )
 
     def _is_familiar_pair(
         self, tracks: LiveTracks, rows: NDArray[np.int64], distance: NDArray[np.float64]
@@ -225,13 +243,14 @@ class Constellation(Numbered):
         recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
         known = np.flatnonzero(recent)
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:SEARCH]]
-        near = points[away <= within_m]
-        found = search(tracks.expected[known], near, self._scale.tolerance_m, ENOUGH)
-        if found is None or found[1] > DISTINCT * found[0].n_agreeing:
+        here, there = tracks.expected[known], points[away <= within_m]
+        found = search(here, there, self._scale.tolerance_m, ENOUGH)
+        if found is None or not self._is_unlike_chance(found[0], here, there):
             return None
-        extent_m = float(np.ptp(near, axis=0).max())
-        n, d = min(len(known), len(near)), points.shape[1]
-        return found[0] if self._is_unlike_chance(found[0], n, d, tracks, extent_m) else None
+        placement, rival = found
+        is_rival = rival > CLEAR * placement.n_agreeing
+        # What chance brings in some placement explains nothing.
+        return None if is_rival and self._log_chance(rival, here, there) <= 0 else placement
 
     def _links(
         self, carried: LiveTracks, points: NDArray[np.float64]

@@ -40,7 +40,7 @@ CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
 LOCAL_DRIFT = 0.1
 """Variance of what the map has drifted within a group, in those of an observation."""
-LOG_CHANCE = float(np.log(1e-4))
+LOG_CHANCE = float(np.log(1e-3))
 """Log of how often landmarks in view may be taken for others."""
 ROUNDS = 5
 """How often doubles are looked for in a row, as each merge tells of others."""
