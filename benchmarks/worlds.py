@@ -93,7 +93,9 @@ def judge(world: World) -> dict[str, float]:
     mapper.refine()
     seconds = perf_counter() - begin
     now = mapper.landmarks_of(labels)
-    stands_for = dict(zip(*(a.tolist() for a in majority_ids(now, world.true_ids)[:2]), strict=True))
+    stands_for = dict(
+        zip(*(a.tolist() for a in majority_ids(now, world.true_ids)[:2]), strict=True)
+    )
     all_ids: list[int] = []
     errors, least, ratios, largest = [], [], [], 0
     often = np.flatnonzero(np.bincount(world.true_ids[world.true_ids >= 0]) >= FEWEST)

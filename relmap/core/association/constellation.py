@@ -33,7 +33,7 @@ CLEAR = 0.6
 """Share of its matches that a rival may have."""
 CROWD = 60
 """Points of a scan that it looks at, the nearest."""
-LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(5e-2))
+LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(1e-2))
 """Log of how often a wrong placement may be taken for right, and where little has moved."""
 FAMILIAR = 5
 """Sightings of a landmark that two of them, alone in a planar scan, must have to fix it."""
@@ -153,12 +153,14 @@ class Constellation(Numbered):
         from relmap.core.association.matching_kernels import claims, two_nearest
 
         n, d = points.shape
-        latest = np.flatnonzero(tracks.missed == tracks.missed.min())
+        missed = int(tracks.missed.min())
+        latest = np.flatnonzero(tracks.missed == missed)
         possible = min(len(latest), n)
         if possible < 2:
             return None
         sample = latest[:: -(-len(latest) // SAMPLE)]
-        apart, _ = two_nearest(points, points[:: -(-n // SAMPLE)])
+        crowd = points if n >= len(latest) else tracks.expected[latest]
+        apart, _ = two_nearest(crowd, crowd[:: -(-len(crowd) // SAMPLE)])
         self._scale.see_spacing(middle(apart[:, 1]))
         distances, target = two_nearest(points, tracks.expected[sample])
         distance = np.where(distances[:, 0] > self._scale.spacing_m, np.inf, distances[:, 0])
@@ -171,7 +173,7 @@ class Constellation(Numbered):
                 return near
             here = tracks.expected[sample]
             near = settled(here, points, near, self._scale.tolerance_m)
-            if near is not None and not self._is_unlike_chance(near, here, points):
+            if near is not None and not self._is_unlike_chance(near, here, points, missed):
                 near = None
         is_sharp = self._scale.tolerance_m <= SHARP * self._scale.spacing_m
         if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
@@ -182,10 +184,20 @@ class Constellation(Numbered):
         return near
 
     def _is_unlike_chance(
-        self, placement: Placement, here: NDArray[np.float64], there: NDArray[np.float64]
+        self,
+        placement: Placement,
+        here: NDArray[np.float64],
+        there: NDArray[np.float64],
+        missed: int,
     ) -> bool:
-        """Tell whether a placement brings tracks (n, d) onto points (m, d) not just by chance."""
+        """Tell whether a placement brings tracks (n, d) onto points (m, d) not just by chance.
+
+        The more scans it was tried in vain with, and of next to nothing, the more must agree.
+        """
+        enough = ENOUGH + max(missed, min(missed + self._idle, PLENTY - ENOUGH))
         moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
+        if placement.n_agreeing < enough:
+            return False
         if moved_m <= self._scale.spacing_m:
             return self._log_chance(placement.n_agreeing, here, there, moved_m) <= LOG_CHANCE_NEAR
         return self._log_chance(placement.n_agreeing, here, there) <= LOG_CHANCE
@@ -239,13 +251,14 @@ class Constellation(Numbered):
         """
         away = np.linalg.norm(points, axis=1)
         within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
-        recent = tracks.missed <= tracks.missed.min() + 1
+        missed = int(tracks.missed.min())
+        recent = tracks.missed <= missed + 1
         recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
         known = np.flatnonzero(recent)
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:SEARCH]]
         here, there = tracks.expected[known], points[away <= within_m]
         found = search(here, there, self._scale.tolerance_m, ENOUGH)
-        if found is None or not self._is_unlike_chance(found[0], here, there):
+        if found is None or not self._is_unlike_chance(found[0], here, there, missed):
             return None
         placement, rival = found
         is_rival = rival > CLEAR * placement.n_agreeing

@@ -38,6 +38,8 @@ SHARE = 0.5
 """Share of the landmarks with candidates that must be in it: the drift is common to all."""
 CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
+AVERAGED = 1.5
+"""Tolerance of averages, in that of observations: less is lost by more of them."""
 LOCAL_DRIFT = 0.1
 """Variance of what the map has drifted within a group, in those of an observation."""
 LOG_CHANCE = float(np.log(1e-3))
@@ -73,7 +75,7 @@ class Evidence:
     def sharpness(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
         variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
-        return np.sqrt(np.minimum(variance + LOCAL_DRIFT, 1.0))
+        return np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0)
 
     def supports(self, pairs: NDArray[np.int64], log_placements: float) -> bool:
         """Tell whether so many pairs (k, 2) of one placement out of some are not by chance."""
