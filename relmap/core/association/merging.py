@@ -48,40 +48,41 @@ ROUNDS = 5
 """How often doubles are looked for in a row, as each merge tells of others."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Evidence:
     """What speaks for and against landmarks in view being older ones.
 
     Attributes
     ----------
-    n_new : int
-        Landmarks in view that were never seen before, as far as is known.
-    n_again : int
-        Others there that are known to have been seen before: the map is tied there already.
+    first : (k,) int64, ascending
+        When each landmark in view was seen first, as far as is known.
     share : float
         How likely a landmark lies on another one by chance.
     reach_m : float
         How far the map may have drifted.
-    weight : (n,) float64
-        Iterations averaged into the position of each landmark.
+    weight, last : (n,)
+        Iterations averaged into the position of each landmark, and when it was seen last.
     """
 
-    n_new: int
-    n_again: int
+    first: NDArray[np.int64]
     share: float
     reach_m: float
     weight: NDArray[np.float64]
+    last: NDArray[np.int64]
 
     def sharpness(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
         variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
         return np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0)
 
-    def supports(self, pairs: NDArray[np.int64], log_placements: float) -> bool:
+    def tied(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which pairs (k, 2) others in view tie to when the older landmark was seen."""
+        return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
+
+    def is_unlike_chance(self, pairs: NDArray[np.int64], log_placements: float = 0.0) -> bool:
         """Tell whether so many pairs (k, 2) of one placement out of some are not by chance."""
-        if log_placements == 0 and self.n_again >= ENOUGH:
-            return True
-        n = max(self.n_new, len(pairs))
+        later = len(self.first) - np.searchsorted(self.first, self.last[pairs[:, 1]].min(), "right")
+        n = max(int(later), len(pairs))
         return log_chance(n, len(pairs), self.share, log_placements) <= LOG_CHANCE
 
 
@@ -197,12 +198,10 @@ class Merger:
         """Return what merges of some of the landmarks (n,), seen together, are judged by."""
         if self._index is None or self._model.drift_m is not None:
             return None
-        landmarks = landmarks[self._table.weight[landmarks] > 0]
-        again = self._table.since[landmarks] > self._table.first[landmarks]
+        first = np.sort(self._table.first[landmarks[self._table.weight[landmarks] > 0]])
         reach_m, d = self._index.cell_m, self._table.dimension
         share = min(np.log(2) * (REACH * tolerance_m / reach_m) ** d, 0.5)
-        n_new, n_again = int(np.sum(~again)), int(np.sum(again))
-        return Evidence(n_new, n_again, share, reach_m, self._table.weight)
+        return Evidence(first, share, reach_m, self._table.weight, self._table.last)
 
     def visits(self, doubles: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
         """Yield landmarks (k,) near one another that were seen together; each double has a turn."""
@@ -278,8 +277,10 @@ def chosen(
     near = apart <= tolerance_m * (1.0 if evidence is None else evidence.sharpness(pairs))
     if near.any():
         on = _unique_nearest(pairs[near], apart[near])
-        if evidence is None or evidence.supports(on, 0.0):
+        if evidence is None or evidence.is_unlike_chance(on):
             return on
+        if evidence.tied(on).any():
+            return on[evidence.tied(on)]
     pairs = pairs[:CANDIDATES]
     enough = max(ENOUGH + (d == 3), SHARE * len(np.unique(pairs[:, 0])))
     found = consistent_placements(position, position, pairs, tolerance_m, tolerance_m)
@@ -292,7 +293,7 @@ def chosen(
     pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
     if evidence is not None:
         drifts = d * (d + 1) / 2 * np.log(1 + 2 * evidence.reach_m / tolerance_m)
-        if len(rival) > DISTINCT * len(pairs) or not evidence.supports(pairs, drifts):
+        if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):
             return np.empty((0, 2), dtype=np.int64)
     return pairs
 
