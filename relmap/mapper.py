@@ -138,6 +138,15 @@ class Mapper(ABC):
         return self.engine.association.rejected
 
     @property
+    def unique_share(self) -> float | None:
+        """Share of the scans that only one placement ties to those before, of points without ids.
+
+        The others began tracks, and perhaps submaps, of their own.  None where nothing was matched
+        so: with ids, of walls, by another registration.
+        """
+        return self.engine.association.unique_share
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         return readout.path(self.engine)

@@ -36,6 +36,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
+            f"{doubted(summary['association_trust']['unique_scans'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -71,6 +72,13 @@ def torn(summary: dict[str, Any]) -> str:
     if weak := len(summary["weak_links"]):
         told += f"; scans between which the robot was taken to go on as before: {weak}"
     return told
+
+
+def doubted(unique_scans: float | None) -> str:
+    """Return how many scans were tied by one explanation, as the end of a message."""
+    if unique_scans is None or unique_scans == 1:
+        return ""
+    return f"; {100 * unique_scans:.1f} % of the scans fit those before in one way only"
 
 
 def untied(submaps: int) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.association.base import Registration
+from relmap.core.association.constellation import Constellation
 from relmap.core.association.known import KnownAssociation
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
@@ -79,6 +80,12 @@ class DataAssociation:
         """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
         scans = [] if self.registration is None else self.registration.rejected
         return np.array(scans, dtype=np.int64) + self._first_scan
+
+    @property
+    def unique_share(self) -> float | None:
+        """Share of the scans tied to those before by one explanation; None where ids tell."""
+        registration = self.registration
+        return registration.unique_share if isinstance(registration, Constellation) else None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (n,) are called outside."""

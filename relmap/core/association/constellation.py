@@ -59,7 +59,9 @@ class Constellation(Numbered):
     _alone: list[int]
     _tracks_since: int | None
     _stray_since: int | None
-    STATE = "n_landmarks _tracks _stray _scale _idle _n_scans _alone _tracks_since _stray_since"
+    STATE = (
+        "n_landmarks _tracks _stray _scale _idle _n_scans _n_open _alone _tracks_since _stray_since"
+    )
 
     def __init__(self, max_missed: int) -> None:
         super().__init__()
@@ -67,7 +69,7 @@ class Constellation(Numbered):
         self._tracks = self._stray = None
         self._scale = Scale()
         self._idle = 0
-        self._n_scans = 0
+        self._n_scans = self._n_open = 0
         self._alone = []
         self._tracks_since = self._stray_since = None
 
@@ -82,6 +84,7 @@ class Constellation(Numbered):
         if continued is None:
             if len(begun):
                 self._alone.append(self._n_scans)
+                self._n_open += 1
             self._begin_anew(begun)
         else:
             self._tracks, self._stray, self._idle = continued.joined(begun), None, 0
@@ -94,6 +97,11 @@ class Constellation(Numbered):
         self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
         self._tracks_since, self._idle = None, 0
         self._scale.spacing_m = spacing_of(points_robot)
+
+    @property
+    def unique_share(self) -> float:
+        """Share of the scans that were tied to those before, with no other explanation near."""
+        return 1 - max(self._n_open - 1, 0) / max(self._n_scans - 1, 1)
 
     @property
     def rejected(self) -> list[int]:
@@ -167,7 +175,10 @@ class Constellation(Numbered):
         claimed = claims(target, distance, n)
         rows = sample[claimed]
         near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self._scale.tolerance_m)
+        is_sharp = self._scale.tolerance_m <= SHARP * self._scale.spacing_m
         if near is not None:
+            if is_sharp and near.n_agreeing >= max(PLENTY + missed, SHARE * min(len(sample), n)):
+                return near
             alone = near.n_agreeing == len(rows) == d == 2
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
                 return near
@@ -175,7 +186,6 @@ class Constellation(Numbered):
             near = settled(here, points, near, self._scale.tolerance_m)
             if near is not None and not self._is_unlike_chance(near, here, points, missed):
                 near = None
-        is_sharp = self._scale.tolerance_m <= SHARP * self._scale.spacing_m
         if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
             return near
         far = self._search(tracks, points)

@@ -19,6 +19,8 @@ from relmap.core.state.table import NONE, LandmarkState
 
 CLEAR = 0.5
 """Share of the landmarks of a place that may be found in another."""
+FARTHEST = 10.0
+"""How far the map may have drifted, in standard deviations."""
 TIED = 3
 """Landmarks of a neighbourhood, seen before as is known, that tie it already."""
 
@@ -90,6 +92,32 @@ class LoopFinder:
         _, first = np.unique(pairs[:, 1], return_index=True)
         pairs = pairs[first]
         trials = HITS * len(own)
+        if not self._may_have_drifted(around, together, pairs[:, 1], places[0]):
+            return None
         rival = found_elsewhere(points, places)
         sure = trials * finder.by_chance(len(points), len(pairs), rival) <= BY_CHANCE
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
+
+    def _may_have_drifted(
+        self,
+        around: NDArray[np.int64],
+        together: NDArray[np.int64],
+        old: NDArray[np.int64],
+        placement: Placement,
+    ) -> bool:
+        """Tell whether the map may be as far off as a loop says: a random walk of the direction.
+
+        Each time that all in view is replaced it is known by so many landmarks, seen so often.
+        """
+        table, place = self._table, self._table.position[around]
+        off_m = np.linalg.norm(placement.apply(place) - place, axis=1).max()
+        begin, end = table.last[old].max(initial=0), table.since[around].min()
+        spread = table.position[together] - table.position[together].mean(axis=0)
+        radius_m = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))
+        length = float(np.median(table.last[together] - table.since[together] + 1))
+        turn = self._noise_m * np.sqrt(2 / (len(together) * length)) / max(radius_m, 1e-9)
+        between = (table.first >= begin) & (table.first <= end)
+        between &= table.submap == table.submap[around[0]]
+        away = np.linalg.norm(table.position[between] - place.mean(axis=0), axis=1)
+        lever_m = away.max(initial=0.0) + radius_m
+        return bool(off_m <= FARTHEST * turn * np.sqrt((end - begin) / length + 1) * lever_m)
