@@ -188,8 +188,8 @@ class Constellation(Numbered):
                 near = None
         if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
             return near
-        far = self._search(tracks, points)
-        if near is None or not is_sharp or (far and far.n_agreeing > near.n_agreeing):
+        far, n_far = self._search(tracks, points)
+        if near is None or not is_sharp or n_far > near.n_agreeing:
             return far
         return near
 
@@ -254,10 +254,13 @@ class Constellation(Numbered):
         scale.noise_m, scale.wider = learnt, 1.0
         return None
 
-    def _search(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
+    def _search(
+        self, tracks: LiveTracks, points: NDArray[np.float64]
+    ) -> tuple[Placement | None, int]:
         """Look for the tracks in the scan however the robot moved and turned.
 
-        Of many, for those near the robot.
+        Of many, for those near the robot.  The placement is None where it is not sure; beside it
+        stands how many matches the best one has.
         """
         away = np.linalg.norm(points, axis=1)
         within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
@@ -269,11 +272,12 @@ class Constellation(Numbered):
         here, there = tracks.expected[known], points[away <= within_m]
         found = search(here, there, self._scale.tolerance_m, ENOUGH)
         if found is None or not self._is_unlike_chance(found[0], here, there, missed):
-            return None
+            return None, 0
         placement, rival = found
         is_rival = rival > CLEAR * placement.n_agreeing
         # What chance brings in some placement explains nothing.
-        return None if is_rival and self._log_chance(rival, here, there) <= 0 else placement
+        is_rival = is_rival and self._log_chance(rival, here, there) <= 0
+        return None if is_rival else placement, placement.n_agreeing
 
     def _links(
         self, carried: LiveTracks, points: NDArray[np.float64]

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import HITS, PlaceFinder, found_elsewhere
-from relmap.core.association.tying import BY_CHANCE, NEIGHBOURHOOD, OVERLAP
+from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.state.table import NONE, LandmarkState
 
-CLEAR = 0.5
-"""Share of the landmarks of a place that may be found in another."""
 FARTHEST = 10.0
 """How far the map may have drifted, in standard deviations."""
 TIED = 3
