@@ -28,7 +28,9 @@ ENOUGH, MORE = 5, 2
 """Landmarks that must be found in the plane, and how many more in space."""
 SHARE = 0.5
 """Share of the scan that must be found."""
-MOST = 10
+RIVAL = 0.6
+"""Share of these that a rival has at least."""
+MOST = 20
 """Places that are told apart; nothing tells more where a scan is."""
 SIGMAS = 4.0
 """How far off a landmark may be, in standard deviations of an observation."""
@@ -73,9 +75,9 @@ class PlaceFinder:
     def places(
         self, points: NDArray[np.float64], among: NDArray[np.bool_] | None = None
     ) -> list[Placement]:
-        """Return all placements of points (n, d) that enough of them agree with, the best first.
+        """Return where points (n, d) may lie, the best place first, if enough of them agree there.
 
-        Where it is given, only some landmarks (m,) of the map count.
+        The others are its rivals.  Where it is given, only some landmarks (m,) of the map count.
         """
         n, d = points.shape
         self._among = among
@@ -83,14 +85,15 @@ class PlaceFinder:
         if self._sides is None or n < needed or self._positions.shape[1] != d:
             return []
         found: list[Placement] = []
-        for placement in self._hypotheses(points, needed):
+        for placement in self._hypotheses(points, RIVAL * needed):
             if not any(self._is_near(points, placement, other) for other in found):
                 better = self._settled(points, placement)
-                if better is not None and better.n_agreeing >= needed:
+                if better is not None and better.n_agreeing >= RIVAL * needed:
                     found.append(better)
             if len(found) == MOST:
                 break
-        return sorted(found, key=lambda placement: -placement.n_agreeing)
+        found.sort(key=lambda placement: -placement.n_agreeing)
+        return found if found and found[0].n_agreeing >= needed else []
 
     def landmarks_at(
         self, points: NDArray[np.float64], among: NDArray[np.bool_] | None = None
