@@ -73,7 +73,7 @@ class Evidence:
     def sharpness(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
         variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
-        return np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0)
+        return np.asarray(np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0))
 
     def tied(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Tell which pairs (k, 2) others in view tie to when the older landmark was seen."""

@@ -147,4 +147,4 @@ def _triangles(points: NDArray[np.float64], least_m: float) -> NDArray[np.int64]
     if d == 3:
         area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
         size = np.minimum(size, area / np.maximum(length.max(axis=1), 1e-300))
-    return corners[size > least_m][:TRIANGLES]
+    return np.asarray(corners[size > least_m][:TRIANGLES])
