@@ -23,6 +23,9 @@ PLENTY = 6
 """Matches whose agreement is never chance."""
 SHARE = 0.6
 """Share of the nearest neighbours that must agree before a wider search is spared."""
+FAR_SHARE = 0.3
+"""Share of what could be matched that must agree where the robot moved far: in space a mirrored
+scan agrees in what lies near a plane."""
 SAMPLE = 32
 """Tracks that a placement is fitted to at most; more would not make it better."""
 SEARCH = 30
@@ -210,6 +213,8 @@ class Constellation(Numbered):
             return False
         if moved_m <= self._scale.spacing_m:
             return self._log_chance(placement.n_agreeing, here, there, moved_m) <= LOG_CHANCE_NEAR
+        if placement.n_agreeing < FAR_SHARE * min(len(here), len(there)):
+            return False
         return self._log_chance(placement.n_agreeing, here, there) <= LOG_CHANCE
 
     def _log_chance(
