@@ -138,13 +138,15 @@ class Mapper(ABC):
         return self.engine.association.rejected
 
     @property
-    def unique_share(self) -> float | None:
-        """Share of the scans that only one placement ties to those before, of points without ids.
+    def tied_share(self) -> float | None:
+        """Share of the scans that were tied to those before at once, of points without ids.
 
-        The others began tracks, and perhaps submaps, of their own.  None where nothing was matched
+        The others began tracks, and perhaps submaps, of their own.  Rivals are looked for only
+        where nearest neighbours do not agree at once, so it does not tell that ties are right.
+        None where nothing was matched
         so: with ids, of walls, by another registration.
         """
-        return self.engine.association.unique_share
+        return self.engine.association.tied_share
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

@@ -111,3 +111,17 @@ def test_a_pair_that_lies_on_one_another_needs_support() -> None:
     position[21:25] = position[1:5] + 0.01
     several = np.column_stack([np.arange(20, 25), np.arange(5)])
     assert len(chosen(position, several, 0.15, evidence(0, 15))) == 5
+
+
+def test_the_share_of_tied_scans_falls_where_a_scan_fits_nothing() -> None:
+    scans = [scan.points_robot for scan in simulate_world(WorldSpec(iterations=400)).log.scans()]
+    whole, broken = PointMapper(), PointMapper()
+    rng = np.random.default_rng(0)
+    for k, points in enumerate(scans[100:130]):
+        whole.update(points)
+        broken.update(rng.uniform(-20, 20, (15, 2)) if k == 20 else points)
+    assert whole.tied_share == 1
+    assert broken.tied_share == pytest.approx(1 - 1 / 29)
+    with_ids = PointMapper()
+    with_ids.update(scans[0], np.arange(len(scans[0])))
+    assert with_ids.tied_share is None

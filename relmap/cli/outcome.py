@@ -36,7 +36,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
-            f"{doubted(summary['association_trust']['unique_scans'])}"
+            f"{doubted(summary['association_trust']['tied_scans'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -74,11 +74,11 @@ def torn(summary: dict[str, Any]) -> str:
     return told
 
 
-def doubted(unique_scans: float | None) -> str:
-    """Return how many scans were tied by one explanation, as the end of a message."""
-    if unique_scans is None or unique_scans == 1:
+def doubted(tied_scans: float | None) -> str:
+    """Return how many scans were tied to those before, as the end of a message."""
+    if tied_scans is None or tied_scans == 1:
         return ""
-    return f"; {100 * unique_scans:.1f} % of the scans fit those before in one way only"
+    return f"; {100 * tied_scans:.1f} % of the scans were tied to those before"
 
 
 def untied(submaps: int) -> str:

@@ -61,7 +61,7 @@ def summary_of(
     told: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
     told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
     told["refinement"] = weakness(mapper.refined, offset)
-    trust = {"unique_scans": mapper.unique_share, "submaps": len(result.submaps)}
+    trust = {"tied_scans": mapper.tied_share, "submaps": len(result.submaps)}
     told["association_trust"] = trust
     if isinstance(mapper, PlaneMapper):
         return told | {"weak_links": (mapper.weak_links + offset).tolist()}

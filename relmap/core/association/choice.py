@@ -82,10 +82,10 @@ class DataAssociation:
         return np.array(scans, dtype=np.int64) + self._first_scan
 
     @property
-    def unique_share(self) -> float | None:
-        """Share of the scans tied to those before by one explanation; None where ids tell."""
+    def tied_share(self) -> float | None:
+        """Share of the scans tied to those before at once; None where nothing is matched so."""
         registration = self.registration
-        return registration.unique_share if isinstance(registration, Constellation) else None
+        return registration.tied_share if isinstance(registration, Constellation) else None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (n,) are called outside."""

@@ -102,8 +102,8 @@ class Constellation(Numbered):
         self._scale.spacing_m = spacing_of(points_robot)
 
     @property
-    def unique_share(self) -> float:
-        """Share of the scans that were tied to those before, with no other explanation near."""
+    def tied_share(self) -> float:
+        """Share of the scans after the first that were tied to those before at once."""
         return 1 - max(self._n_open - 1, 0) / max(self._n_scans - 1, 1)
 
     @property
