@@ -39,6 +39,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
+            f"{doubted(summary['association_trust']['tied_scans'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -89,6 +90,13 @@ def _advice(summary: dict[str, Any]) -> str:
         f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
         f"wider view{view}; odometry would bridge the breaks, but is not used for walls"
     )
+
+
+def doubted(tied_scans: float | None) -> str:
+    """Return how many scans were tied to those before, as the end of a message."""
+    if tied_scans is None or tied_scans == 1:
+        return ""
+    return f"; {100 * tied_scans:.1f} % of the scans were tied to those before"
 
 
 def untied(submaps: int) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import merge_doubles
 from relmap.core.association.tying import tie_submaps
 from relmap.core.grouping.chart import PointChart
+from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.extending import extend_submaps
@@ -44,8 +46,14 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 
 
 def tie(engine: RelativeMapper) -> None:
-    """Tie submaps that show the same place, and merge what both saw of it."""
-    for _ in tie_submaps(engine.map, engine.averaging.noise.sigma_m):
+    """Tie submaps that show the same place, close loops, and merge what was seen again."""
+    noise_m = engine.averaging.noise.sigma_m
+    for _ in tie_submaps(engine.map, noise_m):
+        merge_doubles(engine.table, engine.merger, engine.merge)
+    finder = LoopFinder(engine.table, noise_m)
+    while (loop := finder.next()) is not None:
+        bend(engine.map, engine.rows, loop.pairs, loop.placement.R, loop.placement.t)
+        engine.merge_pairs(loop.pairs)
         merge_doubles(engine.table, engine.merger, engine.merge)
 
 

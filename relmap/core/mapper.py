@@ -147,8 +147,11 @@ class RelativeMapper:
     def merge(self, placed: NDArray[np.int64]) -> int:
         """Merge those of landmarks (k,) that are older ones seen again; return how many were."""
         levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
-        pairs = self.merger.find(placed, levels, noise_m).tolist()
-        for new, old in pairs:
+        return self.merge_pairs(self.merger.find(placed, levels, noise_m))
+
+    def merge_pairs(self, pairs: NDArray[np.int64]) -> int:
+        """Merge each landmark of pairs (k, 2) with the older one that it is; return how many."""
+        for new, old in pairs.tolist():
             for part in (self.store, self.table, self.schedule, self.merger):
                 part.merge(new, old)
         return len(pairs)

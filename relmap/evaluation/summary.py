@@ -62,6 +62,8 @@ def summary_of(
     told: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
     told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
     told["refinement"] = weakness(mapper.refined, offset)
+    trust = {"tied_scans": mapper.tied_share, "submaps": len(result.submaps)}
+    told["association_trust"] = trust
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
         return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.association.base import Registration
+from relmap.core.association.constellation import Constellation
 from relmap.core.association.known import KnownAssociation
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
@@ -87,6 +88,12 @@ class DataAssociation:
             return np.empty((0, 2), dtype=np.int64)
         scans = np.array(self.registration.overruled_scans, dtype=np.int64) + self._first_scan
         return np.column_stack([scans, np.array(self.registration.overruled_rows, dtype=np.int64)])
+
+    @property
+    def tied_share(self) -> float | None:
+        """Share of the scans tied to those before at once; None where nothing is matched so."""
+        registration = self.registration
+        return registration.tied_share if isinstance(registration, Constellation) else None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (n,) are called outside."""
