@@ -42,7 +42,7 @@ class GroupedMap:
     @property
     def unmerged(self) -> WallNumbers:
         """Who is who before anybody is merged, but where submaps were tied."""
-        wall_of = first_of(self.walls.n_planes, self.walls.same_walls)
+        wall_of = first_of(self.walls.n_planes, self.walls.links.same_walls)
         return WallNumbers(wall_of, np.arange(len(self.walls.wall_end)))
 
     def at_rest(self, numbers: WallNumbers) -> WallNumbers:

@@ -87,7 +87,7 @@ class PlaneMapper(Mapper):
     ) -> None:
         super().__init__(config, journal, run)
         self.engine.association.is_known = False
-        self._planes.store = self.engine.store
+        self._planes.links.store = self.engine.store
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
@@ -166,7 +166,7 @@ class PlaneMapper(Mapper):
                 submaps[k], numbers = found
         for k, submap in enumerate(submaps):
             submaps[k], numbers, moved = floor_plan(
-                submap, numbers, history, self._planes.beams, moving
+                submap, numbers, history, self._planes.links.beams, moving
             )
             self._moved = np.concatenate([self._moved, moved])
         self._spread = None
@@ -199,8 +199,8 @@ class PlaneMapper(Mapper):
             sd=store.column("sd"),
             z_extent=store.column("z_extent"),
             corner=store.column("corner"),
-            motion=self._planes.motions,
-            submap=self._planes.submaps,
+            motion=self._planes.links.motions,
+            submap=self._planes.links.submaps,
         )
 
     @property
@@ -236,7 +236,7 @@ class PlaneMapper(Mapper):
             Of more points only one in so many is returned.
         """
         submap = self.submaps[number]
-        return self._planes.beams.placed(submap.poses, submap.span, most)[1]
+        return self._planes.links.beams.placed(submap.poses, submap.span, most)[1]
 
     @property
     def map(self) -> LandmarkMap:
