@@ -28,8 +28,11 @@ from relmap.planes.files import read_planes, write_planes
 from tests.commands import RESULT_FILES, load, names, table
 from tests.everyformat import LASER_AHEAD_M, POINTS, WALLS, Mapped
 
+SAMPLING = {"glass": "laser"}
 PATH, PLACES = ("ate_m", "rpe_m"), ("landmark_rmse_m", "coverage", "landmarks_per_true", "purity")
-CORNERS, RELATED = ("corner_rmse_m", "coverage"), ("relation_m", "relation_rad")
+PLAN = ("doubled_length",)
+CORNERS = ("corner_rmse_m", "coverage", "wall_recall", "wall_precision", *PLAN)
+RELATED = ("relation_m", "relation_rad")
 TRUTHS = [
     ("csv/observations.csv", "csv", (*PLACES, *PATH)),
     ("gz", "gz/truth", (*PLACES, *PATH)),
@@ -41,11 +44,11 @@ TRUTHS = [
     ("beacons", "beacons", (*PLACES, *PATH)),
     ("npz", "npz", (*CORNERS, *PATH)),
     ("npz", "npz/truth", (*CORNERS, *PATH)),
-    ("carmen/a.log.gz", "carmen/a.log.gz", PATH),
-    ("graph/a.log", "graph/a.log", PATH),
-    ("graph/a.log", "graph/a.relations", RELATED),
-    ("laser/a.scans.csv.gz", "laser/a.scans.csv.gz", PATH),
-    ("clouds", "clouds", PATH),
+    ("carmen/a.log.gz", "carmen/a.log.gz", (*PATH, *PLAN)),
+    ("graph/a.log", "graph/a.log", (*PATH, *PLAN)),
+    ("graph/a.log", "graph/a.relations", (*RELATED, *PLAN)),
+    ("laser/a.scans.csv.gz", "laser/a.scans.csv.gz", (*PATH, *PLAN)),
+    ("clouds", "clouds", (*PATH, *PLAN)),
 ]
 IN_SPACE = ("csv/observations.csv", "gz", "mrpt/a.observations.csv.gz")
 DRAWN = ("circles", "npz", "graph/a.relations", "clouds")
