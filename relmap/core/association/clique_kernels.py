@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 
 @compiled
@@ -90,7 +90,7 @@ def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int6
     return np.sort(order[best])
 
 
-@compiled
+@helper
 def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return a clique that takes in, in this order, every node that fits."""
     members = np.empty(len(neighbours), np.int64)
@@ -105,7 +105,7 @@ def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
     return members[:k]
 
 
-@compiled
+@helper
 def _colour(
     neighbours: NDArray[np.bool_],
     open_: NDArray[np.int64],

@@ -7,9 +7,6 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled
-from relmap.core.linalg.order_kernels import smallest
-
-ROUNDS = 8
 
 
 @compiled
@@ -59,8 +56,13 @@ def lay_on(
     if k < fewest:
         return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0)
     every = -(-k // sample)
-    source, target = points[rows[::every]], scan_points[shared[::every]]
-    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, ROUNDS)
+    n_fitted = (k - 1) // every + 1
+    source, target = np.empty((n_fitted, d)), np.empty((n_fitted, d))
+    for pair in range(n_fitted):
+        for a in range(d):
+            source[pair, a] = points[rows[pair * every], a]
+            target[pair, a] = scan_points[shared[pair * every], a]
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
     misfit = np.empty(k if n_agreeing >= 0 else 0)
     for pair in range(len(misfit)):
         square = 0.0
@@ -96,7 +98,9 @@ def carry(
     while i < n or j < m:
         if i == n or (j < m and scan_ids[j] <= ids[i]):
             i += i < n and scan_ids[j] == ids[i]
-            all_ids[k], all_points[k] = scan_ids[j], scan_points[j]
+            all_ids[k] = scan_ids[j]
+            for a in range(d):
+                all_points[k, a] = scan_points[j, a]
             k, j = k + 1, j + 1
             continue
         if missed[i] < longest:
@@ -108,27 +112,3 @@ def carry(
             k += 1
         i += 1
     return all_ids[:k], all_points[:k], all_missed[:k]
-
-
-@compiled
-def steady(
-    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]],
-    scan_ids: NDArray[np.int64],
-    scan_points: NDArray[np.float64],
-    limits: tuple[float, int, int, float, float],
-    longest: int,
-) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
-    """Lay the last landmarks on a scan; where nothing is amiss, carry them along.
-
-    `last` are ids, points and scans missed as for `carry`; the limits those of `lay_on`, the
-    largest middle misfit and the largest misfit of all.  Returns the middle misfit, and what
-    `carry` does; -1 and what came in where a look is needed at what is amiss.
-    """
-    ids, points, missed = last
-    _, _, R, t, misfit = lay_on(ids, points, scan_ids, scan_points, limits[:3])
-    if len(misfit) < limits[2] or np.max(misfit) > limits[4]:
-        return -1.0, ids, points, missed
-    middle = smallest(misfit.copy(), len(misfit) // 2)
-    if middle > limits[3]:
-        return -1.0, ids, points, missed
-    return middle, *carry(ids, points, missed, scan_ids, scan_points, (R, t), longest)

@@ -119,7 +119,7 @@ def place_each(
     """Return points (k, d), each turned and shifted by placement at (k,) of R and t."""
     from relmap.core.geometry.fitting_kernels import placed_each
 
-    return placed_each(R, t, at, np.ascontiguousarray(points))
+    return placed_each(R, np.ascontiguousarray(t), at, np.ascontiguousarray(points))
 
 
 def sums_each(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:

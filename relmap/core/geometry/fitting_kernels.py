@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import identity
 
+TRIMMING_ROUNDS = 8
 
-@compiled
+
+@helper
 def centre_of(
     points: NDArray[np.float64], rows: NDArray[np.bool_]
 ) -> tuple[float, float, float, int]:
@@ -28,7 +30,7 @@ def centre_of(
     return x * share, y * share, z * share, count
 
 
-@compiled
+@helper
 def _moments(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
@@ -97,9 +99,10 @@ def placed_each(
     points: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return points (k, d) turned and shifted, each as the placement that it is of (k,) says."""
-    found = t[at]
+    found = np.empty(points.shape)
     for i in range(len(at)):
         for a in range(points.shape[1]):
+            found[i, a] = t[at[i], a]
             for b in range(points.shape[1]):
                 found[i, a] += R[at[i], a, b] * points[i, b]
     return found
@@ -129,7 +132,7 @@ def fit_rows(
     return R, t, fixes(scatter, d), scatter
 
 
-@compiled
+@helper
 def set_placement(
     R: NDArray[np.float64],
     t: NDArray[np.float64],
@@ -144,7 +147,7 @@ def set_placement(
             R[i, a, b] = turn[a, b]
 
 
-@compiled
+@helper
 def _misfits(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
@@ -169,7 +172,6 @@ def trimmed_fit_rows(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
     tolerance_m: float,
-    rounds: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     """Fit matches (n, d), leaving out those that disagree; see `trimmed_fit`.
 
@@ -178,7 +180,7 @@ def trimmed_fit_rows(
     n, d = source.shape
     kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)
     R, t, limit, n_agreeing = identity(d), np.zeros(d), np.inf, 0
-    for _ in range(rounds):
+    for _ in range(TRIMMING_ROUNDS):
         n_kept, same, last = 0, True, limit == tolerance_m
         for i in range(n):
             same &= kept[i] == (misfit[i] <= limit)

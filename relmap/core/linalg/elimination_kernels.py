@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 Index = NDArray[np.int64]
 
 
-@compiled
+@helper
 def _union(
     of: int, begin: Index, end: Index, member: Index, own: Index, mark: Index, stamp: int
 ) -> Index:
@@ -34,7 +34,7 @@ def _union(
     return found[:n]
 
 
-@compiled
+@helper
 def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Index]:
     """Return the cliques of each of n members: from where, up to where, and which."""
     count = np.bincount(member, minlength=n)
@@ -49,7 +49,7 @@ def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Inde
     return first, last, of
 
 
-@compiled
+@helper
 def _absorb(
     clique: int, u: int, first: Index, last: Index, of: Index, alive: NDArray[np.bool_]
 ) -> None:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.cholesky_kernels import Layout, add_part, take_part
-from relmap.core.linalg.compiling import compiled
-from relmap.core.linalg.small_kernels import factorise, identity, solve
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import factorise, identity, solve, unset
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -28,7 +28,7 @@ STIFF = 1e3
 otherwise."""
 
 
-@compiled
+@helper
 def _ascend(values: Index) -> None:
     """Put values in ascending order (Shell, 1959): less to compile than numpy's sorting."""
     gap = len(values) // 2
@@ -52,7 +52,7 @@ def numbered(
     """
     number, starts = np.zeros_like(kept), np.zeros_like(first)
     unknowns, place = np.empty(kept.size, dtype=np.int64), np.empty(n_unknowns, dtype=np.int64)
-    stamp = np.full(n_unknowns, -1)
+    stamp = unset(n_unknowns)
     for g in range(len(first) - 1):
         rows, end = seen[begin[first[g]] : begin[first[g + 1]]], starts[g]
         for row in rows:
@@ -72,7 +72,7 @@ def numbered(
     return number, starts, unknowns[: starts[-1]]
 
 
-@compiled
+@helper
 def _hold(matrix: Array, along: Array, share: float) -> None:
     """Hold a body (q, q), turn and shift, in a direction, and a little in all."""
     q = len(matrix)
@@ -88,7 +88,7 @@ def _hold(matrix: Array, along: Array, share: float) -> None:
         matrix[a, a] += share * (turn if a < q - d else shift) + 1e-300
 
 
-@compiled
+@helper
 def _whitened(
     rows: Rows, bodies: Bodies, i: int, hold: float, root: Array, coupling: Array, pull: Array
 ) -> None:
@@ -115,10 +115,11 @@ def _whitened(
             for u in range(coupling.shape[1]):
                 coupling[a, u] -= root[a, b] * coupling[b, u]
         pull[a] /= root[a, a]
-        coupling[a] /= root[a, a]
+        for u in range(coupling.shape[1]):
+            coupling[a, u] /= root[a, a]
 
 
-@compiled
+@helper
 def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> float:
     """Add what the rows of a body say of what is kept; return their weighted squares."""
     off, _, by_kept, weight, number = rows
@@ -174,16 +175,26 @@ def reduced_equations(
         own, n = unknowns[begin[g] : begin[g + 1]], first[g + 1] - first[g]
         coupling, pull = np.zeros((n * q, len(own))), np.zeros(n * q)
         for i in range(n):
-            at, body = slice(q * i, q * i + q), first[g] + i
-            _whitened(rows, bodies, body, hold, roots[body], coupling[at], pull[at])
-            cost -= free[body] * np.dot(pull[at], pull[at])
-            pull[at] *= free[body]
-        left = -np.dot(coupling.T, pull)
+            at, end, body = q * i, q * i + q, first[g] + i
+            _whitened(rows, bodies, body, hold, roots[body], coupling[at:end], pull[at:end])
+            squares = 0.0
+            for a in range(at, end):
+                squares += pull[a] * pull[a]
+                pull[a] *= -free[body]
+            cost -= free[body] * squares
+        left = np.dot(coupling.T, pull)
         part = np.empty((0, 0))
         if len(values):
+            part = np.empty((len(own), len(own)))
             for i in range(n):
-                coupling[q * i : q * i + q] *= np.sqrt(free_here[first[g] + i])
-            part = -np.dot(coupling.T, coupling)
+                share = np.sqrt(free_here[first[g] + i])
+                for a in range(q * i, q * i + q):
+                    for u in range(len(own)):
+                        coupling[a, u] *= share
+            np.dot(coupling.T, coupling, part)
+            for a in range(len(own)):
+                for b in range(len(own)):
+                    part[a, b] = -part[a, b]
         for i in range(first[g], first[g + 1]):
             cost += _add_rows(rows, bodies, i, left, part)
         for a in range(len(own)):
