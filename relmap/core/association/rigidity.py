@@ -14,8 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.association.base import middle
-from relmap.core.association.placement import Placement
 
 PLENTY = 6
 """Landmarks in common that a scan is judged by at least."""
@@ -54,14 +52,24 @@ class _Places:
     missed: NDArray[np.int64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Fit:
-    """Places laid on a scan: rows of both (k,), the placement, and misfits (k,), metres."""
+    """Places laid on a scan: rows of both (k,), R and t, misfits (k,), the middle, the largest one.
+
+    Metres; where too few agree there are no misfits, and these two are infinite.
+    """
 
     rows: NDArray[np.int64]
     shared: NDArray[np.int64]
-    placement: Placement
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
     misfit_m: NDArray[np.float64]
+    usual_m: float
+    largest_m: float
+
+    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bring points (n, d) to where the scan has them."""
+        return points @ self.R.T + self.t
 
 
 class Rigidity:
@@ -107,10 +115,9 @@ class Rigidity:
             if self._last is None or len(ids) >= PLENTY:
                 self._begin_with(scan)
             return good
-        usual_m = middle(fit.misfit_m) if len(fit.misfit_m) else np.inf
-        if usual_m > self._limit_m():
+        if fit.usual_m > self._limit_m():
             return good if self._fits_the_doubted(scan) else None
-        self._learn(usual_m)
+        self._learn(fit.usual_m)
         far = self._far(fit, scan)
         self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
         if self._wary > WARY:
@@ -128,10 +135,8 @@ class Rigidity:
         if places is None or len(scan.ids) < PLENTY:
             return None
         limits = (self._tolerance_m(), SAMPLE, PLENTY)
-        rows, shared, R, t, misfit_m = lay_on(
-            places.ids, places.points, scan.ids, scan.points, limits
-        )
-        return _Fit(rows, shared, Placement(R, t, 0), misfit_m) if len(rows) >= PLENTY else None
+        fit = _Fit(*lay_on(places.ids, places.points, scan.ids, scan.points, limits))
+        return fit if len(fit.rows) >= PLENTY else None
 
     def _usual(self) -> float:
         """Return the usual middle misfit, metres."""
@@ -153,7 +158,7 @@ class Rigidity:
     def _fits_the_doubted(self, scan: _Places) -> bool:
         """Tell whether a scan fits the one rejected just now: then the scans before were wrong."""
         fit = self._fit(self._doubted, scan)
-        if fit is not None and len(fit.misfit_m) and middle(fit.misfit_m) <= self._limit_m():
+        if fit is not None and fit.usual_m <= self._limit_m():
             self._begin_with(scan)
             return True
         self._doubted = scan
@@ -176,14 +181,14 @@ class Rigidity:
         """
         assert self._last is not None
         gate_m = self._gate_m()
-        if fit.misfit_m.max() <= gate_m:
+        if fit.largest_m <= gate_m:
             return np.empty(0, dtype=np.int64)
         far = np.flatnonzero(fit.misfit_m > gate_m * (1 + self._last.missed[fit.rows]))
         if self._strayed is None:
             return far
         ids = scan.ids[fit.shared[far]]
         at = np.searchsorted(self._strayed.ids, ids).clip(0, len(self._strayed.ids) - 1)
-        there = fit.placement.apply(self._strayed.points[at]) - scan.points[fit.shared[far]]
+        there = fit.apply(self._strayed.points[at]) - scan.points[fit.shared[far]]
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
         return np.asarray(far[~gone])
 
@@ -196,9 +201,8 @@ class Rigidity:
         if len(far):
             rows = fit.shared[far]
             self._strayed = _Places(scan.ids[rows], scan.points[rows], scan.missed[rows])
-            scan.points[rows] = fit.placement.apply(last.points[fit.rows[far]])
-        placement = fit.placement.R, fit.placement.t
+            scan.points[rows] = fit.apply(last.points[fit.rows[far]])
         carried = carry(
-            last.ids, last.points, last.missed, scan.ids, scan.points, placement, CARRIED
+            last.ids, last.points, last.missed, scan.ids, scan.points, fit.R, fit.t, CARRIED
         )
         self._last = _Places(*carried)

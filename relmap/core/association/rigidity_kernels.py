@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.order_kernels import smallest
 
 
 @compiled
@@ -34,11 +35,14 @@ def lay_on(
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
+    float,
+    float,
 ]:
     """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
 
     The limits are the tolerance, the most pairs to fit and the fewest.  Returns the rows of both,
-    R, t and the misfits; these are none where there are too few pairs or none agree.
+    R, t, the misfits, their upper median and the largest; there are no misfits, and these are
+    infinite, where there are too few pairs or too few agree.
     """
     (n, d), m = points.shape, len(scan_ids)
     tolerance_m, sample, fewest = limits
@@ -54,7 +58,7 @@ def lay_on(
             j += 1
     rows, shared = rows[:k], shared[:k]
     if k < fewest:
-        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0)
+        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0), np.inf, np.inf
     every = -(-k // sample)
     n_fitted = (k - 1) // every + 1
     source, target = np.empty((n_fitted, d)), np.empty((n_fitted, d))
@@ -63,16 +67,19 @@ def lay_on(
             source[pair, a] = points[rows[pair * every], a]
             target[pair, a] = scan_points[shared[pair * every], a]
     R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
-    misfit = np.empty(k if n_agreeing >= 0 else 0)
-    for pair in range(len(misfit)):
+    if n_agreeing < 0:
+        return rows, shared, R, t, np.empty(0), np.inf, np.inf
+    misfit, listed, largest = np.empty(k), np.empty(k), 0.0
+    for pair in range(k):
         square = 0.0
         for a in range(d):
             apart = t[a] - scan_points[shared[pair], a]
             for b in range(d):
                 apart += R[a, b] * points[rows[pair], b]
             square += apart * apart
-        misfit[pair] = np.sqrt(square)
-    return rows, shared, R, t, misfit
+        misfit[pair] = listed[pair] = np.sqrt(square)
+        largest = max(largest, misfit[pair])
+    return rows, shared, R, t, misfit, smallest(listed, k // 2), largest
 
 
 @compiled
@@ -82,7 +89,8 @@ def carry(
     missed: NDArray[np.int64],
     scan_ids: NDArray[np.int64],
     scan_points: NDArray[np.float64],
-    placement: tuple[NDArray[np.float64], NDArray[np.float64]],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
     longest: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
     """Return the landmarks of a scan, and those not in it carried along into its frame.
@@ -90,7 +98,6 @@ def carry(
     Both ids ascend, and so do those returned.  Who was missed in more than the longest number of
     scans is left behind.
     """
-    R, t = placement
     (n, d), m = points.shape, len(scan_ids)
     all_ids, all_points = np.empty(n + m, dtype=np.int64), np.empty((n + m, d))
     all_missed = np.zeros(n + m, dtype=np.int64)

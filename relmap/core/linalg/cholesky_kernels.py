@@ -121,16 +121,6 @@ def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place
             part[a, b] = part[b, a] = values[column + place[unknowns[a]] * width]
 
 
-@compiled
-def take_parts(layout: Layout, values: Array, unknowns: Index) -> Array:
-    """Return symmetric parts (k, m, m) over unknowns (k, m), ascending, of what is laid out."""
-    k, m = unknowns.shape
-    found, place = np.empty((k, m, m)), np.empty_like(layout[1])
-    for i in range(k):
-        take_part(layout, unknowns[i], values, found[i], place)
-    return found
-
-
 @helper
 def _times_transposed(A: Array, B: Array, C: Array) -> None:
     """Put ``A @ B.T`` into C, of which only the lower triangle is needed."""
@@ -257,43 +247,3 @@ def solve(layout: Layout, values: Array, right: Array) -> Array:
             wanted[c] /= panel[c, c]
             _add_multiple(wanted[:c], -wanted[c], panel[c])
     return x
-
-
-@helper
-def _inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle (k, k)."""
-    found = np.zeros((len(L), len(L)))
-    for r in range(len(L)):
-        for c in range(r):
-            _add_multiple(found[r, : c + 1], -L[r, c], found[c])
-        found[r, r] = 1.0
-        for c in range(r + 1):
-            found[r, c] /= L[r, r]
-    return found
-
-
-@compiled
-def inverse(layout: Layout, values: Array) -> Array:
-    """Return the inverse where the factor has entries (Takahashi, Fagan and Chin, 1973)."""
-    start, column_of, row_begin, rows, offset = layout
-    found, place = np.empty_like(values), np.empty_like(column_of)
-    for p in range(len(start) - 2, -1, -1):
-        k, below = start[p + 1] - start[p], rows[row_begin[p] : row_begin[p + 1]]
-        below, panel = below[k:], values[offset[p] : offset[p + 1]].reshape(-1, k)
-        target = found[offset[p] : offset[p + 1]].reshape(-1, k)
-        root = _inverse_of_triangle(panel[:k])
-        np.dot(root.T, root, target[:k])
-        if len(below):
-            n = len(below)
-            later, pull, left = np.empty((n, n)), np.empty((n, k)), np.empty((k, k))
-            take_part(layout, below, found, later, place)
-            np.dot(panel[k:], root, pull)
-            np.dot(later, pull, target[k:])
-            for r in range(k, k + n):
-                for c in range(k):
-                    target[r, c] = -target[r, c]
-            np.dot(pull.T, target[k:], left)
-            for r in range(k):
-                for c in range(k):
-                    target[r, c] -= left[r, c]
-    return found

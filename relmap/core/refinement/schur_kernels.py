@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from relmap.core.linalg.cholesky_kernels import Layout, add_part, take_part
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import factorise, identity, solve, unset
+from relmap.core.linalg.small_kernels import factorise, identity, solve
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -26,50 +26,6 @@ Stretches = tuple[Index, Index, Index]
 STIFF = 1e3
 """What holds a body along a direction in which nothing tells of it, as a share of what holds it
 otherwise."""
-
-
-@helper
-def _ascend(values: Index) -> None:
-    """Put values in ascending order (Shell, 1959): less to compile than numpy's sorting."""
-    gap = len(values) // 2
-    while gap > 0:
-        for i in range(gap, len(values)):
-            value, k = values[i], i
-            while k >= gap and values[k - gap] > value:
-                values[k] = values[k - gap]
-                k -= gap
-            values[k] = value
-        gap //= 2
-
-
-@compiled
-def numbered(
-    first: Index, begin: Index, seen: Index, kept: Index, n_unknowns: int
-) -> tuple[Index, Index, Index]:
-    """Return the numbers (r, k) of what is kept within its stretch, and the unknowns of stretches.
-
-    Where those of each begin, and which they are, ascending.
-    """
-    number, starts = np.zeros_like(kept), np.zeros_like(first)
-    unknowns, place = np.empty(kept.size, dtype=np.int64), np.empty(n_unknowns, dtype=np.int64)
-    stamp = unset(n_unknowns)
-    for g in range(len(first) - 1):
-        rows, end = seen[begin[first[g]] : begin[first[g + 1]]], starts[g]
-        for row in rows:
-            for u in kept[row]:
-                if stamp[u] != g:
-                    stamp[u] = g
-                    unknowns[end] = u
-                    end += 1
-        own = unknowns[starts[g] : end]
-        _ascend(own)
-        for k in range(len(own)):
-            place[own[k]] = k
-        for row in rows:
-            for k in range(kept.shape[1]):
-                number[row, k] = place[kept[row, k]]
-        starts[g + 1] = end
-    return number, starts, unknowns[: starts[-1]]
 
 
 @helper
