@@ -69,7 +69,7 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
     along = directions(state.angle)[1][given.wall]
     reach = np.einsum("nei,ni->ne", _placed(assembled) - state.centre[given.wall][:, None], along)
     return (
-        quantiles(given.wall, reach[:, 0], OUTLYING),
+        quantiles(given.wall, reach[:, 0].copy(), OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),
     )
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-
 PLENTY = 6
 """Landmarks in common that a scan is judged by at least."""
 SAMPLE = 32

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 
 
@@ -20,6 +20,25 @@ def extent_of(points: NDArray[np.float64]) -> float:
             low, high = min(low, points[i, a]), max(high, points[i, a])
         longest = max(longest, high - low)
     return longest
+
+
+@helper
+def _in_both(
+    ids: NDArray[np.int64], scan_ids: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where the ids that are in both of two lists, which ascend, stand in each."""
+    n, m = len(ids), len(scan_ids)
+    rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
+    k, i, j = 0, 0, 0
+    while i < n and j < m:
+        if ids[i] == scan_ids[j]:
+            rows[k], shared[k] = i, j
+            k, i, j = k + 1, i + 1, j + 1
+        elif ids[i] < scan_ids[j]:
+            i += 1
+        else:
+            j += 1
+    return rows[:k], shared[:k]
 
 
 @compiled
@@ -44,19 +63,9 @@ def lay_on(
     R, t, the misfits, their upper median and the largest; there are no misfits, and these are
     infinite, where there are too few pairs or too few agree.
     """
-    (n, d), m = points.shape, len(scan_ids)
     tolerance_m, sample, fewest = limits
-    rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
-    k, i, j = 0, 0, 0
-    while i < n and j < m:
-        if ids[i] == scan_ids[j]:
-            rows[k], shared[k] = i, j
-            k, i, j = k + 1, i + 1, j + 1
-        elif ids[i] < scan_ids[j]:
-            i += 1
-        else:
-            j += 1
-    rows, shared = rows[:k], shared[:k]
+    rows, shared = _in_both(ids, scan_ids)
+    k, d = len(rows), points.shape[1]
     if k < fewest:
         return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0), np.inf, np.inf
     every = -(-k // sample)

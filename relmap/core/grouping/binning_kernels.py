@@ -132,6 +132,25 @@ def _company(
 
 
 @helper
+def _bin_with(
+    block: NDArray[np.float64],
+    pivot: int,
+    others: NDArray[np.int64],
+    sample: tuple[int, int],
+    budget: int,
+    limit: float,
+    fewest: int,
+) -> tuple[NDArray[np.int64], int]:
+    """Return the other members of the bin that a pivot begins, and the number of comparisons."""
+    near, n = _company(block, pivot, others, sample, budget, limit, fewest)
+    n_voters = min(VOTERS, len(near), (budget - n) // max(len(near) - 1, 1))
+    if len(near) > 1 and n_voters > 0:
+        near, n_votes = _vote(block, near, n_voters, limit, fewest)
+        return near, n + n_votes
+    return near, n
+
+
+@helper
 def _next_pivot(
     free: NDArray[np.bool_], tries: NDArray[np.int64], priority: NDArray[np.float64]
 ) -> int:
@@ -184,12 +203,8 @@ def sort_into_bins(
             break
         every = max(len(others) // size, 1)
         sample, budget = (every, tries[pivot] % every), allowed - n_comparisons
-        members, compared = _company(block, pivot, others, sample, budget, limit, fewest)
+        members, compared = _bin_with(block, pivot, others, sample, budget, limit, fewest)
         n_comparisons += compared
-        n_voters = min(VOTERS, len(members), (budget - compared) // max(len(members) - 1, 1))
-        if len(members) > 1 and n_voters > 0:
-            members, compared = _vote(block, members, n_voters, limit, fewest)
-            n_comparisons += compared
         tries[pivot] += 1
         if len(members) == 0:
             free[pivot] = tries[pivot] < TRIES and every > 1

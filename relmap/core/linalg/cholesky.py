@@ -161,7 +161,11 @@ class Pattern:
         start, _, row_begin, rows, _ = self.layout
         found, place = np.empty_like(values), np.empty_like(rows, shape=self.n_unknowns)
         for p in range(len(start) - 2, -1, -1):
-            k, panel, target = start[p + 1] - start[p], self._panel(values, p), self._panel(found, p)
+            k, panel, target = (
+                start[p + 1] - start[p],
+                self._panel(values, p),
+                self._panel(found, p),
+            )
             root = dtrtri(np.tril(panel[:k]), lower=1)[0]
             target[:k] = root.T @ root
             below = rows[row_begin[p] + k : row_begin[p + 1]]
@@ -186,7 +190,9 @@ class Pattern:
         begins = np.append(np.flatnonzero(np.diff(panels, prepend=-1)), len(unknowns))
         for a, b in itertools.pairwise(begins):
             p = panels[a]
-            place[rows[row_begin[p] : row_begin[p + 1]]] = np.arange(row_begin[p + 1] - row_begin[p])
+            place[rows[row_begin[p] : row_begin[p + 1]]] = np.arange(
+                row_begin[p + 1] - row_begin[p]
+            )
             entries = self._panel(values, p)[place[unknowns[a:]]][:, unknowns[a:b] - start[p]]
             lower = np.tril(entries[: b - a])
             part[b:, a:b], part[a:b, b:] = entries[b - a :], entries[b - a :].T
@@ -201,4 +207,5 @@ class Pattern:
         keys = np.repeat(np.arange(len(row_begin) - 1), np.diff(row_begin)) * u + rows
         later = np.maximum(chosen[:, :, None], chosen[:, None])
         row = np.searchsorted(keys, p * u + later) - row_begin[p]
-        return inverse[offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]]
+        at = offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]
+        return np.asarray(inverse[at])

@@ -15,14 +15,15 @@ from __future__ import annotations
 import gc
 import logging
 from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
+_njit: Any = numba.njit  # whose annotations know nothing of wrappers
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 def compiled(function: Function) -> Function:
@@ -31,9 +32,9 @@ def compiled(function: Function) -> Function:
     A division by zero gives infinity or NaN, as in numpy.
     """
     try:
-        return cast("Function", numba.njit(cache=True, **_OPTIONS)(function))
+        return cast("Function", _njit(cache=True, **_OPTIONS)(function))
     except RuntimeError:  # neither beside the package nor in the user's cache folder
-        return cast("Function", numba.njit(**_OPTIONS)(function))
+        return cast("Function", _njit(**_OPTIONS)(function))
 
 
 def helper(function: Function) -> Function:
@@ -41,10 +42,10 @@ def helper(function: Function) -> Function:
 
     It cannot be called from Python, which takes a fifth of the time to compile small functions.
     """
-    return cast("Function", numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function))
+    return cast("Function", _njit(no_cpython_wrapper=True, **_OPTIONS)(function))
 
 
-class _Watch(event.Listener):  # type: ignore[misc]
+class _Watch(event.Listener):
     """Says once that something is compiled, and keeps the garbage collector out meanwhile.
 
     It would look through all that the compiler holds again and again, a tenth of the time.
@@ -56,7 +57,9 @@ class _Watch(event.Listener):  # type: ignore[misc]
     def on_start(self, event: event.Event) -> None:
         if not self._said:
             self._said = True
-            logging.getLogger(__name__).info("compiling")
+            logging.getLogger(__name__).info(
+                "compiling, as on the first run on a machine: up to half a minute"
+            )
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
@@ -68,4 +71,4 @@ class _Watch(event.Listener):  # type: ignore[misc]
             gc.enable()
 
 
-event.register("numba:compile", _Watch())
+cast("Any", event).register("numba:compile", _Watch())

@@ -93,6 +93,25 @@ def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> 
     return squares
 
 
+@helper
+def _eliminated(coupling: Array, free: Array) -> Array:
+    """Return what eliminating bodies, so many of each free (n,), adds to the matrix (u, u).
+
+    What couples them, times their factor's inverse (n * q, u), is changed.
+    """
+    u = coupling.shape[1]
+    for r in range(len(coupling)):
+        share = np.sqrt(free[r * len(free) // len(coupling)])
+        for k in range(u):
+            coupling[r, k] *= share
+    part = np.empty((u, u))
+    np.dot(coupling.T, coupling, part)
+    for a in range(u):
+        for b in range(u):
+            part[a, b] = -part[a, b]
+    return part
+
+
 @compiled
 def reduced_equations(
     rows: Rows,
@@ -141,16 +160,7 @@ def reduced_equations(
         left = np.dot(coupling.T, pull)
         part = np.empty((0, 0))
         if len(values):
-            part = np.empty((len(own), len(own)))
-            for i in range(n):
-                share = np.sqrt(free_here[first[g] + i])
-                for a in range(q * i, q * i + q):
-                    for u in range(len(own)):
-                        coupling[a, u] *= share
-            np.dot(coupling.T, coupling, part)
-            for a in range(len(own)):
-                for b in range(len(own)):
-                    part[a, b] = -part[a, b]
+            part = _eliminated(coupling, free_here[first[g] : first[g + 1]])
         for i in range(first[g], first[g + 1]):
             cost += _add_rows(rows, bodies, i, left, part)
         for a in range(len(own)):

@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import median
 from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, WALL
 
@@ -57,7 +58,7 @@ def _turns(xy: Floats) -> Floats:
 @helper
 def _breaks(xy: Floats, turn: Floats, sigma: float) -> Bools:
     """Tell after which points (n,) the next one is not on the same surface."""
-    n, usual = len(xy), np.median(turn)
+    n, usual = len(xy), median(turn.copy())
     radius = np.empty(n)
     for i in range(n):
         radius[i] = math.hypot(xy[i, 0], xy[i, 1])
@@ -77,8 +78,9 @@ def range_breaks(xy: Floats, sigma: float) -> Ints:
     broken = np.zeros(len(xy), dtype=np.int64)
     if len(xy) > 1:
         turn = _turns(xy)
-        near = turn < SKIPPED * np.median(turn)
-        broken[:-1] = _breaks(xy, turn, sigma)[:-1] & near
+        found, limit = _breaks(xy, turn, sigma), SKIPPED * median(turn.copy())
+        for i in range(len(turn)):
+            broken[i] = found[i] and turn[i] < limit
     return broken
 
 
@@ -152,7 +154,7 @@ def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> boo
     wide = math.hypot(xy[c, 0] - xy[b - 1, 0], xy[c, 1] - xy[b - 1, 1])
     if wide < DOOR_M:
         return False
-    unseen = turn[b - 1 : c].sum() / np.median(turn) - (c - b) - 1
+    unseen = turn[b - 1 : c].sum() / median(turn.copy()) - (c - b) - 1
     line = _fit(xy[np.array([b - 1, c])], 0, 2)
     side = line[PX] * line[UY] - line[PY] * line[UX]  # where the sensor stands
     through = 0
