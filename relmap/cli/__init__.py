@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -85,6 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         nobody reads the output any more.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
+    _announce()
     try:
         code = typer.main.get_command(app).main(arguments, "relmap", standalone_mode=False)
         if sys.stdout is not None:
@@ -105,6 +107,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     if code == INTERRUPTED:
         typer.echo("relmap: interrupted", err=True)
     return int(code or 0)
+
+
+class _Stderr(logging.Handler):
+    """Tells a person that the library is busy compiling."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line."""
+        typer.echo(f"relmap: {record.getMessage()}", err=True)
+
+
+def _announce() -> None:
+    log = logging.getLogger("relmap.core.linalg.compiling")
+    if not any(isinstance(handler, _Stderr) for handler in log.handlers):
+        log.addHandler(_Stderr())
+        log.setLevel(logging.INFO)
 
 
 def _complain(message: str) -> int:

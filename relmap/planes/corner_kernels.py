@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 FEWEST = 8
 """Common iterations without which nothing is said."""
@@ -55,7 +55,7 @@ def midpoint_pairs(
     return pairs
 
 
-@compiled
+@helper
 def largest(ends: NDArray[np.float64]) -> float:
     """Return the largest size of a wall in some iterations, of its ends (k, 2, 2)."""
     size = 0.0
@@ -81,7 +81,7 @@ def deviations(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
     return found
 
 
-@compiled
+@helper
 def _skew(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     """Return the sine of the angle between two walls, in the middle one of some iterations."""
     k = len(first) // 2
@@ -90,7 +90,7 @@ def _skew(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
     return float(abs(x * w - y * v) / (math.hypot(x, y) * math.hypot(v, w)))
 
 
-@compiled
+@helper
 def _moved(ends: NDArray[np.float64], e: int) -> float:
     """Return how far one end (k, 2, 2) was from where it was first, at most; robot frame."""
     farthest = 0.0
@@ -100,7 +100,7 @@ def _moved(ends: NDArray[np.float64], e: int) -> float:
     return farthest
 
 
-@compiled
+@helper
 def _expected(
     first: NDArray[np.float64], second: NDArray[np.float64], size: float, sd: float, other_sd: float
 ) -> float:
@@ -112,7 +112,7 @@ def _expected(
     return float(math.sqrt((BLUNT * sd) ** 2 + (BLUNT * other_sd) ** 2 + turned**2))
 
 
-@compiled
+@helper
 def _common(
     first: NDArray[np.float64], second: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -63,7 +63,7 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
         "nei,ni->ne", placed_ends(assembled) - state.centre[given.wall][:, None], along
     )
     return (
-        quantiles(given.wall, reach[:, 0], OUTLYING),
+        quantiles(given.wall, reach[:, 0].copy(), OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),
     )
 

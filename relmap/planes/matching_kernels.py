@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 Array = NDArray[np.float64]
 Tracks = tuple[Array, Array, Array, Array, Array]
@@ -55,13 +55,13 @@ def carried(tracks: Tracks, motion: Array) -> Tracks:
     return new_angle, new_offset, new_ends, sd, new_corner
 
 
-@compiled
+@helper
 def _half_turn(angle: float) -> float:
     """Return an angle within a half turn of 0."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-@compiled
+@helper
 def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
     """Return how well each track agrees with each wall, (n, m); 0 for not at all."""
     angle, offset, ends, sd, corner_at = tracks
@@ -102,7 +102,7 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
     return found
 
 
-@compiled
+@helper
 def _cheapest_path(
     worth: Array, start: int, column_of: NDArray[np.int64], price_column: Array, price_row: Array
 ) -> tuple[int, NDArray[np.int64]]:
@@ -155,7 +155,7 @@ def assigned(worth: Array) -> NDArray[np.int64]:
     return row_of
 
 
-@compiled
+@helper
 def _then(first: Array, second: Array) -> Array:
     """Return a motion followed by another."""
     c, s = math.cos(second[0]), math.sin(second[0])
@@ -163,7 +163,7 @@ def _then(first: Array, second: Array) -> Array:
     return np.array([first[0] + second[0], x + second[1], y + second[2]])
 
 
-@compiled
+@helper
 def _pull(
     A: Array, b: Array, nx: float, ny: float, x: float, y: float, off: float, w: float
 ) -> None:
@@ -175,7 +175,7 @@ def _pull(
         b[i] += w * row[i] * off
 
 
-@compiled
+@helper
 def correction(
     tracks: Tracks, seen: Seen, track_of: NDArray[np.int64], held: float, least_m: float
 ) -> Array:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 
-@compiled
+@helper
 def _scale(axis: NDArray[np.float64]) -> None:
     """Give an axis (d,) the length 1."""
     square = 0.0
@@ -18,7 +18,7 @@ def _scale(axis: NDArray[np.float64]) -> None:
         axis[a] /= np.sqrt(square)
 
 
-@compiled
+@helper
 def _axes(
     block: NDArray[np.float64], i: int, basis: NDArray[np.int64], axes: NDArray[np.float64]
 ) -> None:

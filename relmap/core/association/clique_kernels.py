@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 
 @compiled
@@ -62,13 +62,19 @@ def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int6
         the start.
     """
     n = len(agree)
-    order = np.argsort(n - agree.sum(axis=1), kind="mergesort")
-    neighbours = agree[order][:, order]
+    order = _by_neighbours(agree)
+    neighbours = np.empty((n, n), np.bool_)
+    for i in range(n):
+        for j in range(n):
+            neighbours[i, j] = agree[order[i], order[j]]
     best = _grown(neighbours)
     nodes, colours = np.empty((n + 1, n), np.int64), np.empty((n + 1, n), np.int64)
     left = np.zeros(n + 1, np.int64)
     chosen = np.empty(n, np.int64)
-    _colour(neighbours, np.arange(n), nodes[0], colours[0])
+    open_, marked = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    for i in range(n):
+        open_[i] = i
+    _colour(neighbours, open_, nodes[0], colours[0])
     left[0] = n
     depth, steps = 0, 0
     while depth >= 0 and steps < most_steps:
@@ -80,17 +86,46 @@ def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int6
         v = nodes[depth, k]
         left[depth] = k
         chosen[depth] = v
-        open_ = nodes[depth, :k]
-        open_ = np.sort(open_[neighbours[v][open_]])
+        for i in range(k):
+            marked[nodes[depth, i]] = neighbours[v, nodes[depth, i]]
         depth += 1
-        left[depth] = len(open_)
-        _colour(neighbours, open_, nodes[depth], colours[depth])
-        if len(open_) == 0 and depth > len(best):
+        left[depth] = _gather(marked, open_)
+        _colour(neighbours, open_[: left[depth]], nodes[depth], colours[depth])
+        if left[depth] == 0 and depth > len(best):
             best = chosen[:depth].copy()
-    return np.sort(order[best])
+    for i in best:
+        marked[order[i]] = True
+    return open_[: _gather(marked, open_)]
 
 
-@compiled
+@helper
+def _by_neighbours(agree: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the nodes, those with the most neighbours first; equals as they come."""
+    n = len(agree)
+    degree, order = np.zeros(n, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        for j in range(n):
+            degree[i] += agree[i, j]
+        k = i
+        while k > 0 and degree[order[k - 1]] < degree[i]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+    return order
+
+
+@helper
+def _gather(marked: NDArray[np.bool_], nodes: NDArray[np.int64]) -> int:
+    """Enter the nodes that are marked, ascending, and unmark them; return how many."""
+    k = 0
+    for i in range(len(marked)):
+        if marked[i]:
+            nodes[k], marked[i] = i, False
+            k += 1
+    return k
+
+
+@helper
 def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return a clique that takes in, in this order, every node that fits."""
     members = np.empty(len(neighbours), np.int64)
@@ -105,7 +140,7 @@ def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
     return members[:k]
 
 
-@compiled
+@helper
 def _colour(
     neighbours: NDArray[np.bool_],
     open_: NDArray[np.int64],

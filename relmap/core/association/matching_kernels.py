@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
 
 
 @compiled
@@ -14,7 +15,7 @@ def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> 
 
     Rows at infinite distance want nothing.
     """
-    winner = np.full(n + 1, -1)
+    winner = unset(n + 1)
     for row in range(len(wanted)):
         if np.isfinite(distance[row]):
             best = winner[wanted[row]]
@@ -27,13 +28,13 @@ def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> 
     return won
 
 
-@compiled
+@helper
 def _bucket(x: int, y: int, z: int, n_buckets: int) -> int:
     """Return the bucket of a cell (Teschner et al., "Optimized spatial hashing", VMV 2003)."""
     return ((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) & (n_buckets - 1)
 
 
-@compiled
+@helper
 def buckets(
     points: NDArray[np.float64], cell: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -45,7 +46,7 @@ def buckets(
     n_buckets = 16
     while n_buckets < 2 * n:
         n_buckets *= 2
-    first, following = np.full(n_buckets, -1), np.empty(n, dtype=np.int64)
+    first, following = unset(n_buckets), np.empty(n, dtype=np.int64)
     for i in range(n):
         z = points[i, 2] if d == 3 else 0.0
         x, y, z = np.floor(points[i, 0] / cell), np.floor(points[i, 1] / cell), np.floor(z / cell)
@@ -66,9 +67,10 @@ def nearest_within(
     """
     n, d = points.shape
     first, following = buckets(points, reach)
-    distance, index = np.full(len(queries), np.inf), np.full(len(queries), n)
+    distance, index = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
     layers = 1 if d == 3 else 0
     for k in range(len(queries)):
+        index[k] = n
         z = queries[k, 2] if d == 3 else 0.0
         cx, cy, cz = queries[k, 0] / reach, queries[k, 1] / reach, z / reach
         best = reach * reach
@@ -83,8 +85,7 @@ def nearest_within(
                         if square < best or (square == best and i < index[k]):
                             best, index[k] = square, i
                         i = following[i]
-        if index[k] < n:
-            distance[k] = np.sqrt(best)
+        distance[k] = np.sqrt(best) if index[k] < n else np.inf
     return distance, index
 
 
@@ -97,9 +98,9 @@ def two_nearest(
     For a few queries this is quicker than to build a tree.  Infinite where there are not as many.
     """
     n, d = points.shape
-    distances, index = np.full((len(queries), 2), np.inf), np.full(len(queries), n)
+    distances, index = np.empty((len(queries), 2)), np.empty(len(queries), dtype=np.int64)
     for k in range(len(queries)):
-        first, second = np.inf, np.inf
+        first, second, index[k] = np.inf, np.inf, n
         for i in range(n):
             square = 0.0
             for a in range(d):
@@ -125,7 +126,8 @@ def see_tracks(
 ) -> None:
     """Note where some tracks were found and that others were missed; see `LiveTracks.see`."""
     missed, seen, restless = counts
-    missed += 1
+    for row in range(len(missed)):
+        missed[row] += 1
     for j in range(len(rows)):
         row = rows[j]
         missed[row] = 0

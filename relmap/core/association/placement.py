@@ -93,7 +93,7 @@ def consistent_set(
     """
     from relmap.core.association.clique_kernels import agreeing, largest_clique
 
-    a, b = pairs.T
+    a, b = np.ascontiguousarray(pairs.T)
     return largest_clique(agreeing(source[a], target[b], a, b, tolerance_m), MOST_STEPS)
 
 

@@ -100,13 +100,14 @@ def fit_rigid_each(
     fixed : (n,) bool
         Whether the points of a set fix its rotation; R and t mean nothing where they do not.
     """
-    from relmap.core.geometry.fitting_kernels import moments_each
-
-    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
-    found = moments_each(source, target, weights.astype(np.float64), at, n)
-    source_mean, target_mean, moment, scatter = found
-    R = rotation_of_moment(moment)
-    fixed = scatter_fixes_rotation(scatter)
+    total = np.bincount(at, weights=weights, minlength=n)
+    total[total <= 0] = 1.0
+    source_mean = sums_each(weights[:, None] * source, at, n) / total[:, None]
+    target_mean = sums_each(weights[:, None] * target, at, n) / total[:, None]
+    away, to = source - source_mean[at], target - target_mean[at]
+    weighted = ((weights / total[at])[:, None] * away)[:, :, None]
+    R = rotation_of_moment(sums_each(weighted * to[:, None], at, n))
+    fixed = scatter_fixes_rotation(sums_each(weighted * away[:, None], at, n))
     return R, target_mean - np.einsum("nij,nj->ni", R, source_mean), fixed
 
 
@@ -117,9 +118,10 @@ def place_each(
     points: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return points (k, d), each turned and shifted by placement at (k,) of R and t."""
-    from relmap.core.geometry.fitting_kernels import placed_each
-
-    return placed_each(R, t, at, np.ascontiguousarray(points))
+    placed, turn = t[at], R[at]
+    for b in range(points.shape[1]):
+        placed += turn[:, :, b] * points[:, b, None]
+    return np.asarray(placed)
 
 
 def sums_each(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:

@@ -56,56 +56,6 @@ def _moments(
 
 
 @compiled
-def moments_each(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    at: NDArray[np.int64],
-    n: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return means (n, d) of source and target, centred moments (n, d, d), scatter of the source.
-
-    Of n sets of matched points (k, d); a set of no weight has none.
-    """
-    d, total = source.shape[1], np.zeros(n)
-    means, there = np.zeros((n, d)), np.zeros((n, d))
-    for i in range(len(at)):
-        total[at[i]] += weights[i]
-        for a in range(d):
-            means[at[i], a] += weights[i] * source[i, a]
-            there[at[i], a] += weights[i] * target[i, a]
-    for k in range(n):
-        for a in range(d):
-            means[k, a] /= total[k] if total[k] > 0 else 1.0
-            there[k, a] /= total[k] if total[k] > 0 else 1.0
-    moment, scatter = np.zeros((n, d, d)), np.zeros((n, d, d))
-    for i in range(len(at)):
-        k = at[i]
-        for a in range(d):
-            away = weights[i] / total[k] * (source[i, a] - means[k, a]) if total[k] > 0 else 0.0
-            for b in range(d):
-                moment[k, a, b] += away * (target[i, b] - there[k, b])
-                scatter[k, a, b] += away * (source[i, b] - means[k, b])
-    return means, there, moment, scatter
-
-
-@compiled
-def placed_each(
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    at: NDArray[np.int64],
-    points: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return points (k, d) turned and shifted, each as the placement that it is of (k,) says."""
-    found = t[at]
-    for i in range(len(at)):
-        for a in range(points.shape[1]):
-            for b in range(points.shape[1]):
-                found[i, a] += R[at[i], a, b] * points[i, b]
-    return found
-
-
-@compiled
 def fit_rows(
     source: NDArray[np.float64],
     target: NDArray[np.float64],

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import DEGENERATE
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import diagonalise, inverse3, product
 
 STEPS = 15
@@ -15,7 +15,7 @@ SETTLED = 1e-11
 """Last step, radians, after which the error is that of rounding: each squares the one before."""
 
 
-@compiled
+@helper
 def fixes(scatter: NDArray[np.float64], d: int) -> bool:
     """Tell whether the scatter (3, 3) of centred points in d dimensions fixes a rotation."""
     trace, minors = scatter[0, 0] + scatter[1, 1] + scatter[2, 2], 0.0
@@ -25,7 +25,7 @@ def fixes(scatter: NDArray[np.float64], d: int) -> bool:
     return trace > 0 and (d == 2 or minors > (DEGENERATE * trace) ** 2)
 
 
-@compiled
+@helper
 def turned_by(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation (d, d) by an angle (1,) or a rotation vector (3,) (Rodrigues)."""
     if len(turn) == 1:
@@ -47,7 +47,7 @@ def turned_by(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     return R
 
 
-@compiled
+@helper
 def _by_eigenvector(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the best rotation (3, 3) from the eigenvector that is its quaternion (Horn, 1987)."""
     N = np.empty((4, 4))

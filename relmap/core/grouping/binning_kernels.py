@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
+from relmap.core.linalg.small_kernels import unset
 
 TRIES = 2
 """How often a landmark may look for company before it counts as alone."""
@@ -36,7 +37,7 @@ def keeps_distance(block: NDArray[np.float64], a: int, b: int, limit: float, few
     return count >= fewest and squares <= limit * (count - 1)
 
 
-@compiled
+@helper
 def _outward(block: NDArray[np.float64], near: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return how far (k,), squared, the mean places of some rows are from the middle of these."""
     k, m, d = len(near), block.shape[1], block.shape[2]
@@ -57,7 +58,7 @@ def _outward(block: NDArray[np.float64], near: NDArray[np.int64]) -> NDArray[np.
     return square
 
 
-@compiled
+@helper
 def _vote(
     block: NDArray[np.float64],
     near: NDArray[np.int64],
@@ -91,7 +92,7 @@ def _vote(
     return stay[:n_stay], n_voters * (k - 1)
 
 
-@compiled
+@helper
 def _company(
     block: NDArray[np.float64],
     pivot: int,
@@ -130,7 +131,7 @@ def _company(
     return near[:n_near], n
 
 
-@compiled
+@helper
 def _bin_with(
     block: NDArray[np.float64],
     pivot: int,
@@ -149,7 +150,7 @@ def _bin_with(
     return near, n
 
 
-@compiled
+@helper
 def _next_pivot(
     free: NDArray[np.bool_], tries: NDArray[np.int64], priority: NDArray[np.float64]
 ) -> int:
@@ -163,7 +164,7 @@ def _next_pivot(
     return best
 
 
-@compiled
+@helper
 def _others(free: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the free rows."""
     rows, n = np.empty(len(free), dtype=np.int64), 0
@@ -189,8 +190,7 @@ def sort_into_bins(
     Returns the number of each row's bin, -1 where it is in none, and the comparisons made.  What is
     free (n,) is changed.
     """
-    bin_of, tries = np.empty(len(block), dtype=np.int64), np.zeros(len(block), dtype=np.int64)
-    bin_of[:] = -1
+    bin_of, tries = unset(len(block)), np.zeros(len(block), dtype=np.int64)
     n_bins, n_comparisons, n_all, weight, largest = 0, 0, 0, 0.0, 0
     for row in range(len(block)):
         n_all += free[row]

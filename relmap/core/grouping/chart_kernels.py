@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 
-@compiled
+@helper
 def _members_and_columns(
     landmarks: NDArray[np.int64],
     offsets: NDArray[np.int64],

@@ -10,10 +10,12 @@ by breadth-first search instead, in levels that touch only their neighbours (Cut
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
 
 if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
@@ -145,21 +147,65 @@ class Pattern:
         return solve(self.layout, values, right)
 
     def inverse(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the inverse (size,) where the factor, `values` (size,), has entries."""
-        from relmap.core.linalg.cholesky_kernels import inverse
+        """Return the inverse where the factor has entries (Takahashi, Fagan and Chin, 1973).
 
-        return inverse(self.layout, values)
+        Parameters
+        ----------
+        values : (size,) float64
+            The factor.
+
+        Returns
+        -------
+        (size,) float64
+        """
+        start, _, row_begin, rows, _ = self.layout
+        found, place = np.empty_like(values), np.empty_like(rows, shape=self.n_unknowns)
+        for p in range(len(start) - 2, -1, -1):
+            k, panel, target = (
+                start[p + 1] - start[p],
+                self._panel(values, p),
+                self._panel(found, p),
+            )
+            root = dtrtri(np.tril(panel[:k]), lower=1)[0]
+            target[:k] = root.T @ root
+            below = rows[row_begin[p] + k : row_begin[p + 1]]
+            if len(below):
+                pull = panel[k:] @ root
+                target[k:] = -(self._part(found, below, place) @ pull)
+                target[:k] -= pull.T @ target[k:]
+        return found
+
+    def _panel(self, values: NDArray[np.float64], p: int) -> NDArray[np.float64]:
+        """Return the columns (h, k) of a panel, a view."""
+        start, _, _, _, offset = self.layout
+        return values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - start[p])
+
+    def _part(
+        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], place: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return the symmetric part (n, n) over unknowns (n,), ascending; `place` (u,) is room."""
+        start, column_of, row_begin, rows, _ = self.layout
+        part = np.empty((len(unknowns), len(unknowns)))
+        panels = column_of[unknowns]
+        begins = np.append(np.flatnonzero(np.diff(panels, prepend=-1)), len(unknowns))
+        for a, b in itertools.pairwise(begins):
+            p = panels[a]
+            place[rows[row_begin[p] : row_begin[p + 1]]] = np.arange(
+                row_begin[p + 1] - row_begin[p]
+            )
+            entries = self._panel(values, p)[place[unknowns[a:]]][:, unknowns[a:b] - start[p]]
+            lower = np.tril(entries[: b - a])
+            part[b:, a:b], part[a:b, b:] = entries[b - a :], entries[b - a :].T
+            part[a:b, a:b] = lower + np.tril(lower, -1).T
+        return part
 
     def parts(self, inverse: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
-        from relmap.core.linalg.cholesky_kernels import take_parts
-
-        order = np.argsort(chosen, axis=1)
-        ascending = np.take_along_axis(chosen, order, axis=1)
-        found, own = (
-            np.empty((*chosen.shape, chosen.shape[1])),
-            np.arange(len(chosen))[:, None, None],
-        )
-        parts = take_parts(self.layout, inverse, ascending)
-        found[own, order[:, :, None], order[:, None, :]] = parts
-        return found
+        start, column_of, row_begin, rows, offset = self.layout
+        earlier = np.minimum(chosen[:, :, None], chosen[:, None])
+        p, u = column_of[earlier], self.n_unknowns
+        keys = np.repeat(np.arange(len(row_begin) - 1), np.diff(row_begin)) * u + rows
+        later = np.maximum(chosen[:, :, None], chosen[:, None])
+        row = np.searchsorted(keys, p * u + later) - row_begin[p]
+        at = offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]
+        return np.asarray(inverse[at])

@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -25,7 +26,7 @@ ROUNDING = 1e-14
 """A pivot that is a smaller share of its diagonal entry is rounding: its unknown stays."""
 
 
-@compiled
+@helper
 def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) -> Index:
     """Return the places of blocks that begin a panel, and their number at the end.
 
@@ -77,7 +78,7 @@ def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index
     return at[place], (start, column_of, row_begin, rows, offset)
 
 
-@compiled
+@helper
 def _place(layout: Layout, p: int, place: Index) -> None:
     """Enter into `place` (u,) which row of panel p each of its unknowns is."""
     row_begin, rows = layout[2], layout[3]
@@ -105,7 +106,7 @@ def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place:
         first = end
 
 
-@compiled
+@helper
 def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place: Index) -> None:
     """Enter a symmetric part (n, n) over unknowns (n,), ascending, of what is laid out."""
     start, column_of, _, _, offset = layout
@@ -120,17 +121,7 @@ def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place
             part[a, b] = part[b, a] = values[column + place[unknowns[a]] * width]
 
 
-@compiled
-def take_parts(layout: Layout, values: Array, unknowns: Index) -> Array:
-    """Return symmetric parts (k, m, m) over unknowns (k, m), ascending, of what is laid out."""
-    k, m = unknowns.shape
-    found, place = np.empty((k, m, m)), np.empty_like(layout[1])
-    for i in range(k):
-        take_part(layout, unknowns[i], values, found[i], place)
-    return found
-
-
-@compiled
+@helper
 def _times_transposed(A: Array, B: Array, C: Array) -> None:
     """Put ``A @ B.T`` into C, of which only the lower triangle is needed."""
     if A.size * len(B) > MUCH:
@@ -144,7 +135,7 @@ def _times_transposed(A: Array, B: Array, C: Array) -> None:
             C[i, j] = entry
 
 
-@compiled
+@helper
 def _take_away(
     layout: Layout, values: Array, p: int, s: int, done: int, place: Index, work: Array
 ) -> int:
@@ -168,25 +159,26 @@ def _take_away(
     return shared
 
 
-@compiled
+@helper
 def _add_multiple(values: Array, factor: float, others: Array) -> None:
     for r in range(len(values)):
         values[r] += factor * others[r]
 
 
-@compiled
+@helper
 def _factorise_panel(panel: Array, least: Array) -> None:
     """Put the columns of the factor (h, k) in place of a panel's own; see `ROUNDING`."""
     k = panel.shape[1]
     upper = np.zeros((k, k))
     for c in range(k):
-        upper[c, c:] = panel[c:k, c]
+        for r in range(c, k):
+            upper[c, r] = panel[r, c]
         for b in range(c):
             _add_multiple(upper[c, c:], -upper[b, c], upper[b, c:])
-        pivot = upper[c, c] if upper[c, c] > least[c] else 1e300
-        upper[c, c:] /= np.sqrt(pivot)
-        upper[c, c] = np.sqrt(pivot)
-        panel[c:k, c] = upper[c, c:]
+        root = np.sqrt(upper[c, c] if upper[c, c] > least[c] else 1e300)
+        for r in range(c, k):
+            upper[c, r] = upper[c, r] / root if r > c else root
+            panel[r, c] = upper[c, r]
     for r in range(k, len(panel)):
         row = panel[r]
         for c in range(k):
@@ -201,9 +193,12 @@ def factorise(layout: Layout, values: Array) -> None:
     Each panel less what those before it leave (left-looking; Ng and Peyton, 1993).
     """
     start, column_of, row_begin, rows, offset = layout
-    n, place = len(start) - 1, np.empty_like(column_of)
-    head, following, done = np.full(n, -1), np.full(n, -1), np.zeros(n, dtype=np.int64)
-    work = np.empty(np.diff(row_begin).max() * np.diff(start).max() if n else 0)
+    n, place, highest, widest = len(start) - 1, np.empty_like(column_of), 0, 0
+    head, following, done = unset(n), unset(n), np.zeros(n, dtype=np.int64)
+    for p in range(n):
+        highest = max(highest, row_begin[p + 1] - row_begin[p])
+        widest = max(widest, start[p + 1] - start[p])
+    work = np.empty(highest * widest)
     for p in range(n):
         width, height = start[p + 1] - start[p], row_begin[p + 1] - row_begin[p]
         _place(layout, p, place)
@@ -252,36 +247,3 @@ def solve(layout: Layout, values: Array, right: Array) -> Array:
             wanted[c] /= panel[c, c]
             _add_multiple(wanted[:c], -wanted[c], panel[c])
     return x
-
-
-@compiled
-def _inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle (k, k)."""
-    found = np.zeros((len(L), len(L)))
-    for r in range(len(L)):
-        for c in range(r):
-            _add_multiple(found[r, : c + 1], -L[r, c], found[c])
-        found[r, r] = 1.0
-        found[r] /= L[r, r]
-    return found
-
-
-@compiled
-def inverse(layout: Layout, values: Array) -> Array:
-    """Return the inverse where the factor has entries (Takahashi, Fagan and Chin, 1973)."""
-    start, column_of, row_begin, rows, offset = layout
-    found, place = np.empty_like(values), np.empty_like(column_of)
-    for p in range(len(start) - 2, -1, -1):
-        k, below = start[p + 1] - start[p], rows[row_begin[p] : row_begin[p + 1]]
-        below, panel = below[k:], values[offset[p] : offset[p + 1]].reshape(-1, k)
-        target = found[offset[p] : offset[p + 1]].reshape(-1, k)
-        root = _inverse_of_triangle(panel[:k])
-        np.dot(root.T, root, target[:k])
-        if len(below):
-            n = len(below)
-            later = np.empty((n, n))
-            take_part(layout, below, found, later, place)
-            pull = np.dot(panel[k:], root)
-            target[k:] = -np.dot(later, pull)
-            target[:k] -= np.dot(pull.T, target[k:])
-    return found

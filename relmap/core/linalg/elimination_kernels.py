@@ -10,12 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
 
 Index = NDArray[np.int64]
 
 
-@compiled
+@helper
 def _union(
     of: int, begin: Index, end: Index, member: Index, own: Index, mark: Index, stamp: int
 ) -> Index:
@@ -34,7 +35,7 @@ def _union(
     return found[:n]
 
 
-@compiled
+@helper
 def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Index]:
     """Return the cliques of each of n members: from where, up to where, and which."""
     count = np.bincount(member, minlength=n)
@@ -49,7 +50,7 @@ def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Inde
     return first, last, of
 
 
-@compiled
+@helper
 def _absorb(
     clique: int, u: int, first: Index, last: Index, of: Index, alive: NDArray[np.bool_]
 ) -> None:
@@ -83,9 +84,10 @@ def minimum_degree(width: Index, clique_begin: Index, cliques: Index) -> tuple[I
     n, m, used = len(width), len(clique_begin) - 1, len(cliques)
     first, last, of = _cliques_of(n, clique_begin, cliques)
     begin, end = np.zeros(m + n + 1, dtype=np.int64), np.zeros(m + n, dtype=np.int64)
-    begin[: m + 1], end[:m] = clique_begin, clique_begin[1:]
+    for k in range(m):
+        begin[k + 1] = end[k] = clique_begin[k + 1]
     member = np.concatenate((cliques, np.empty(len(cliques), dtype=np.int64)))
-    alive, mark = np.ones(m + n, dtype=np.bool_), np.full(n, -1)
+    alive, mark = np.ones(m + n, dtype=np.bool_), unset(n)
     degree, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for v in range(n):
         own = _union(v, begin, end, member, of[first[v] : last[v]], mark, v)
@@ -98,8 +100,9 @@ def minimum_degree(width: Index, clique_begin: Index, cliques: Index) -> tuple[I
         alive[of[first[v] : last[v]]] = False
         if used + len(tied) > len(member):
             member = np.concatenate((member, np.empty(len(member) + len(tied), dtype=np.int64)))
-        member[used : used + len(tied)] = tied
-        used += len(tied)
+        for u in tied:
+            member[used] = u
+            used += 1
         end[new] = begin[new + 1] = used
         for u in tied:
             stamp += 1

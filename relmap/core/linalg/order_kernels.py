@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 
 @compiled
@@ -35,14 +35,14 @@ def smallest(values: NDArray[np.float64], k: int) -> float:
     return float(values[k])
 
 
-@compiled
+@helper
 def median(values: NDArray[np.float64]) -> float:
     """Return the median of values (n,); they change places."""
     n = len(values)
     return (smallest(values, (n - 1) // 2) + smallest(values, n // 2)) / 2
 
 
-@compiled
+@helper
 def _in_sets(
     of: NDArray[np.int64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 SWEEPS = 20
 """Sweeps of Jacobi's method after which it ends anyway; five or six will do."""
@@ -13,7 +13,7 @@ ROUNDING = 1e-17
 """What may be left beside the diagonal, as a share of the largest on it."""
 
 
-@compiled
+@helper
 def identity(n: int) -> NDArray[np.float64]:
     """Return the unit matrix (n, n)."""
     unit = np.zeros((n, n))
@@ -22,7 +22,16 @@ def identity(n: int) -> NDArray[np.float64]:
     return unit
 
 
-@compiled
+@helper
+def unset(n: int) -> NDArray[np.int64]:
+    """Return n numbers of nothing, -1: less to compile than numpy's `full`."""
+    numbers = np.empty(n, dtype=np.int64)
+    for i in range(n):
+        numbers[i] = -1
+    return numbers
+
+
+@helper
 def product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the product (n, k) of two matrices (n, m) and (m, k)."""
     result = np.empty((len(A), B.shape[1]))
@@ -51,7 +60,7 @@ def inverse3(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
     return inverse, positive
 
 
-@compiled
+@helper
 def diagonalise(A: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn a symmetric matrix (n, n) into that of its eigenvalues, in place; return the vectors.
 
@@ -79,7 +88,7 @@ def diagonalise(A: NDArray[np.float64]) -> NDArray[np.float64]:
     return V
 
 
-@compiled
+@helper
 def factorise(A: NDArray[np.float64]) -> None:
     """Put the lower Cholesky factor of a positive definite matrix (n, n) in its place."""
     for i in range(len(A)):
@@ -90,7 +99,7 @@ def factorise(A: NDArray[np.float64]) -> None:
             A[i, j] = entry / A[j, j] if j < i else np.sqrt(max(entry, 1e-300))
 
 
-@compiled
+@helper
 def solve(L: NDArray[np.float64], x: NDArray[np.float64]) -> None:
     """Put the solution in place of the right side (n,), with the matrix's factor (n, n)."""
     n = len(x)

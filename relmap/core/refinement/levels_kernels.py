@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.small_kernels import unset
 
 Index = NDArray[np.int64]
 
@@ -20,7 +21,7 @@ def breadth_first(
     stands in levels of its own, after the others.
     """
     m = len(entry_begin) - 1
-    of_landmark, of_segment = np.full(m, -1), np.full(len(begin) - 1, -1)
+    of_landmark, of_segment = unset(m), unset(len(begin) - 1)
     queue, tail, head, base = np.empty(m, dtype=np.int64), 0, 0, 0
     while tail < m or head < tail:
         if head == tail:

@@ -91,16 +91,18 @@ class Elimination:
         free: NDArray[np.float64] | None = None,
         free_in_matrix: NDArray[np.float64] | None = None,
     ) -> None:
-        from relmap.core.refinement.schur_kernels import numbered
-
         self._pattern, self._kept = pattern, kept
         times = np.ones(len(stretch)) if times is None else times
         free = times if free is None else free
         free_in_matrix = free if free_in_matrix is None else free_in_matrix
         self._bodies = begin, seen, times, free, free_in_matrix
         first = np.append(np.flatnonzero(np.diff(stretch, prepend=-1)), len(stretch))
-        self._number, starts, unknowns = numbered(first, begin, seen, kept, pattern.n_unknowns)
-        self._stretches = first, starts, unknowns
+        u, of = pattern.n_unknowns, np.repeat(np.arange(len(first) - 1), np.diff(begin[first]))
+        found, number = np.unique(of[:, None] * u + kept[seen], return_inverse=True)
+        starts = np.searchsorted(found, np.arange(len(first)) * u)
+        self._number = np.zeros_like(kept)
+        self._number[seen] = number.reshape(-1, kept.shape[1]) - starts[of][:, None]
+        self._stretches = first, starts, found % u
 
     def equations(
         self,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.cholesky_kernels import Layout, add_part, take_part
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, identity, solve
 
 Array = NDArray[np.float64]
@@ -28,51 +28,7 @@ STIFF = 1e3
 otherwise."""
 
 
-@compiled
-def _ascend(values: Index) -> None:
-    """Put values in ascending order (Shell, 1959): less to compile than numpy's sorting."""
-    gap = len(values) // 2
-    while gap > 0:
-        for i in range(gap, len(values)):
-            value, k = values[i], i
-            while k >= gap and values[k - gap] > value:
-                values[k] = values[k - gap]
-                k -= gap
-            values[k] = value
-        gap //= 2
-
-
-@compiled
-def numbered(
-    first: Index, begin: Index, seen: Index, kept: Index, n_unknowns: int
-) -> tuple[Index, Index, Index]:
-    """Return the numbers (r, k) of what is kept within its stretch, and the unknowns of stretches.
-
-    Where those of each begin, and which they are, ascending.
-    """
-    number, starts = np.zeros_like(kept), np.zeros_like(first)
-    unknowns, place = np.empty(kept.size, dtype=np.int64), np.empty(n_unknowns, dtype=np.int64)
-    stamp = np.full(n_unknowns, -1)
-    for g in range(len(first) - 1):
-        rows, end = seen[begin[first[g]] : begin[first[g + 1]]], starts[g]
-        for row in rows:
-            for u in kept[row]:
-                if stamp[u] != g:
-                    stamp[u] = g
-                    unknowns[end] = u
-                    end += 1
-        own = unknowns[starts[g] : end]
-        _ascend(own)
-        for k in range(len(own)):
-            place[own[k]] = k
-        for row in rows:
-            for k in range(kept.shape[1]):
-                number[row, k] = place[kept[row, k]]
-        starts[g + 1] = end
-    return number, starts, unknowns[: starts[-1]]
-
-
-@compiled
+@helper
 def _hold(matrix: Array, along: Array, share: float) -> None:
     """Hold a body (q, q), turn and shift, in a direction, and a little in all."""
     q = len(matrix)
@@ -88,7 +44,7 @@ def _hold(matrix: Array, along: Array, share: float) -> None:
         matrix[a, a] += share * (turn if a < q - d else shift) + 1e-300
 
 
-@compiled
+@helper
 def _whitened(
     rows: Rows, bodies: Bodies, i: int, hold: float, root: Array, coupling: Array, pull: Array
 ) -> None:
@@ -115,10 +71,11 @@ def _whitened(
             for u in range(coupling.shape[1]):
                 coupling[a, u] -= root[a, b] * coupling[b, u]
         pull[a] /= root[a, a]
-        coupling[a] /= root[a, a]
+        for u in range(coupling.shape[1]):
+            coupling[a, u] /= root[a, a]
 
 
-@compiled
+@helper
 def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> float:
     """Add what the rows of a body say of what is kept; return their weighted squares."""
     off, _, by_kept, weight, number = rows
@@ -134,6 +91,25 @@ def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> 
                     entry = w * by_kept[row, k] * by_kept[row, m]
                     part[number[row, k], number[row, m]] += entry
     return squares
+
+
+@helper
+def _eliminated(coupling: Array, free: Array) -> Array:
+    """Return what eliminating bodies, so many of each free (n,), adds to the matrix (u, u).
+
+    What couples them, times their factor's inverse (n * q, u), is changed.
+    """
+    u = coupling.shape[1]
+    for r in range(len(coupling)):
+        share = np.sqrt(free[r * len(free) // len(coupling)])
+        for k in range(u):
+            coupling[r, k] *= share
+    part = np.empty((u, u))
+    np.dot(coupling.T, coupling, part)
+    for a in range(u):
+        for b in range(u):
+            part[a, b] = -part[a, b]
+    return part
 
 
 @compiled
@@ -174,16 +150,17 @@ def reduced_equations(
         own, n = unknowns[begin[g] : begin[g + 1]], first[g + 1] - first[g]
         coupling, pull = np.zeros((n * q, len(own))), np.zeros(n * q)
         for i in range(n):
-            at, body = slice(q * i, q * i + q), first[g] + i
-            _whitened(rows, bodies, body, hold, roots[body], coupling[at], pull[at])
-            cost -= free[body] * np.dot(pull[at], pull[at])
-            pull[at] *= free[body]
-        left = -np.dot(coupling.T, pull)
+            at, end, body = q * i, q * i + q, first[g] + i
+            _whitened(rows, bodies, body, hold, roots[body], coupling[at:end], pull[at:end])
+            squares = 0.0
+            for a in range(at, end):
+                squares += pull[a] * pull[a]
+                pull[a] *= -free[body]
+            cost -= free[body] * squares
+        left = np.dot(coupling.T, pull)
         part = np.empty((0, 0))
         if len(values):
-            for i in range(n):
-                coupling[q * i : q * i + q] *= np.sqrt(free_here[first[g] + i])
-            part = -np.dot(coupling.T, coupling)
+            part = _eliminated(coupling, free_here[first[g] : first[g + 1]])
         for i in range(first[g], first[g + 1]):
             cost += _add_rows(rows, bodies, i, left, part)
         for a in range(len(own)):

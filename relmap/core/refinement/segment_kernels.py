@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
 from relmap.core.grouping.averaging_kernels import place
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median
 from relmap.core.linalg.small_kernels import diagonalise, identity
 
@@ -21,7 +21,7 @@ EXACT = 1e-9
 """Deviation, as a share of the extent, that is taken for rounding."""
 
 
-@compiled
+@helper
 def _is_tied(
     here: NDArray[np.float64], rows: NDArray[np.bool_], scatter: NDArray[np.float64]
 ) -> bool:
@@ -78,7 +78,7 @@ def join(
     return joined, R, t
 
 
-@compiled
+@helper
 def _mean_of(
     block: NDArray[np.float64],
     seen: NDArray[np.bool_],

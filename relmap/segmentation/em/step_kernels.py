@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.segmentation.em.wall_kernels import (
     PEAK,
     bell,
@@ -26,7 +26,7 @@ NEWTON = 3
 """Steps to the likeliest line."""
 
 
-@compiled
+@helper
 def _gather(
     xy: Floats, share: Floats, total: Floats, wall: Floats, sigma: float, beam: float
 ) -> Floats:
@@ -63,7 +63,7 @@ def _gather(
     return s
 
 
-@compiled
+@helper
 def _turn(wall: Floats, s: Floats, begin: float, end: float, beam: float) -> float:
     """Move a wall to its points' line of least squares, between two measures; return the scatter.
 
@@ -102,7 +102,7 @@ def fit_line(xy: Floats, wall: Floats, beam: float) -> None:
         _turn(wall, s, 0.0, 0.0, beam)
 
 
-@compiled
+@helper
 def _score_ends(s: Floats, begin: float, end: float, blur: float) -> tuple[float, float]:
     """Return both ends, in the wall's measure, after a step of Fisher scoring, at most the blur.
 

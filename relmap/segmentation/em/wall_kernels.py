@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from relmap.core.arrays import Floats
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 REACH = 6.0
@@ -68,7 +68,7 @@ def foot_and_height(wall: Floats) -> tuple[float, float]:
     return foot, max(height, 1e-3)
 
 
-@compiled
+@helper
 def measure(t: float, foot: float, height: float, beam: float) -> float:
     """Return a place along a wall in what points fill evenly: metres, or of beams the angle."""
     return math.atan((t - foot) / height) if beam > 0 else t
@@ -102,7 +102,7 @@ def local_density(wall: Floats, at: float, beam: float) -> float:
     return 1.0 / max(span(wall, beam) * spread, 1e-12)
 
 
-@compiled
+@helper
 def end_blur(sigma: float, beam: float) -> float:
     """Return how unsharp ends are, in the `measure` of a wall.
 
@@ -112,7 +112,7 @@ def end_blur(sigma: float, beam: float) -> float:
     return BLUR * beam if beam > 0 else sigma
 
 
-@compiled
+@helper
 def sighted(
     x: float, y: float, wall: Floats, foot: float, height: float, beam: float
 ) -> tuple[float, float, float, float]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY, WALL
 
@@ -62,7 +62,7 @@ def window_thickness(xy: Floats, seeds: Ints, radii: Floats) -> Floats:
     return result
 
 
-@compiled
+@helper
 def _filled_run(filled: Bools, cell: int) -> tuple[int, int]:
     """Return the first and last cell of the run about one; single empty cells do not end it."""
     first = last = cell
@@ -74,7 +74,7 @@ def _filled_run(filled: Bools, cell: int) -> tuple[int, int]:
     return first, last
 
 
-@compiled
+@helper
 def _run_about(xy: Floats, wall: Floats, seed: int, band: float, gap: float, member: Bools) -> int:
     """Mark the points of a line's band that are connected to the seed; return their number.
 
@@ -110,7 +110,7 @@ def _run_about(xy: Floats, wall: Floats, seed: int, band: float, gap: float, mem
     return count
 
 
-@compiled
+@helper
 def _angle(wall: Floats) -> float:
     """Return the angle under which the sensor sees a wall."""
     ax, ay = wall[PX] + wall[BEGIN] * wall[UX], wall[PY] + wall[BEGIN] * wall[UY]
@@ -118,7 +118,7 @@ def _angle(wall: Floats) -> float:
     return abs(math.atan2(ax * by - ay * bx, ax * bx + ay * by))
 
 
-@compiled
+@helper
 def _start_line(xy: Floats, seed: int, chance: float, band: float, window: float, w: Floats) -> int:
     """Fit a line to the window about a seed, through it and a chance neighbour at first.
 

@@ -15,7 +15,7 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Floats
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.segmentation.em.wall_kernels import (
     PEAK,
     REACH,
@@ -35,13 +35,13 @@ LEAST = 0.05
 _ROOT = math.sqrt(2.0)
 
 
-@compiled
+@helper
 def exact_step(x: float) -> float:
     """Return the normal distribution function at x."""
     return 0.5 * math.erfc(-x / _ROOT)
 
 
-@compiled
+@helper
 def _end_slope(
     at: float, other: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> float:
@@ -62,7 +62,7 @@ def _end_slope(
     return slope - density
 
 
-@compiled
+@helper
 def _bracket(
     begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> tuple[float, float]:
@@ -84,7 +84,7 @@ def _bracket(
     return low, high
 
 
-@compiled
+@helper
 def lower_end(
     begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
 ) -> float:
@@ -110,7 +110,7 @@ def lower_end(
     return 0.5 * (low + high)
 
 
-@compiled
+@helper
 def _density_at(begin: float, end: float, t: Floats, weight: Floats, beam: float) -> float:
     """Return how many points lie on a measure about the lower end: of the first few beams.
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import median
 from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, WALL
 
@@ -27,7 +28,7 @@ LIMIT = 4.0
 """Nor where the mean square of two neighbours, in common, exceeds the noise's this many times."""
 
 
-@compiled
+@helper
 def _fit(xy: Floats, first: int, last: int) -> Floats:
     """Return the wall through points first to last (excluded), from the first to the last."""
     wall = np.zeros(WALL)
@@ -39,12 +40,12 @@ def _fit(xy: Floats, first: int, last: int) -> Floats:
     return wall
 
 
-@compiled
+@helper
 def _off(xy: Floats, i: int, wall: Floats) -> float:
     return float(abs((xy[i, 1] - wall[PY]) * wall[UX] - (xy[i, 0] - wall[PX]) * wall[UY]))
 
 
-@compiled
+@helper
 def _turns(xy: Floats) -> Floats:
     """Return the angles (n - 1,) from each point to the next as the sensor sees them."""
     turn = np.empty(len(xy) - 1)
@@ -54,10 +55,10 @@ def _turns(xy: Floats) -> Floats:
     return turn
 
 
-@compiled
+@helper
 def _breaks(xy: Floats, turn: Floats, sigma: float) -> Bools:
     """Tell after which points (n,) the next one is not on the same surface."""
-    n, usual = len(xy), np.median(turn)
+    n, usual = len(xy), median(turn.copy())
     radius = np.empty(n)
     for i in range(n):
         radius[i] = math.hypot(xy[i, 0], xy[i, 1])
@@ -77,12 +78,13 @@ def range_breaks(xy: Floats, sigma: float) -> Ints:
     broken = np.zeros(len(xy), dtype=np.int64)
     if len(xy) > 1:
         turn = _turns(xy)
-        near = turn < SKIPPED * np.median(turn)
-        broken[:-1] = _breaks(xy, turn, sigma)[:-1] & near
+        found, limit = _breaks(xy, turn, sigma), SKIPPED * median(turn.copy())
+        for i in range(len(turn)):
+            broken[i] = found[i] and turn[i] < limit
     return broken
 
 
-@compiled
+@helper
 def _split_at(xy: Floats, first: int, last: int, sigma: float) -> int:
     """Return where points first to last (excluded) bend most; -1 where one line fits them."""
     wall = _fit(xy, first, last)
@@ -100,7 +102,7 @@ def _split_at(xy: Floats, first: int, last: int, sigma: float) -> int:
     return at
 
 
-@compiled
+@helper
 def _scatter(xy: Floats, first: int, last: int) -> float:
     """Return the sum of squares of points first to last (excluded) about their line."""
     wall, total = _fit(xy, first, last), 0.0
@@ -109,7 +111,7 @@ def _scatter(xy: Floats, first: int, last: int) -> float:
     return total
 
 
-@compiled
+@helper
 def _shift_breaks(xy: Floats, broken: Bools, pieces: list[tuple[int, int]]) -> None:
     """Give each point beside a bend to the line it is nearer to."""
     for k in range(len(pieces) - 1):
@@ -125,7 +127,7 @@ def _shift_breaks(xy: Floats, broken: Bools, pieces: list[tuple[int, int]]) -> N
         pieces[k], pieces[k + 1] = (a, b), (b, d)
 
 
-@compiled
+@helper
 def _straight(
     xy: Floats, first: int, last: int, sigma: float, pieces: list[tuple[int, int]]
 ) -> None:
@@ -143,7 +145,7 @@ def _straight(
             waiting.append((a, at))
 
 
-@compiled
+@helper
 def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> bool:
     """Tell whether beams go through between point b - 1 and point c, to meet something or nothing.
 
@@ -152,7 +154,7 @@ def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> boo
     wide = math.hypot(xy[c, 0] - xy[b - 1, 0], xy[c, 1] - xy[b - 1, 1])
     if wide < DOOR_M:
         return False
-    unseen = turn[b - 1 : c].sum() / np.median(turn) - (c - b) - 1
+    unseen = turn[b - 1 : c].sum() / median(turn.copy()) - (c - b) - 1
     line = _fit(xy[np.array([b - 1, c])], 0, 2)
     side = line[PX] * line[UY] - line[PY] * line[UX]  # where the sensor stands
     through = 0
@@ -163,7 +165,7 @@ def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> boo
     return bool(unseen + through >= OPEN)
 
 
-@compiled
+@helper
 def _join(xy: Floats, turn: Floats, pieces: list[tuple[int, int]], sigma: float) -> None:
     """Join neighbours that one line fits."""
     k = 0
@@ -178,7 +180,7 @@ def _join(xy: Floats, turn: Floats, pieces: list[tuple[int, int]], sigma: float)
             k += 1
 
 
-@compiled
+@helper
 def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
     """Return how probable it is that points first to last (excluded) form a line by chance.
 
