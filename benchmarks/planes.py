@@ -1,9 +1,9 @@
 """How accurate the map of walls is: simulated buildings, and real laser logs.
 
-    python benchmarks/planes.py [DATA] [--seeds 5] [--only simulated|logs|submaps]
+    python benchmarks/planes.py [DATA] [--seeds 5] [--only simulated|logs]
 
-prints tables in markdown; DATA is a folder of the real data sets.  `submaps` tells of every laser
-log, also those whose scans lie too far apart for one map, into how many submaps it breaks.
+prints tables in markdown; DATA is a folder of the real data sets.  `laser.py` tells of every laser
+log, also those whose scans lie too far apart for one map.
 """
 
 from __future__ import annotations
@@ -36,19 +36,6 @@ LOGS = (
     ("freiburg-079", "carmen-laser2d/freiburg-079-corrected.log.gz", None),
     ("MRPT simul", "mrpt-sim-laser2d/simul.scans.csv.gz", None),
 )
-EVERY_LOG = (
-    ("fr079", "fr079.log.gz", 1),
-    ("mit-cscail", "mit-cscail.log.gz", 1),
-    ("belgioioso", "belgioioso-corrected.log.gz", 1),
-    ("csail", "csail-corrected.log.gz", 1),
-    ("edmonton", "edmonton-corrected.log.gz", 1),
-    ("fhw", "fhw-corrected.log.gz", 1),
-    ("freiburg-101", "freiburg-101-corrected.log.gz", 1),
-    ("orebro", "orebro-corrected.log.gz", 1),
-    ("freiburg-079", "freiburg-079-corrected.log.gz", 1),
-    ("freiburg-079, every 2nd beam", "freiburg-079-corrected.log.gz", 2),
-)
-"""Laser logs, good and bad, and of how many beams one is kept."""
 RELATIONS = {"freiburg-079": "carmen-laser2d/fr079.relations"}
 
 
@@ -74,15 +61,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--worlds", nargs="*", default=["building", "panels"])
     parser.add_argument("--sigmas", nargs="*", type=float, default=SIGMAS)
-    parser.add_argument("--only", choices=("simulated", "logs", "submaps"), help="one table alone")
+    parser.add_argument("--only", choices=("simulated", "logs"), help="one table alone")
     arguments = parser.parse_args()
     _simulated("building", 0.1, 1000)  # compiles
     if arguments.only in (None, "simulated"):
         _print_simulated(arguments.worlds, arguments.sigmas, arguments.seeds)
     if arguments.data is not None and arguments.only in (None, "logs"):
         _print_logs(arguments.data)
-    if arguments.data is not None and arguments.only in (None, "submaps"):
-        _print_submaps(arguments.data)
 
 
 def _print_simulated(worlds: list[str], sigmas: list[float], seeds: int) -> None:
@@ -206,37 +191,6 @@ def _logged(run: Run, log: ScanLog, data: Path, name: str) -> str:
         f"{(run.planes.status == 'static').sum()} | {timing['median_ms']:.2f} "
         f"| {timing['segmentation_median_ms']:.2f} | {timing['refine_ms'] / 1e3:.1f} |"
     )
-
-
-def _print_submaps(data: Path) -> None:
-    """Print into how many submaps each laser log breaks, and how good the largest is."""
-    print("\n| log | scans | submaps | scans of the largest | path [m] | ATE [m] | refined |")
-    print("|---" * 7 + "|")
-    for name, file, every in EVERY_LOG:
-        log = open_scans(data / "carmen-laser2d" / file)
-        log = log if every == 1 else _thinned(log, every)
-        run = run_mapper(PlaneMapper(), log, refine=True)
-        submaps, result = run.result.summary["submaps"], run.result
-        mine, other = metrics.match_stamps(result.stamps_s, log.stamps_s)
-        assert log.poses is not None
-        ate = metrics.ate(result.poses[mine], log.poses[other], planar=True)
-        largest, refined = submaps[0], sum(submap["refined"] for submap in submaps)
-        print(
-            f"| {name} | {len(log)} | {len(submaps)} | {largest['scans']} "
-            f"| {largest['metres']:.1f} | {ate:.3f} | {refined} |",
-            flush=True,
-        )
-
-
-def _thinned(log: ScanLog, every: int) -> ScanLog:
-    """Return a log with one of so many beams left."""
-    scans = []
-    for scan in log.scans():
-        bearing = np.arctan2(scan.points_robot[:, 1], scan.points_robot[:, 0])
-        beam = np.rint((bearing - bearing.min()) / np.median(np.abs(np.diff(bearing))))
-        scans.append(scan.points_robot[beam % every == 0])
-    offsets = np.concatenate([[0], np.cumsum([len(points) for points in scans])])
-    return stored_scans(np.concatenate(scans), offsets, log.stamps_s, log.poses, log.sensor)
 
 
 if __name__ == "__main__":

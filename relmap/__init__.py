@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.sensor import range_bearing_covariances
 from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
@@ -17,4 +18,5 @@ __all__ = [
     "PointMapper",
     "RelmapError",
     "__version__",
+    "range_bearing_covariances",
 ]

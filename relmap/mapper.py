@@ -138,6 +138,17 @@ class Mapper(ABC):
         return self.engine.association.rejected
 
     @property
+    def tied_share(self) -> float | None:
+        """Share of the scans that were tied to those before at once, of points without ids.
+
+        The others began tracks, and perhaps submaps, of their own.  Rivals are looked for only
+        where nearest neighbours do not agree at once, so it does not tell that ties are right.
+        None where nothing was matched
+        so: with ids, of walls, by another registration.
+        """
+        return self.engine.association.tied_share
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         return readout.path(self.engine)

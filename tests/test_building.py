@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 from relmap import RelmapError
 from relmap.simulation import Building, BuildingScan, building_scene, simulate_building
 from relmap.simulation.building import SENSOR_HEIGHT_M
-from relmap.simulation.floor_plan import World, make_floor_plan, wall_distances
+from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.sensor import Sampling, Sensor
+from relmap.simulation.shapes import wall_distances
+from tests.segments import crossings
 
 WORLDS: tuple[World, ...] = ("building", "panels", "long-wall")
 
@@ -18,22 +20,6 @@ WORLDS: tuple[World, ...] = ("building", "panels", "long-wall")
 @pytest.fixture(scope="module")
 def exact() -> Building:
     return simulate_building(points=300, sigma=0.0, sample_ends=True, seed=3)
-
-
-def crossings(walls: NDArray[np.float64]) -> int:
-    """Count pairs of walls that meet inside both of them, other than the sides of one."""
-    count = 0
-    a, b = walls[:, :2], walls[:, 2:4]
-    for k in range(len(walls)):
-        d, e = b[k] - a[k], b - a
-        det = d[0] * e[:, 1] - d[1] * e[:, 0]
-        offset = a - a[k]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (offset[:, 0] * e[:, 1] - offset[:, 1] * e[:, 0]) / det
-            u = (offset[:, 0] * d[1] - offset[:, 1] * d[0]) / det
-        inside = (t > 1e-9) & (t < 1 - 1e-9) & (u > 1e-9) & (u < 1 - 1e-9)
-        count += int((inside & (np.abs(det) > 1e-12)).sum())
-    return count
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -264,7 +250,7 @@ def test_iterations_go_on_round() -> None:
         {"world": "moon"},
         {"loops": 0},
         {"sensor": Sensor(range_m=0.0)},
-        {"sensor": Sensor(view_rad=4.0)},
+        {"sensor": Sensor(view_rad=6.3)},
     ],
 )
 def test_arguments_out_of_range_are_named(bad: dict[str, object]) -> None:

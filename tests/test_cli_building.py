@@ -74,6 +74,28 @@ def test_a_laser_writes_planar_scans(tmp_path: Path) -> None:
     assert 0 < min(len(scan.points_robot) for scan in log.scans()) < 200
 
 
+def test_a_laser_has_beams_view_and_steps_as_asked_for(tmp_path: Path) -> None:
+    options = ["--beams", "90", "--view", "270", "--range", "5", "--step", "0.5"]
+    simulate(tmp_path, *OPTIONS, *options, "--people", "3", "--clutter", "0.1")
+    log = open_scans(tmp_path)
+    assert log.sensor.view_rad == pytest.approx(np.deg2rad(270))
+    assert log.sensor.range_m == 5.0
+    assert np.diff(log.stamps_s) == pytest.approx(0.2 * 0.5 / 0.22)
+    bearings = [np.arctan2(*scan.points_robot.T[::-1]) for scan in log.scans()]
+    beam = np.concatenate(bearings) / np.deg2rad(270 / 89) + 44.5
+    assert 60 < max(map(len, bearings)) <= 90
+    far = np.concatenate([np.hypot(*scan.points_robot.T) for scan in log.scans()]) > 1.0
+    np.testing.assert_allclose(beam[far], np.rint(beam[far]), atol=1e-6)
+
+
+def test_the_truth_tells_from_where_to_where_walls_were_seen(world: Path) -> None:
+    run = simulate_building(points=200, iterations=40, seed=3)
+    rows = table(world / "truth" / "planes.csv")
+    told = [[float(row[name] or "nan") for name in ("seen0", "seen1")] for row in rows]
+    np.testing.assert_array_equal(told, run.seen_extents())
+    assert 0 < np.isfinite(told).all(axis=1).sum() < len(rows)
+
+
 def test_bad_options_leave_everything_as_it_was(refused: Check) -> None:
     for option, value, expected in (
         ("--points", "0", "points"),
@@ -84,6 +106,13 @@ def test_bad_options_leave_everything_as_it_was(refused: Check) -> None:
         ("--seed", "-1", "seed"),
         ("--world", "moon", "'building', 'panels'"),
         ("--sampling", "sonar", "'surface', 'rays', 'laser'"),
+        ("--beams", "0", "points"),
+        ("--view", "360", "view"),
+        ("--range", "0", "range"),
+        ("--step", "0", "step"),
+        ("--people", "1", "sampling must be laser"),
+        ("--clutter", "0.1", "sampling must be laser"),
+        ("--world", "glass", "sampling must be laser"),
     ):
         assert expected in refused("simulate", "building", "-o", "new", option, value)
 

@@ -117,6 +117,42 @@ def test_rpe_skips_gaps() -> None:
     assert metrics.rpe(poses[:0], true_poses[:0], np.empty(0, np.intp)) is None
 
 
+def test_steps_are_wrong_by_shift_or_by_turn() -> None:
+    true_poses = poses_at(np.arange(18.0).reshape(6, 3))
+    shift = np.cumsum([0.0, 0.29, 0.31, 0.0, 0.0, 0.0])[:, None] * [0.6, 0.8, 0.0]
+    yaw = np.deg2rad([0.0, 0.0, 0.0, 9.9, 20.1, 20.1])
+    poses = poses_at(true_poses[:, :3, 3] + shift, Rotation.from_euler("z", yaw[:, None]))
+    # Where the robot only turned it stays where it is: later positions turn with it.
+    for k in (4, 5):
+        poses[k:, :3, 3] = poses[k - 1, :3, 3] + poses[k - 1, :3, :3] @ [3.0, 3.0, 3.0]
+    assert metrics.wrong_steps(poses, true_poses).tolist() == [2, 4]
+    assert metrics.wrong_steps(poses, true_poses, most_m=1.0).tolist() == [4]
+    turned = Rotation.from_rotvec([0.0, 0.0, 2.0]).as_matrix()
+    other = poses.copy()
+    other[:, :3] = turned @ other[:, :3]
+    assert metrics.wrong_steps(other, true_poses).tolist() == [2, 4]
+    assert len(metrics.wrong_steps(poses[:1], true_poses[:1])) == 0
+
+
+def test_scans_overlap_where_the_motion_is_right() -> None:
+    rng = np.random.default_rng(0)
+    place = rng.uniform(-50, 50, (200, 2))  # far apart: hardly any is near another by chance
+    T = poses_at(np.array([[1.0, 2.0, 0.0]]), Rotation.from_euler("z", [[0.5]]))[0]
+    seen_before = place @ T[:2, :2].T + T[:2, 3]
+    assert metrics.overlap(place, seen_before, T) == 1.0
+    assert metrics.overlap(place[:100], seen_before[50:], T) == pytest.approx(0.5, abs=0.03)
+    assert metrics.overlap(place, seen_before, np.eye(4)) < 0.05
+    assert metrics.overlap(place[:0], seen_before, T) == 0.0
+    assert metrics.overlap(place, seen_before[:0], T) == 0.0
+
+
+def test_scans_of_wrong_and_of_short_submaps_are_not_right() -> None:
+    scans, ates_m = np.array([50.0, 30, 10, 9]), np.array([0.3, 0.31, 0.0, 0.0])
+    assert metrics.share_right(scans, ates_m, 100) == pytest.approx(0.6)
+    assert metrics.share_right(scans, ates_m, 100, most_m=0.4) == pytest.approx(0.9)
+    assert metrics.share_right(scans[:0], ates_m[:0], 100) == 0.0
+
+
 @given(st.integers(0, 1000))
 def test_no_error_depends_on_the_frame_of_the_map(seed: int) -> None:
     rng = np.random.default_rng(seed)

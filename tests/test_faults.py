@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from relmap.cli import main
 from relmap.core.association.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.core.errors import RelmapError
 from relmap.datasets import ObservationLog, write_observation_csv
-from relmap.evaluation.summary import MANY, rejected_iterations
+from relmap.evaluation.summary import MANY, ends_of
+from relmap.io.results import read_result
 from relmap.simulation import faults, simulate_figure_eight
 from tests.worlds import aligned_rmse, random_rotation
 
@@ -179,9 +181,7 @@ def test_what_is_rigid_is_believed(seed: int, d: int, sigma: float) -> None:
         R, t = R @ random_rotation(d, 0.3, rng), t + rng.uniform(-1, 1, d)
         seen = rng.permutation(30)[: rng.integers(0, 31)]
         points = (world[seen] - t) @ R + sigma * rng.standard_normal((len(seen), d))
-        good = rigidity.believed(seen, points)
-        assert good is not None
-        assert good.all()
+        np.testing.assert_array_equal(rigidity.believed(seen, points), seen)
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
@@ -198,50 +198,68 @@ def test_what_is_not_rigid_is_not_believed(seed: int, d: int) -> None:
     mirror[1] = -1
     assert rigidity.believed(ids, scan() * mirror) is None
     assert rigidity.believed(ids, scan()[rng.permutation(30)]) is None
-    good = rigidity.believed(ids, scan())
-    assert good is not None
-    assert good.all()
+    np.testing.assert_array_equal(rigidity.believed(ids, scan()), ids)
     off = scan()
-    off[4] += 15.0
-    good = rigidity.believed(ids, off)
-    assert good is not None
-    assert np.flatnonzero(~good).tolist() == [4]
-    good = rigidity.believed(ids, off + 0.01)  # it is there again: it has gone there
-    assert good is not None
-    assert good.all()
+    off[4] += 60.0
+    np.testing.assert_array_equal(rigidity.believed(ids, off), np.where(ids == 4, -1, ids))
+    # It is there again: it has gone there.
+    np.testing.assert_array_equal(rigidity.believed(ids, off + 0.01), ids)
 
 
-def test_among_strays_a_new_landmark_is_believed_when_it_is_seen_twice() -> None:
+@pytest.mark.parametrize("new", [6, 30])
+def test_among_wrong_ids_a_new_id_is_that_of_who_is_expected_there(new: int) -> None:
     rng = np.random.default_rng(0)
-    world, ids = rng.uniform(-20, 20, (31, 3)), np.arange(31)
+    world, ids, rigidity = rng.uniform(-20, 20, (31, 3)), np.arange(31), Rigidity()
+    for _ in range(5):
+        rigidity.believed(ids[:30], world[:30] + 0.02 * rng.standard_normal((30, 3)))
+    swapped, read = ids.copy(), ids.copy()
+    swapped[[4, 9]] = 9, 4
+    swapped[new] = read[new] = 77
+    expected = np.where(ids == 30, 77 if new == 30 else 30, ids)
+    np.testing.assert_array_equal(rigidity.believed(swapped, world), expected)
+    np.testing.assert_array_equal(rigidity.believed(read, world), expected)
 
-    def of_the_new(strays: bool) -> list[bool]:
-        rigidity = Rigidity()
-        for k in range(8):
-            scan = world + 0.02 * rng.standard_normal((31, 3))
-            if strays and k >= 5:
-                scan[[4, 9]] += rng.normal(0, 15, (2, 3))
-            rigidity.believed(ids[:30], scan[:30])
-        good = [rigidity.believed(ids, world) for _ in range(2)]
-        return [each is not None and bool(each[30]) for each in good]
 
-    assert of_the_new(strays=False) == [True, True]
-    assert of_the_new(strays=True) == [False, True]
+def test_a_misread_id_does_not_capture_a_landmark() -> None:
+    rng = np.random.default_rng(0)
+    world, ids, rigidity = rng.uniform(-20, 20, (31, 3)), np.arange(31), Rigidity()
+    for _ in range(5):
+        rigidity.believed(ids[:30], world[:30])
+    for strange in (77, 30, 30):
+        seen = np.append(ids[:30], strange)
+        seen[[4, 9]] = 9, 4
+        found = rigidity.believed(seen, world)
+        np.testing.assert_array_equal(found, np.append(ids[:30], strange))
+
+
+def test_overruled_observations_are_named() -> None:
+    log, mapper = swapped_in(LOG, AT), PointMapper()
+    labels = [mapper.update(scan.points_robot, scan.ids) for scan in log.scans()]
+    assert mapper.rejected_observations.tolist() == [[AT, 0], [AT, 1]]
+    assert LOG.ids is not None
+    np.testing.assert_array_equal(np.concatenate(labels), LOG.ids)
+
+
+def swapped_in(log: ObservationLog, iteration: int) -> ObservationLog:
+    """Swap the ids of the first two observations of an iteration."""
+    assert log.ids is not None
+    ids, first = log.ids.copy(), int(np.searchsorted(log.iteration, iteration))
+    ids[[first, first + 1]] = ids[[first + 1, first]]
+    return replace(log, ids=ids)
 
 
 def test_too_little_in_common_is_not_judged() -> None:
     rng = np.random.default_rng(0)
     rigidity = Rigidity()
     for n in (PLENTY - 1, PLENTY - 1, 3, 0, 1):
-        good = rigidity.believed(np.arange(n), rng.uniform(-9, 9, (n, 3)))
-        assert good is not None
-        assert good.all()
+        ids = np.arange(n)
+        np.testing.assert_array_equal(rigidity.believed(ids, rng.uniform(-9, 9, (n, 3))), ids)
     assert CARRIED > 0
 
 
 @pytest.mark.parametrize("n", [0, 3, MANY, MANY + 1, 1000])
 def test_many_rejected_iterations_are_listed_by_their_ends(n: int) -> None:
-    listed = rejected_iterations(np.arange(n))
+    listed = ends_of(np.arange(n), "iterations")
     assert listed["count"] == n
     assert len(listed["iterations"]) == min(n, MANY)
     assert listed["iterations"][:1] == list(range(n))[:1]
@@ -257,13 +275,32 @@ def test_the_summary_names_rejected_iterations(tmp_path: Path) -> None:
         assert main(["map", source, "-o", str(out), "--association", association]) == 0
         summary = json.loads((out / "summary.json").read_text())
         assert summary["rejected_iterations"] == {"count": 1, "iterations": [AT]}
+        assert summary["rejected_observations"] == {"count": 0, "rows": []}
+
+
+def test_the_result_names_overruled_observations(tmp_path: Path) -> None:
+    log = swapped_in(LOG, AT)
+    write_observation_csv(tmp_path / "observations.csv", log)
+    source, out = str(tmp_path / "observations.csv"), tmp_path / "r"
+    assert main(["map", source, "-o", str(out), "--association", "known"]) == 0
+    first = int(np.searchsorted(log.iteration, AT))
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["rejected_observations"] == {"count": 2, "rows": [first, first + 1]}
+    tracks = read_result(out).tracks
+    assert tracks.rejected_id is not None
+    assert LOG.ids is not None
+    assert log.ids is not None
+    overruled = tracks.rejected_id >= 0
+    np.testing.assert_array_equal(tracks.row[overruled], [first, first + 1])
+    np.testing.assert_array_equal(tracks.landmark, LOG.ids)
+    np.testing.assert_array_equal(tracks.rejected_id[overruled], log.ids[first : first + 2])
 
 
 def test_gross_outliers_that_nobody_holds_back_end_in_no_traceback(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def believed(_: Rigidity, ids: NDArray[np.int64], __: object) -> NDArray[np.bool_]:
-        return np.ones(len(ids), dtype=bool)
+    def believed(_: Rigidity, ids: NDArray[np.int64], __: object) -> NDArray[np.int64]:
+        return ids
 
     monkeypatch.setattr(Rigidity, "believed", believed)
     log = simulate_figure_eight(density=25, seed=0).log

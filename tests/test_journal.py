@@ -207,7 +207,7 @@ def changed(path: Path, statement: str) -> None:
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
-        ("PRAGMA user_version = 2", "is of version 2, and this relmap reads up to 1"),
+        ("PRAGMA user_version = 3", "is of version 3, and this relmap reads up to 2"),
         ("PRAGMA application_id = 7", "not a journal of relmap"),
         ("DROP TABLE scans", "table scans is not as it should be"),
         ("DELETE FROM meta WHERE key = 'variant'", "lacks variant or configuration"),

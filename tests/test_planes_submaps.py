@@ -191,6 +191,11 @@ def test_files_line_and_picture_tell_of_submaps(
     assert first["scans"] == second["scans"] == 30
     assert 0.0 < second["metres"] < 15.0
     assert "broke into 2 submaps" in said
+    steps = summary["steps"]
+    assert 0.05 < steps["median_m"] < 0.5
+    assert 0.0 <= steps["median_deg"] < 10.0
+    assert f"here {steps['median_m']:.2f} m" in said
+    assert f"here {steps['view_deg']:.0f} degrees" in said
     assert said.startswith(f"wrote {len(list(out.iterdir()))} files")
     stamps_s, poses = read_tum(out / "submap-1.tum")
     assert len(poses) == 30
@@ -203,6 +208,17 @@ def test_files_line_and_picture_tell_of_submaps(
     assert not (out / "submap-1.tum").exists()
     with Image.open(out / "map.png") as image:
         assert image.size != two
+
+
+def test_no_advice_where_the_largest_submap_is_all_but_whole(
+    broken: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mapping = ["map", str(broken), "-o", str(tmp_path), "--variant", "planes", "--scans", "0:32"]
+    capsys.readouterr()
+    assert main(mapping) == 0
+    said = capsys.readouterr().out
+    assert "broke into 2 submaps" in said
+    assert "What helps" not in said
 
 
 def test_corners_are_counted_alike_everywhere(broken: Path, tmp_path: Path) -> None:

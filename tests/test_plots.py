@@ -15,10 +15,11 @@ from PIL import Image
 from relmap.core.landmarks import LandmarkTable
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result, Tracks
+from relmap.planes.files import DrawnSubmap
 from relmap.planes.table import PlaneTable
 from relmap.plots.comparison import plot_comparison
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
-from relmap.plots.planes import plot_planes
+from relmap.plots.planes import plot_planes, plot_submaps
 from relmap.plots.run import plot_run, write_map_png
 from relmap.plots.sheet import limits_of
 
@@ -188,6 +189,33 @@ def no_planes() -> PlaneTable:
     ends = np.empty((0, 2, 2))
     corners = np.empty((0, 2), np.int64)
     return PlaneTable(none, ends, pairs, pairs, corners, none, none, none, np.empty(0, "U7"))
+
+
+def drawn_submap(weak: list[int]) -> DrawnSubmap:
+    """A submap without walls, of ten scans along a line."""
+    poses = np.tile(np.eye(4), (10, 1, 1))
+    poses[:, 0, 3] = np.arange(10)
+    points = np.array([[2.0, 1.0], [3.0, 1.0]])
+    return DrawnSubmap(np.arange(10.0), poses, no_planes(), points, np.array(weak, dtype=np.int64))
+
+
+def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:
+    axes = plot_submaps([drawn_submap([4, 7])], 1).axes[0]
+    lines = {str(line.get_label()): line.get_xydata() for line in axes.get_lines()}
+    np.testing.assert_array_equal(lines["start"], [[0.0, 0.0]])
+    np.testing.assert_array_equal(lines["end"], [[9.0, 0.0]])
+    np.testing.assert_array_equal(lines["weak link"], [[3.5, 0.0], [6.5, 0.0]])
+    assert any(np.array_equal(each, [[2.0, 1.0], [3.0, 1.0]]) for each in lines.values())
+    without = plot_submaps([drawn_submap([])], 1).axes[0]
+    assert "weak link" not in [line.get_label() for line in without.get_lines()]
+
+
+def test_each_submap_has_a_panel_of_its_own() -> None:
+    figure = plot_submaps([drawn_submap([]), drawn_submap([2])], 3)
+    assert [axes.get_title().partition(":")[0] for axes in figure.axes] == ["map", "submap 1"]
+    assert figure.get_suptitle() == "3 separate submaps, 1 of a few scans not drawn"
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels.count("weak link") == 1
 
 
 def test_path_among_walls_is_broken_where_it_leaps() -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.visibility import SeenWalls, seen_walls
+from tests.segments import cast
 
 RIGHT_ANGLE = np.deg2rad(90.0)
 
@@ -17,25 +18,6 @@ def look(*walls: tuple[float, float, float, float], range_m: float = 10.0) -> Se
     """Return what is seen of walls x0, y0, x1, y1 by a robot with a view of 90 degrees."""
     ends = np.array(walls, dtype=np.float64).reshape(-1, 2, 2)
     return seen_walls(ends, range_m, RIGHT_ANGLE / 2)
-
-
-def cast(ends: NDArray[np.float64], bearing: float) -> tuple[float, int]:
-    """Return how far a ray goes to the nearest wall, and which it is; walls hide from both sides.
-
-    Of two sides of a wall it names the one that faces the robot.
-    """
-    ray = np.array([np.cos(bearing), np.sin(bearing)])
-    best, which = np.inf, -1
-    for number, (a, b) in enumerate(ends):
-        matrix = np.column_stack([ray, a - b])
-        if abs(np.linalg.det(matrix)) < 1e-14:
-            continue
-        distance, t = np.linalg.solve(matrix, a)
-        faces = a[0] * b[1] - a[1] * b[0] > 0
-        nearer = distance < best - 1e-9 or (distance < best + 1e-9 and faces)
-        if 0 <= t <= 1 and distance > 0 and nearer:
-            best, which = distance, number
-    return best, which
 
 
 def bearings(seen: SeenWalls) -> NDArray[np.float64]:
@@ -95,7 +77,9 @@ def test_nothing_is_seen_of_nothing() -> None:
     assert len(look().wall) == 0
 
 
-def random_views(count: int) -> list[tuple[NDArray[np.float64], float, float]]:
+def random_views(
+    count: int, most_deg: float = 90
+) -> list[tuple[NDArray[np.float64], float, float]]:
     """Return walls in the frame of robots on random places of random worlds, range, half view."""
     views = []
     worlds: tuple[World, ...] = ("building", "panels")
@@ -106,11 +90,11 @@ def random_views(count: int) -> list[tuple[NDArray[np.float64], float, float]]:
         R = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         floor = plan.floors[rng.integers(len(plan.floors))]
         ends = plan.walls[:, :4].reshape(-1, 2, 2) - rng.uniform(floor[:2], floor[2:])
-        views.append((ends @ R, rng.uniform(4, 12), np.deg2rad(rng.uniform(25, 90))))
+        views.append((ends @ R, rng.uniform(4, 12), np.deg2rad(rng.uniform(25, most_deg))))
     return views
 
 
-@pytest.mark.parametrize("view", random_views(12))
+@pytest.mark.parametrize("view", random_views(12) + random_views(12, 179))
 def test_ray_casting_meets_the_same_walls(view: tuple[NDArray[np.float64], float, float]) -> None:
     ends, range_m, half_view = view
     seen = seen_walls(ends, range_m, half_view)
@@ -130,7 +114,7 @@ def test_ray_casting_meets_the_same_walls(view: tuple[NDArray[np.float64], float
             assert abs(off) < 1e-9
 
 
-@pytest.mark.parametrize("view", random_views(30))
+@pytest.mark.parametrize("view", random_views(30) + random_views(30, 179))
 def test_ends_are_what_they_are_called(view: tuple[NDArray[np.float64], float, float]) -> None:
     ends, range_m, half_view = view
     seen = seen_walls(ends, range_m, half_view)

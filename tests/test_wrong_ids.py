@@ -110,7 +110,7 @@ def test_wrong_ids_do_not_move_the_robot() -> None:
     assert apart.max() < 0.3
 
 
-def ruined(problem: object, state: Laid, *_: object) -> Solution[Laid]:
+def ruined(problem: object, state: Laid, *_: object, **__: object) -> Solution[Laid]:
     positions = state.positions
     positions = positions + np.random.default_rng(0).normal(0, 5.0, positions.shape)
     weight = np.ones(len(state.placed))

@@ -37,6 +37,10 @@ Example:
 The figures:
   corner_rmse_m       of walls: as landmark_rmse_m, of their corners
   false corners       of walls: mapped corners that match no true one, and are not in the RMSE
+  wall_recall         of walls: share of the true walls over 0.5 m, as far as they were seen,
+                      on which a mapped one lies (within 0.1 m and 5 degrees)
+  wall_precision      of walls: share of the mapped walls over 0.5 m that lie on true ones
+  doubled_length      of walls: share of the mapped length on which another mapped wall lies
   landmark_rmse_m     how far the mapped landmarks are from their true places, after the map
                       was turned and shifted to fit (root mean square, metres)
   coverage            share of the landmarks seen at least ten times that are in the map
@@ -52,6 +56,9 @@ give it, the reason is told.
 FIGURES = {
     "landmark_rmse_m": "landmark RMSE [m]",
     "corner_rmse_m": "corner RMSE [m]",
+    "wall_recall": "walls found",
+    "wall_precision": "mapped walls right",
+    "doubled_length": "wall length doubled",
     "coverage": "coverage",
     "landmarks_per_true": "landmarks per true one",
     "purity": "purity",

@@ -37,6 +37,8 @@ class Job:
         Result folder whose map the log is added to.
     animate : bool
         Of walls, whether to draw the whole run.
+    sigmas : tuple of float or None
+        Noise of range, metres, bearing and elevation, radians; what the log tells where None.
     stopped : callable
         Tells whether to stop before the log is at its end.
     """
@@ -54,6 +56,7 @@ class Job:
     resumed: bool = False
     onto: Path | None = None
     animate: bool = False
+    sigmas: tuple[float, ...] | None = None
     stopped: Callable[[], bool] = lambda: False
 
     @property
@@ -68,6 +71,7 @@ class Job:
             "format": self.log_format,
             "refine": self.refine,
             "animate": self.animate,
+            "sigmas": self.sigmas,
         }
 
     @classmethod
@@ -99,6 +103,7 @@ class Job:
                 log_format=run["format"],
                 refine=bool(run["refine"]),
                 animate=bool(run["animate"]),
+                sigmas=tuple(map(float, run.get("sigmas") or ())) or None,
                 journal=path.absolute(),
                 folder=Path(run["folder"]),
                 resumed=True,

@@ -87,6 +87,31 @@ _Journal = Annotated[
         "can go on if the run ends early.",
     ),
 ]
+_RangeSigma = Annotated[
+    float | None,
+    typer.Option(
+        "--range-sigma",
+        metavar="METRES",
+        help="Noise of the measured ranges, a standard deviation; with --bearing-sigma each "
+        "observation is weighed by how noisy it is. What the log tells of it is the default.",
+    ),
+]
+_BearingSigma = Annotated[
+    float | None,
+    typer.Option(
+        "--bearing-sigma",
+        metavar="RADIANS",
+        help="Noise of the measured bearings, in radians; goes with --range-sigma.",
+    ),
+]
+_ElevationSigma = Annotated[
+    float | None,
+    typer.Option(
+        "--elevation-sigma",
+        metavar="RADIANS",
+        help="In space, that of the angles above the horizontal; as --bearing-sigma if not given.",
+    ),
+]
 _Onto = Annotated[
     Path | None,
     typer.Option(
@@ -115,6 +140,9 @@ def map_command(
     journal: _Journal = None,
     onto: _Onto = None,
     animate: _Animate = False,
+    range_sigma: _RangeSigma = None,
+    bearing_sigma: _BearingSigma = None,
+    elevation_sigma: _ElevationSigma = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
@@ -129,6 +157,7 @@ def map_command(
     elif known:
         message = "--registration is for observations without ids: leave out --association"
         args.refuse(registration, message)
+    sigmas = _sigmas(planes, range_sigma, bearing_sigma, elevation_sigma)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
     with stoppable() as stopped:
         job = Job(
@@ -143,9 +172,23 @@ def map_command(
             journal=journal,
             onto=onto,
             animate=animate,
+            sigmas=sigmas,
             stopped=stopped,
         )
         report(job)
+
+
+def _sigmas(
+    planes: bool, range_m: float | None, bearing_rad: float | None, elevation_rad: float | None
+) -> tuple[float, ...] | None:
+    """Return the noise of range, bearing and, where it is given, elevation."""
+    given = [sigma for sigma in (range_m, bearing_rad, elevation_rad) if sigma is not None]
+    args.refuse(given and planes, "walls tell their noise themselves: leave out --range-sigma")
+    one = given and (range_m is None or bearing_rad is None)
+    args.refuse(one, "--range-sigma and --bearing-sigma go together")
+    for sigma in given:
+        args.refuse(not 0 < sigma < float("inf"), f"a sigma is {sigma}; it must be above 0")
+    return tuple(given) or None
 
 
 def _settings(

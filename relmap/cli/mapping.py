@@ -69,7 +69,20 @@ def _log_of(job: Job) -> Log:
         raise RelmapError(
             f"--association known needs the identity of each landmark, and {source} has no ids"
         )
-    return log
+    return log if job.sigmas is None else _with_noise(log, job.sigmas)
+
+
+def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
+    """Return a log whose points are as noisy as a sensor of range and bearing makes them."""
+    from dataclasses import replace
+
+    from relmap.core.sensor import range_bearing_covariances
+    from relmap.datasets.base import ObservationLog
+
+    assert isinstance(log, ObservationLog)
+    if len(sigmas) > log.points_robot.shape[1]:
+        raise RelmapError("--elevation-sigma is for logs in space, and this one is planar")
+    return replace(log, covariances=range_bearing_covariances(log.points_robot, *sigmas))
 
 
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
@@ -77,7 +90,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     from relmap.datasets.scans import ScanLog
     from relmap.evaluation.run import run_mapper
 
-    seen, about = journaled_labels(job, log), _about(job)
+    seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
         mapper = job.mapper()
         afterwards.callback(mapper.close)
@@ -112,11 +125,11 @@ def _taken_up(
         yield scan
 
 
-def _about(job: Job) -> dict[str, Any]:
+def _about(job: Job, log: Log) -> dict[str, Any]:
     """Return what the summary tells of the job."""
     from relmap.evaluation.sources import recognised_format
 
-    about = {
+    about: dict[str, Any] = {
         "input": str(job.source),
         "format": job.log_format or recognised_format(job.at(job.source), job.variant),
         "variant": job.variant,
@@ -124,6 +137,8 @@ def _about(job: Job) -> dict[str, Any]:
     }
     if job.variant == "points":
         about |= {"onto": None if job.onto is None else str(job.onto), "tied_at": None}
+        weighed = getattr(log, "covariances", None) is not None
+        about |= {"weighed": weighed, "sigmas": job.sigmas}
     return about
 
 
@@ -147,8 +162,7 @@ def _write(folder: Path, run: Run) -> None:
         return
     write_planes(folder, result.planes)
     write_submaps(folder, [(submap.stamps_s, submap.poses) for submap in result.drawn])
-    drawn = [(submap.planes, submap.poses) for submap in result.drawn]
-    write_submaps_png(picture, drawn, len(result.summary["submaps"]))
+    write_submaps_png(picture, result.drawn, len(result.summary["submaps"]))
 
 
 def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder | None:

@@ -10,6 +10,9 @@ from relmap.cli.console import INTERRUPTED
 from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
 
+WHOLE = 0.9
+"""Share of the scans in the largest submap of a run that did not fall to pieces."""
+
 
 def report(job: Job) -> None:
     """Map a log, and tell what came out.
@@ -36,6 +39,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
+            f"{doubted(summary['association_trust']['tied_scans'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -70,7 +74,29 @@ def torn(summary: dict[str, Any]) -> str:
         told += f"; {failed} of {len(submaps)} submaps could not be refined"
     if weak := len(summary["weak_links"]):
         told += f"; scans between which the robot was taken to go on as before: {weak}"
-    return told
+    return told + _advice(summary)
+
+
+def _advice(summary: dict[str, Any]) -> str:
+    """Return what may hold a run together that fell to pieces, as the end of a message."""
+    scans = [submap["scans"] for submap in summary["submaps"]]
+    steps = summary["steps"]
+    if len(scans) < 2 or scans[0] >= WHOLE * sum(scans) or steps["median_m"] is None:
+        return ""
+    view_deg = steps["view_deg"]
+    view = "" if view_deg is None else f" (here {view_deg:.0f} degrees)"
+    return (
+        f". What helps is more to see in common from scan to scan: shorter steps (here "
+        f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
+        f"wider view{view}; odometry would bridge the breaks, but is not used for walls"
+    )
+
+
+def doubted(tied_scans: float | None) -> str:
+    """Return how many scans were tied to those before, as the end of a message."""
+    if tied_scans is None or tied_scans == 1:
+        return ""
+    return f"; {100 * tied_scans:.1f} % of the scans were tied to those before"
 
 
 def untied(submaps: int) -> str:

@@ -11,11 +11,28 @@ from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
 from relmap.cli.console import busy
 
 if TYPE_CHECKING:
+    from relmap.datasets.base import ObservationLog
     from relmap.evaluation.sources import EightSource
+    from relmap.evaluation.truth import Truth
     from relmap.simulation import Building
 
 Sampling = Literal["surface", "rays", "laser"]
-World = Literal["building", "panels", "long-wall"]
+World = Literal[
+    "building",
+    "panels",
+    "long-wall",
+    "oblique",
+    "glass",
+    "furniture",
+    "twin-rooms",
+    "corridor",
+    "bare-corridor",
+    "curved",
+]
+Kind = Literal[
+    "streets", "corridor", "ring", "field", "clumps", "columns", "line", "plane", "stairs"
+]
+Sensor = Literal["isotropic", "range", "bearing", "growing", "stereo"]
 
 app = typer.Typer(
     help="""Simulate a robot in a world whose truth is known.
@@ -36,6 +53,17 @@ the truth: DIR/truth/landmarks.csv and DIR/truth/trajectory.tum.  The path is a 
 \b
 Example:
   relmap simulate figure-eight -o eight --sigma 0.1
+"""
+
+_WORLD = """Simulate a robot in a world whose landmarks are hard to tell apart.
+
+It writes DIR/observations.csv (ids as they were read, -1 for false detections) and the truth:
+DIR/truth/landmarks.csv, DIR/truth/trajectory.tum and DIR/truth/ids.csv (the true landmark of each
+row of the log).  The sensor sees 25 m far.
+
+\b
+Example:
+  relmap simulate world --kind corridor -o corridor --missed 0.3 --spurious 0.1
 """
 
 _BUILDING = """Simulate a robot that drives through a building and sees points of its walls.
@@ -80,21 +108,86 @@ def write_figure_eight(out: Path, source: EightSource) -> str:
     RelmapError
         Where a parameter is out of range or the folder cannot be written.
     """
-    from relmap.datasets.observation_csv import write_observation_csv
-    from relmap.evaluation.truth import write_truth
     from relmap.io.files import staged_folder
 
     with staged_folder(out) as staging, busy("simulating"):
         data = source.load()
-        log, truth = data.log, data.truth
-        assert truth is not None
-        write_observation_csv(staging / "observations.csv", log)
-        (staging / "truth").mkdir()
-        write_truth(staging / "truth", truth)
+        assert data.truth is not None
+        return _write_points(staging, data.log, data.truth)
+
+
+def _write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
+    """Write a run past landmarks into an existing folder and return a line of counts."""
+    from relmap.datasets.observation_csv import write_observation_csv
+    from relmap.evaluation.truth import write_truth
+
+    write_observation_csv(folder / "observations.csv", log)
+    (folder / "truth").mkdir()
+    write_truth(folder / "truth", truth)
     return (
         f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
         f"{len(log.points_robot)} observations"
     )
+
+
+@app.command("world", help=_WORLD)
+def world_command(
+    out: Out,
+    kind: Annotated[Kind, typer.Option(help="The world and the way through it.")] = "streets",
+    length: Annotated[float, typer.Option(help="Length of the way, metres.")] = 600.0,
+    iterations: Annotated[int, typer.Option(help="Number of scans.")] = 400,
+    spacing: Annotated[
+        float, typer.Option(help="Typical distance of neighbouring landmarks, metres.")
+    ] = 4.0,
+    space: Annotated[
+        bool, typer.Option("--space", help="Lift a planar world into three dimensions.")
+    ] = False,
+    sigma: Annotated[float, typer.Option(help="Noise of a coordinate, metres.")] = 0.05,
+    noise: Annotated[
+        Sensor,
+        typer.Option(
+            help="The same in all directions; in range or in bearing ten times as much; growing "
+            "with the range; that of a stereo camera."
+        ),
+    ] = "isotropic",
+    missed: Annotated[float, typer.Option(help="Share of the detections that fail.")] = 0.0,
+    spurious: Annotated[
+        float, typer.Option(help="False detections, as a share of the true ones.")
+    ] = 0.0,
+    wrong_ids: Annotated[float, typer.Option(help="Share of the ids that are wrong.")] = 0.0,
+    turn: Annotated[
+        float, typer.Option(help="Degrees that the sensor turns to either side between scans.")
+    ] = 0.0,
+    view: Annotated[float, typer.Option(help="Width of the view, degrees.")] = 120.0,
+    seed: Seed = 0,
+) -> None:
+    """Write a simulated world; the help text explains the arguments."""
+    from relmap.evaluation.sources import truth_of
+    from relmap.io.files import atomic_write, staged_folder
+    from relmap.io.tables import csv_text
+    from relmap.simulation import WorldSpec, simulate_world
+
+    spec = WorldSpec(
+        kind=kind,
+        length_m=length,
+        iterations=iterations,
+        spacing_m=spacing,
+        space=space,
+        sigma=sigma,
+        noise=noise,
+        missed=missed,
+        spurious=spurious,
+        wrong_ids=wrong_ids,
+        turn_deg=turn,
+        view_deg=view,
+        seed=seed,
+    )
+    with staged_folder(out) as staging, busy("simulating"):
+        world = simulate_world(spec)
+        counts = _write_points(staging, world.log, truth_of(world))
+        ids = csv_text(("row", "landmark"), enumerate(world.true_ids.tolist()))
+        atomic_write(staging / "truth" / "ids.csv", ids)
+    typer.echo(f"wrote 4 files to {out}: {counts}")
 
 
 @app.command("building", help=_BUILDING)
@@ -121,20 +214,52 @@ def building_command(
     loops: Annotated[int, typer.Option(help="How often the robot drives round.")] = 1,
     world: Annotated[
         World,
-        typer.Option(help="A building, free-standing panels only, or a long wall among panels."),
+        typer.Option(help="Where it drives, as above."),
     ] = "building",
     moving: Annotated[
         int, typer.Option(help="Hang so many swinging doors; of panels, so many slide and turn.")
     ] = 0,
+    beams: Annotated[
+        int | None,
+        typer.Option(help="Short for --sampling laser --points: a 2-D laser with so many beams."),
+    ] = None,
+    view: Annotated[
+        float | None, typer.Option(help="Field of view of the sensor, degrees, below 360.")
+    ] = None,
+    reach: Annotated[
+        float | None, typer.Option("--range", help="Range of the sensor, metres.")
+    ] = None,
+    step: Annotated[
+        float, typer.Option(help="Way from one scan to the next, metres; turns go with it.")
+    ] = 0.22,
+    people: Annotated[int, typer.Option(help="So many people walk about; of a laser.")] = 0,
+    clutter: Annotated[
+        float, typer.Option(help="Share of the beams of a laser that meet small things, to 0.5.")
+    ] = 0.0,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated building; the help text explains the arguments."""
     from relmap.io.files import staged_folder
     from relmap.simulation import simulate_building
+    from relmap.simulation.sensor import sensor_of
 
+    if beams is not None:
+        points, sampling = beams, "laser"
     with staged_folder(out) as staging, busy("simulating"):
         building = simulate_building(
-            points, sigma, noise, sampling, iterations, seed, world, loops, moving=moving
+            points,
+            sigma,
+            noise,
+            sampling,
+            iterations,
+            seed,
+            world,
+            loops,
+            sensor=sensor_of(sampling, view, reach),
+            moving=moving,
+            step_m=step,
+            people=people,
+            clutter=clutter,
         )
         _write_building(staging, building)
     count = sum(len(scan.points) for scan in building.scans)
@@ -161,12 +286,13 @@ def _write_building(folder: Path, building: Building) -> None:
     view = SensorView(building.sensor.view_rad, building.sensor.range_m)
     write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
     ends = ("plane", "x0", "y0", "x1", "y1", "z0", "z1")
-    header = (*ends, "scans", "corner0", "corner1", "status")
+    header = (*ends, "scans", "corner0", "corner1", "status", "seen0", "seen1")
     status = np.where(building.moving, "dynamic", "static").tolist()
     walls, seen = building.walls.tolist(), building.times_seen().tolist()
+    columns = walls, seen, status, building.seen_extents().tolist()
     rows = [
-        [number, *wall, *times, moves]
-        for number, (wall, times, moves) in enumerate(zip(walls, seen, status, strict=True))
+        [number, *wall, *times, moves, *extent]
+        for number, (wall, times, moves, extent) in enumerate(zip(*columns, strict=True))
     ]
     atomic_write(truth / "planes.csv", csv_text(header, rows))
     write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import merge_doubles
 from relmap.core.association.tying import tie_submaps
 from relmap.core.grouping.chart import PointChart
+from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
+from relmap.core.refinement.extending import extend_submaps
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
 
@@ -22,6 +25,8 @@ def finish(engine: RelativeMapper) -> None:
     for seed in gone[np.argsort(-engine.table.in_interval[gone], kind="stable")].tolist():
         if engine.table.is_gone[seed]:
             last_pass(engine, seed)
+    if engine.association.is_known:
+        extend_submaps(engine.map, engine.rows)
 
 
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
@@ -41,8 +46,14 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 
 
 def tie(engine: RelativeMapper) -> None:
-    """Tie submaps that show the same place, and merge what both saw of it."""
-    for _ in tie_submaps(engine.map, engine.averaging.noise.sigma_m):
+    """Tie submaps that show the same place, close loops, and merge what was seen again."""
+    noise_m = engine.averaging.noise.sigma_m
+    for _ in tie_submaps(engine.map, noise_m):
+        merge_doubles(engine.table, engine.merger, engine.merge)
+    finder = LoopFinder(engine.table, noise_m)
+    while (loop := finder.next()) is not None:
+        bend(engine.map, engine.rows, loop.pairs, loop.placement.R, loop.placement.t)
+        engine.merge_pairs(loop.pairs)
         merge_doubles(engine.table, engine.merger, engine.merge)
 
 
@@ -52,10 +63,11 @@ def refine(engine: RelativeMapper) -> None:
     Without ids, landmarks that then lie where older ones do that they may be are merged.
     """
     kept = engine.store if engine.config.keep_observations else None
-    engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
+    again = engine.association.is_known and extend_submaps(engine.map, engine.rows)
     merged = not engine.association.has_ids and merge_doubles(
         engine.table, engine.merger, engine.merge
     )
-    if merged:
-        engine.refined = refine_submaps(engine.map, engine.rows, kept)
+    if again or merged:
+        engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
     engine.merger.look_again()

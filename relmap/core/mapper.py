@@ -6,6 +6,7 @@ done with the whole map, when no scan is to come for now, in `afterwards`.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from relmap.core.refinement.live import LiveRefinement
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import LandmarkState
+from relmap.core.state.weighed import WeighedObservations
 from relmap.core.turns import take_turns
 
 
@@ -37,7 +39,7 @@ class RelativeMapper:
     refined: list[Refined]
     STATE = (
         "landmarks=table association observations=store schedule averaging map groups=levels "
-        "merger segments live refined"
+        "merger segments weighed live refined"
     )
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
@@ -54,10 +56,16 @@ class RelativeMapper:
         self.placing = Placing(self.store, self.schedule, self.map, self.levels)
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
+        self.weighed = WeighedObservations()
         self.live = LiveRefinement(self.segments, self.map)
         self.refined = []
 
-    def update(self, seen: Any, ids: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    def update(
+        self,
+        seen: Any,
+        ids: NDArray[np.int64] | None,
+        covariances: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.int64]:
         """Take in one scan.
 
         Parameters
@@ -65,6 +73,8 @@ class RelativeMapper:
         seen : sequence of n observations of the model's kind, robot frame
         ids : (n,) int64, optional
             Known association; negative where a landmark was not identified.
+        covariances : (n, d, d) float64, optional
+            Of points alone, robot frame, square metres.
 
         Returns
         -------
@@ -84,6 +94,9 @@ class RelativeMapper:
         # Store every observation as it was made (Fig. 3).
         rows["landmark"] = self.table.now(rows["landmark"])
         self.store.append(**rows)
+        if covariances is not None:
+            named = found >= 0
+            self.weighed.append(landmarks, seen[named], covariances[named], iteration)
         left = self.schedule.see(landmarks, iteration)
         # Group who is due, merge and forget (section III).
         take_turns(self, landmarks, left)
@@ -100,13 +113,18 @@ class RelativeMapper:
             # Align: least squares to those of its members that are mapped.
             placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
-                return self.placing.place(submap, level, placed, relative)
+                sure = np.isfinite(placed[:, 0])
+                return self.placing.place(submap, level, placed[sure], relative.only(sure))
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:
         """Chart what was seen with a landmark in its present interval (Figs 9 and 10)."""
         begin = max(self.table.begin[seed], self.store.first_iteration)
-        return PointChart.around(seed, self.store, begin, self.store.n_iterations)
+        chart = PointChart.around(seed, self.store, begin, self.store.n_iterations)
+        if not len(self.weighed):
+            return chart
+        of = chart.landmarks, begin, self.store.n_iterations, self.table.landmark_of
+        return replace(chart, variance=self.weighed.variances(*of))
 
     def relative_map(
         self, chart: PointChart, weights: NDArray[np.float64], min_shared: int
@@ -129,8 +147,11 @@ class RelativeMapper:
     def merge(self, placed: NDArray[np.int64]) -> int:
         """Merge those of landmarks (k,) that are older ones seen again; return how many were."""
         levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
-        pairs = self.merger.find(placed, levels, noise_m).tolist()
-        for new, old in pairs:
+        return self.merge_pairs(self.merger.find(placed, levels, noise_m))
+
+    def merge_pairs(self, pairs: NDArray[np.int64]) -> int:
+        """Merge each landmark of pairs (k, 2) with the older one that it is; return how many."""
+        for new, old in pairs.tolist():
             for part in (self.store, self.table, self.schedule, self.merger):
                 part.merge(new, old)
         return len(pairs)

@@ -10,6 +10,12 @@ from relmap.core.errors import RelmapError
 FARTHEST_M = 1e9
 """No sensor sees farther: beyond this a coordinate is damage."""
 
+ASYMMETRY = 1e-6
+"""How far a covariance may be from symmetric, as a share of its largest entry: rounding."""
+SINGULAR = 1e-12
+"""Least variance in any direction, as a share of that in the worst: below it nothing is left of a
+number's precision."""
+
 
 def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     """Return the points of one scan as a new array (n, d) float64.
@@ -97,6 +103,50 @@ def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
             f"ids holds {known[counts > 1][0]} twice; a landmark is seen once in a scan"
         )
     return array
+
+
+def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the covariances of one scan as a new array (n, d, d) float64, exactly symmetric.
+
+    Parameters
+    ----------
+    covariances : (n, d, d) array of numbers, robot frame, square metres
+    points : (n, d) float64
+        What they are of.
+
+    Raises
+    ------
+    RelmapError
+        Where the shape is another, or one of them is not finite, not symmetric, or not positive
+        definite.
+    """
+    n, d = points.shape
+    shape = f"({n}, {d}, {d})"
+    array = numbers(covariances, "covariances", f"a {shape} array of numbers")
+    if array.size == 0 and n == 0:
+        return np.empty((0, d, d))
+    if array.shape != (n, d, d):
+        raise RelmapError(
+            f"covariances has shape {array.shape}; it must be {shape}, one matrix per point"
+        )
+    _require(np.asarray(np.isfinite(array).all(axis=(1, 2))), array, "finite")
+    across = np.swapaxes(array, 1, 2)
+    size = np.abs(array).max(axis=(1, 2))
+    apart = np.asarray(np.abs(array - across).max(axis=(1, 2)))
+    _require(apart <= ASYMMETRY * size, array, "symmetric")
+    array = (array + across) / 2
+    eigenvalues = np.linalg.eigvalsh(array)
+    _require(eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1], array, "positive definite")
+    return array
+
+
+def _require(good: NDArray[np.bool_], covariances: NDArray[np.float64], what: str) -> None:
+    if not good.all():
+        row = int(np.argmin(good))
+        raise RelmapError(
+            f"covariances row {row} is {covariances[row].tolist()}; it must be {what}: a "
+            "covariance in square metres"
+        )
 
 
 def checked_labels(labels: ArrayLike, handed_out: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -32,12 +32,17 @@ def id_column(name: str, required: bool = True) -> Column:
 
 
 def assemble_log(
-    table: Table, iteration_name: str, points_robot: Floats, ids: Ints | None
+    table: Table,
+    iteration_name: str,
+    points_robot: Floats,
+    ids: Ints | None,
+    covariances: Floats | None = None,
 ) -> ObservationLog:
     """Sort the rows of a table by iteration, keeping their order within one.
 
-    Points (n, 2) or (n, 3), robot frame, metres, and ids (n,) are those of the rows. RelmapError
-    where the iteration numbers leave out too many, or an id occurs twice in one iteration.
+    Points (n, 2) or (n, 3), robot frame, metres, ids (n,) and covariances (n, d, d), square metres,
+    are those of the rows. RelmapError where the iteration numbers leave out too many, or an id
+    occurs twice in one iteration.
     """
     iteration = table.integers(iteration_name)
     order = np.argsort(iteration, kind="stable").astype(np.int64)
@@ -52,6 +57,7 @@ def assemble_log(
         first_iteration=int(iteration[order[0]]),
         end_iteration=int(iteration[order[-1]]) + 1,
         ids=ids,
+        covariances=None if covariances is None else covariances[order],
     )
 
 

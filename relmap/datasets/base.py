@@ -44,12 +44,14 @@ class Scan:
         Known association; negative where a landmark was not identified.
     rows : (n,) int64
         0-based rows of the log that hold the points.
+    covariances : (n, d, d) float64 or None, robot frame, square metres
     """
 
     iteration: int
     points_robot: Floats
     ids: Ints | None
     rows: Ints
+    covariances: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +72,8 @@ class ObservationLog:
         Known association; negative where a landmark was not identified.
     stamps_s : (end_iteration - first_iteration,) float64 or None
         Time of each iteration, seconds; None where the log has no clock.
+    covariances : (n, d, d) float64 or None, robot frame, square metres
+        How noisy each observation is; None where the log does not tell.
     """
 
     points_robot: Floats
@@ -79,6 +83,7 @@ class ObservationLog:
     end_iteration: int
     ids: Ints | None = None
     stamps_s: Floats | None = None
+    covariances: Floats | None = None
 
     def __len__(self) -> int:
         """Return the number of iterations, empty ones included."""
@@ -91,7 +96,8 @@ class ObservationLog:
         for number, begin, end in zip(numbers[:-1], offsets[:-1], offsets[1:], strict=True):
             rows = slice(begin, end)
             ids = None if self.ids is None else self.ids[rows]
-            yield Scan(int(number), self.points_robot[rows], ids, self.rows[rows])
+            noise = None if self.covariances is None else self.covariances[rows]
+            yield Scan(int(number), self.points_robot[rows], ids, self.rows[rows], noise)
 
     def between(self, begin: int, end: int) -> ObservationLog:
         """Return the part of the log in iterations ``range(begin, end)``.
@@ -120,6 +126,7 @@ class ObservationLog:
             end_iteration=last,
             ids=None if self.ids is None else self.ids[rows],
             stamps_s=stamps,
+            covariances=None if self.covariances is None else self.covariances[rows],
         )
 
 

@@ -25,13 +25,22 @@ from relmap.datasets.assembly import assemble_log, id_column, iteration_column, 
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import columns_of, members_of, only_one
 from relmap.datasets.number_rows import NumberRows, finite_numbers
-from relmap.datasets.table import Table, checked_table
+from relmap.datasets.table import Column, Table, checked_table
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 STEP = "STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi"
 LANDMARK = "LANDMARK_C pX pY quality cXX cXY cYY id"
 
-_COLUMNS = (iteration_column("step"), metres_column("pX"), metres_column("pY"), id_column("id"))
+_VARIANCE = Column("cXX", 0, 1e18, "square metres")
+_COLUMNS = (
+    iteration_column("step"),
+    metres_column("pX"),
+    metres_column("pY"),
+    id_column("id"),
+    _VARIANCE,
+    Column("cXY", -1e18, 1e18, "square metres"),
+    replace(_VARIANCE, name="cYY"),
+)
 _WORDS = ("STEP", "LANDMARK_C", "LANDMARK")
 _ENDINGS = (".circles", ".circles.gz")
 
@@ -52,11 +61,16 @@ class DlrCircles:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, one iteration per step, ids negative where none was given.
 
-        The odometry is ignored. A circle with several ids counts as not identified.
+        The odometry is ignored. The covariances are taken where all are positive definite. A
+        circle with several ids counts as not identified.
         """
         table, steps = _read(_only_file(path))
         points_robot = -np.column_stack([table.columns["pY"], table.columns["pX"]])
-        log = assemble_log(table, "step", points_robot, table.integers("id"))
+        xx, xy, yy = (table.columns[name] for name in ("cYY", "cXY", "cXX"))
+        covariances = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+        definite = bool((xx * yy > xy**2).all())
+        noise = covariances if definite else None
+        log = assemble_log(table, "step", points_robot, table.integers("id"), noise)
         return replace(log, first_iteration=0, end_iteration=steps)
 
 
@@ -78,7 +92,7 @@ def _only_file(path: Path) -> Path:
 
 def _read(path: Path) -> tuple[Table, int]:
     """Return the circles, checked, and the number of steps."""
-    rows, steps = NumberRows(path, 4), 0
+    rows, steps = NumberRows(path, len(_COLUMNS)), 0
     for number, line in numbered_lines(path):
         cells = line.split()
         if not cells or cells[0].startswith("#"):
@@ -96,7 +110,7 @@ def _read(path: Path) -> tuple[Table, int]:
             problem = f"comes before the first step, expected {STEP}"
         else:
             only_id = circle[6] if len(circle) == 7 else -1.0
-            rows.add([steps - 1.0, *circle[:2], only_id], number)
+            rows.add([steps - 1.0, *circle[:2], only_id, *circle[3:6]], number)
         if problem:
             raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}: {problem}")
     if not len(rows.lines):

@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column, iteration_column
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
@@ -39,7 +40,7 @@ _COLUMNS = (
 )
 _HALLMARK = frozenset({"range_m", "yaw_rad"})
 _SENSOR = re.compile(r"sensor on robot: *t = *([^;]*);[^=]*= *(.*)")
-_PITCH_SIGMA = re.compile(r"sigma:.*\bpitch +(\S+) +rad")
+_SIGMAS = re.compile(r"sigma: *range +(\S+) +m, *yaw +(\S+) +rad, *pitch +(\S+) +rad")
 _ROTATION_TOLERANCE = 1e-4
 
 _LANDMARKS = "_ground_truth.txt"
@@ -70,9 +71,14 @@ class MrptLandmarks:
         R_robot_sensor, t_robot_sensor = _sensor_pose(table)
         points_robot = _points_sensor(table) @ R_robot_sensor.T + t_robot_sensor
         upright = np.array_equal(R_robot_sensor[2], [0.0, 0.0, 1.0])
-        if upright and _pitch_sigma(table) == 0.0 and not table.columns["pitch_rad"].any():
-            points_robot = points_robot[:, :2]
-        return assemble_log(table, "step", points_robot, table.integers("id"))
+        sigmas = _sigmas(table)
+        planar = upright and sigmas[2] == 0.0 and not table.columns["pitch_rad"].any()
+        d = 2 if planar else 3
+        noise = None
+        if all(0 < sigma < math.inf for sigma in sigmas[:d]):
+            R = R_robot_sensor[:d, :d]
+            noise = R @ range_bearing_covariances(_points_sensor(table)[:, :d], *sigmas[:d]) @ R.T
+        return assemble_log(table, "step", points_robot[:, :d], table.integers("id"), noise)
 
 
 def _points_sensor(table: Table) -> Floats:
@@ -103,13 +109,13 @@ def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
     )
 
 
-def _pitch_sigma(table: Table) -> float:
-    """Return the pitch noise given in the comments, radians; NaN where there is none."""
+def _sigmas(table: Table) -> Floats:
+    """Return the noise (3,) of range, yaw and pitch in the comments; NaN where there is none."""
     for comment in table.comments:
-        if match := _PITCH_SIGMA.search(comment):
-            sigma = finite_numbers([match[1]])
-            return sigma[0] if sigma else math.nan
-    return math.nan
+        if match := _SIGMAS.search(comment):
+            sigmas = finite_numbers(match.groups())
+            return np.array(sigmas) if len(sigmas) == 3 else np.full(3, math.nan)
+    return np.full(3, math.nan)
 
 
 def is_ground_truth(path: Path) -> bool:

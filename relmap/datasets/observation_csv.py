@@ -2,6 +2,8 @@
 
 Header ``iteration,x,y[,z][,id]`` in any order, rows in any order; robot frame, metres; ``id`` is a
 known association, negative or empty where there is none. Without ``z`` the world is planar.
+``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the place, robot frame,
+square metres: all of them or none.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ from typing import BinaryIO
 
 import numpy as np
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
+from relmap.core.scan import checked_covariances
 from relmap.datasets.assembly import (
     MAX_COORDINATE_M,
     assemble_log,
@@ -25,18 +29,20 @@ from relmap.datasets.assembly import (
 )
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import columns_of, only_one
-from relmap.datasets.table import header_text, read_table
+from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import replacing, shown
 
 FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
 
+_PAIRS = ("xx", "xy", "yy", "xz", "yz", "zz")
 _COLUMNS = (
     iteration_column("iteration"),
     metres_column("x"),
     metres_column("y"),
     metres_column("z", required=False),
     id_column("id", required=False),
+    *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
 _GZIP_LEVEL = 4
 _ROWS_AT_ONCE = 50_000
@@ -67,7 +73,31 @@ class ObservationCsv:
         table = read_table(file, _COLUMNS)
         axes = [table.columns[axis] for axis in "xyz" if axis in table.columns]
         ids = table.integers("id") if "id" in table.columns else None
-        return assemble_log(table, "iteration", np.column_stack(axes), ids)
+        points = np.column_stack(axes)
+        noise = _covariances(table, points)
+        return assemble_log(table, "iteration", points, ids, noise)
+
+
+def _covariances(table: Table, points: Floats) -> Floats | None:
+    """Return the covariances (n, d, d) of points (n, d); None where there are none."""
+    d = points.shape[1]
+    wanted = [f"c{pair}" for pair in _PAIRS if d == 3 or "z" not in pair]
+    found = [name for name in table.columns if name[1:] in _PAIRS]
+    if not found:
+        return None
+    if sorted(found) != sorted(wanted):
+        raise RelmapError(
+            f"{shown(table.path)}: covariances need the columns {', '.join(wanted)}, and there are "
+            f"{', '.join(found)}"
+        )
+    covariances = np.empty((len(points), d, d))
+    for name in wanted:
+        a, b = ("xyz".index(axis) for axis in name[1:])
+        covariances[:, a, b] = covariances[:, b, a] = table.columns[name]
+    try:
+        return checked_covariances(covariances, points)
+    except RelmapError as error:
+        raise RelmapError(f"{shown(table.path)}: {error}") from error
 
 
 def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
@@ -106,13 +136,20 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
 
 def _lines(log: ObservationLog) -> Iterator[str]:
     names = ["iteration", *"xyz"[: log.points_robot.shape[1]]]
-    yield ",".join(names if log.ids is None else [*names, "id"]) + "\n"
+    names += [] if log.ids is None else ["id"]
+    pairs = [pair for pair in _PAIRS if log.points_robot.shape[1] == 3 or "z" not in pair]
+    pairs = pairs if log.covariances is not None else []
+    yield ",".join([*names, *(f"c{pair}" for pair in pairs)]) + "\n"
     for begin in range(0, len(log.iteration), _ROWS_AT_ONCE):
         rows = slice(begin, begin + _ROWS_AT_ONCE)
         columns: list[Iterable[int | float]] = [log.iteration[rows].tolist()]
         columns += [axis.tolist() for axis in log.points_robot[rows].T]
         if log.ids is not None:
             columns.append(log.ids[rows].tolist())
+        for pair in pairs:
+            assert log.covariances is not None
+            a, b = ("xyz".index(axis) for axis in pair)
+            columns.append(log.covariances[rows, a, b].tolist())
         texts = (map(repr, column) for column in columns)
         yield "".join(map("{}\n".format, map(",".join, zip(*texts, strict=True))))
 

@@ -6,12 +6,17 @@ the left), and three zeros. The exact truth lies in the same folder:
 
 * ``store_beaconsTrue.mat``: rows of id, x, y (metres).
 * ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.
+
+``parameters.txt``, where it is there, tells the noise: ``sigr = 0.1`` (metres) of the range and
+``sigtheta = (1*pi/180)`` (radians) of the bearing.
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,18 +24,23 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
+from relmap.core.sensor import range_bearing_covariances
 from relmap.datasets.assembly import assemble_log, id_column, metres_column
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.headers import file_beside, file_in
 from relmap.datasets.matfile import is_matlab, read_matrix
+from relmap.datasets.number_rows import finite_numbers
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
-from relmap.datasets.textfile import shown
+from relmap.datasets.textfile import numbered_lines, shown
 
 LOG_FILE = "sensor_data.mat"
 BEACONS_FILE = "store_beaconsTrue.mat"
 ROBOT_FILE = "store_robotTrue.mat"
+PARAMETERS_FILE = "parameters.txt"
 
+_SIGMA_RANGE = re.compile(r"\bsigr *= *([0-9.]+)")
+_SIGMA_BEARING = re.compile(r"\bsigtheta *= *\( *([0-9.]+) *\* *pi */ *180 *\)")
 _MAX_ANGLE_RAD = 1e6
 _X, _Y = metres_column("x"), metres_column("y")
 _OBSERVATION = (
@@ -68,8 +78,24 @@ class SlsjfSimulation:
         table.columns["step"] -= 1
         range_m, bearing_rad = table.columns["range_m"], table.columns["bearing_rad"]
         points = range_m[:, None] * np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
-        log = assemble_log(table, "step", points, table.integers("id"))
+        sigmas = _sigmas(file.with_name(PARAMETERS_FILE))
+        noise = range_bearing_covariances(points, *sigmas) if sigmas else None
+        log = assemble_log(table, "step", points, table.integers("id"), noise)
         return replace(log, rows=table.lines[log.rows] - 1)
+
+
+def _sigmas(file: Path) -> tuple[float, float] | None:
+    """Return the noise of range, metres, and bearing, radians; None where no file tells it."""
+    if not file.is_file():
+        return None
+    text = "".join(line for _, line in numbered_lines(file))
+    found = _SIGMA_RANGE.search(text), _SIGMA_BEARING.search(text)
+    if found[0] is None or found[1] is None:
+        return None
+    sigmas = finite_numbers([found[0][1], found[1][1]])
+    if len(sigmas) != 2 or min(sigmas) <= 0:
+        return None
+    return sigmas[0], math.radians(sigmas[1])
 
 
 def _table(file: Path, matrix: Floats, columns: tuple[Column, ...], place: str) -> Table:

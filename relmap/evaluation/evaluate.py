@@ -11,12 +11,20 @@ from relmap.evaluation.corners import MatchedCorners, judge_corners, match_corne
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import relation_errors
 from relmap.evaluation.truth import Truth, Variant
+from relmap.evaluation.walls import judge_walls
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
 
 ONLY: dict[Variant, tuple[str, ...]] = {
     "points": ("landmark_rmse_m",),
-    "planes": ("corner_rmse_m", "relation_m", "relation_rad"),
+    "planes": (
+        "corner_rmse_m",
+        "wall_recall",
+        "wall_precision",
+        "doubled_length",
+        "relation_m",
+        "relation_rad",
+    ),
 }
 """Figures that one variant alone has."""
 
@@ -29,6 +37,8 @@ class Evaluation:
     ----------
     landmark_rmse_m, corner_rmse_m : float or None
         Of the mapped static landmarks, or corners, against the true ones, after rigid alignment.
+    wall_recall, wall_precision, doubled_length : float or None
+        Shares of the length of walls; see `relmap.evaluation.walls.judge_walls`.
     coverage : float or None
         Share of the static true landmarks or corners seen in at least ten of the mapped iterations
         that stand in the map.
@@ -52,6 +62,9 @@ class Evaluation:
 
     landmark_rmse_m: float | None = None
     corner_rmse_m: float | None = None
+    wall_recall: float | None = None
+    wall_precision: float | None = None
+    doubled_length: float | None = None
     coverage: float | None = None
     landmarks_per_true: float | None = None
     purity: float | None = None
@@ -92,6 +105,9 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     poses, true_poses = result.poses[mine], truth.poses[other]
     if isinstance(result, PlaneResult):
         figures, counts, notes = judge_corners(result.planes, truth, poses, true_poses)
+        matched = match_corners(result.planes, truth, poses, true_poses)
+        motion = (matched.R, matched.t) if matched else None
+        figures |= judge_walls(result.planes, truth, poses, true_poses, motion)
     else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
     if len(truth.stamps_s) and not len(mine):

@@ -118,16 +118,21 @@ def feed(
     if known and getattr(log, "ids", None) is None:
         raise RelmapError("association known needs a log with ids, and this one has none")
     scans: Iterable[Any] = ()
+    first = log.first_iteration
     if n_seen < len(log):
-        first = log.first_iteration
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = _preparation(method, log, segmenter)
     labels, durations_s = [], []
+    takes_covariances = isinstance(method, PointMapper)
     for scan in progress(scans) if progress else scans:
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        labels.append(method.update(seen, ids=scan.ids if known else None))
+        noise = getattr(scan, "covariances", None)
+        more = {"beams": scan.points_robot} if isinstance(method, PlaneMapper) else {}
+        if noise is not None and takes_covariances:
+            more["covariances"] = noise
+        labels.append(method.update(seen, ids=scan.ids if known else None, **more))
         durations_s.append([between - began, clock() - between])
     over = clock()
     method.finish()
@@ -172,7 +177,7 @@ def segment_scan(
     -------
     SimpleNamespace
         `ends`, `end_type`, `noise`, `n_points` and `z_extent` as `relmap.segmentation.Planes` has
-        them, in the robot frame.
+        them, in the robot frame, and `origin`, where the sensor is.
     """
     c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
     R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])
@@ -181,5 +186,7 @@ def segment_scan(
     found = segmenter.fit(points_sensor).planes_
     ends = found.ends @ R.T + t
     front = ends[:, 0, 0] * ends[:, 1, 1] > ends[:, 0, 1] * ends[:, 1, 0]
-    rest = ("end_type", "noise", "n_points", "z_extent")
-    return SimpleNamespace(ends=ends[front], **{name: getattr(found, name)[front] for name in rest})
+    seen = SimpleNamespace(ends=ends[front], origin=t)
+    for name in ("end_type", "noise", "n_points", "z_extent"):
+        setattr(seen, name, getattr(found, name)[front])
+    return seen

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from relmap.core.geometry.alignment import fit_rigid
 
 NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01
 """Two stamps this close belong to one instant (the tolerance of the TUM benchmark's tools)."""
+FEWEST = 10
+"""Scans of a submap that is judged by itself, at least."""
+ON_M = 0.15
+"""A point of a scan so close to one of another may be the same place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,3 +207,72 @@ def rpe(
     motion = np.linalg.solve(poses[step], poses[step + 1])
     true_motion = np.linalg.solve(true_poses[step], true_poses[step + 1])
     return rms(np.linalg.solve(true_motion, motion)[:, :3, 3])
+
+
+def wrong_steps(
+    poses: NDArray[np.float64],
+    true_poses: NDArray[np.float64],
+    most_m: float = 0.3,
+    most_rad: float = np.deg2rad(10.0),
+) -> NDArray[np.intp]:
+    """Return the scans of a submap whose pose relative to the one before is wrong.
+
+    Parameters
+    ----------
+    poses, true_poses : (k, 4, 4) float64
+        T_map_robot of consecutive scans of one submap.
+    most_m, most_rad : float
+        A step that is off by more than either, metres and radians, is wrong.
+
+    Returns
+    -------
+    (n,) int, ascending
+    """
+    step, true_step = (np.linalg.inv(T[:-1]) @ T[1:] for T in (poses, true_poses))
+    off = np.linalg.inv(true_step) @ step
+    turn_rad = np.arccos(np.clip((np.trace(off[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
+    shift_m = np.linalg.norm(off[:, :3, 3], axis=1)
+    return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))
+
+
+def overlap(
+    points: NDArray[np.float64], others: NDArray[np.float64], T: NDArray[np.float64]
+) -> float:
+    """Return the share of the points of a scan that lie on those of another scan.
+
+    Parameters
+    ----------
+    points, others : (n, 2), (m, 2) float64, metres
+        Each in the frame of its robot.
+    T : (4, 4) float64
+        From the frame of the points into that of the others.
+
+    Returns
+    -------
+    float
+        Of points within `ON_M` of another.
+    """
+    if not (len(points) and len(others)):
+        return 0.0
+    moved = points @ T[:2, :2].T + T[:2, 3]
+    away = np.asarray(cKDTree(others).query(moved)[0])
+    return float((away <= ON_M).mean())
+
+
+def share_right(
+    scans: NDArray[np.float64], ates_m: NDArray[np.float64], n_scans: int, most_m: float = 0.3
+) -> float:
+    """Return the share of the scans of a log that lie in a submap that is right.
+
+    Parameters
+    ----------
+    scans : (s,) float64
+        Scans with a pose in each submap; those of fewer than `FEWEST` do not count.
+    ates_m : (s,) float64
+        The ATE of each submap by itself, metres.
+    n_scans : int
+        Scans of the log.
+    most_m : float
+        The ATE of a submap that is right at most, metres.
+    """
+    return float(scans[(scans >= FEWEST) & (ates_m <= most_m)].sum() / n_scans)

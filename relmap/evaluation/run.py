@@ -24,6 +24,8 @@ from relmap.segmentation import PlaneSegmenter
 
 FEWEST_DRAWN = 10
 """Scans without which a submap beside the map is listed only."""
+POINTS_DRAWN = 100_000
+"""Points of scans that a picture of a submap shows at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +141,7 @@ def result_of(
     scans = [first, first + k]
     result = Result(
         shifted(method.landmarks, offset),
-        _tracks(method, log, labels),
+        _tracks(method, log, labels, association),
         stamps_s[there],
         poses[there],
         {"association": association, "dimensions": dimensions, "scans": scans},
@@ -148,14 +150,30 @@ def result_of(
     if not isinstance(method, PlaneMapper):
         return result
     drawn = tuple(
-        DrawnSubmap(stamps_s[slice(*submap.span)], submap.poses, method.planes_of(number))
+        _drawn(method, number, stamps_s[slice(*submap.span)])
         for number, submap in enumerate(method.submaps)
-        if number == 0 or len(submap.poses) >= FEWEST_DRAWN
+        if number == 0 or submap.n_scans >= FEWEST_DRAWN
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
 
 
-def _tracks(method: Method, log: Log, labels: Sequence[NDArray[np.int64]]) -> Tracks:
+def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> DrawnSubmap:
+    """Return a submap as files and pictures show it."""
+    submap = mapper.submaps[number]
+    known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
+    weak = np.searchsorted(known, np.intersect1d(mapper.weak_links - submap.span[0], known))
+    return DrawnSubmap(
+        stamps_s[known],
+        submap.poses[known],
+        mapper.planes_of(number),
+        mapper.points_of(number, POINTS_DRAWN),
+        weak[weak > 0],
+    )
+
+
+def _tracks(
+    method: Method, log: Log, labels: Sequence[NDArray[np.int64]], association: Association
+) -> Tracks:
     """Return what each observation is of; of walls `row` counts those of a scan."""
     counts = [len(each) for each in labels]
     iteration = log.first_iteration + np.repeat(np.arange(len(counts)), counts)
@@ -164,8 +182,11 @@ def _tracks(method: Method, log: Log, labels: Sequence[NDArray[np.int64]]) -> Tr
     else:
         rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
     label = method.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
-    known = label >= 0
-    return Tracks(iteration[known], rows[known], label[known])
+    known, rejected = label >= 0, None
+    if isinstance(log, ObservationLog) and log.ids is not None and association == "known":
+        rejected = np.where(label != log.ids, log.ids, -1)[known]
+    overruled = None if rejected is None or not (rejected >= 0).any() else rejected
+    return Tracks(iteration[known], rows[known], label[known], overruled)
 
 
 def stamps_of(log: Log) -> NDArray[np.float64]:

@@ -17,7 +17,13 @@ from relmap.datasets.textfile import quoted, require_path, shown
 from relmap.evaluation.feeding import Log
 from relmap.evaluation.run import stamps_of
 from relmap.evaluation.truth import Truth, Variant, read_truth
-from relmap.simulation import Building, FigureEight, simulate_building, simulate_figure_eight
+from relmap.simulation import (
+    Building,
+    FigureEight,
+    World,
+    simulate_building,
+    simulate_figure_eight,
+)
 from relmap.simulation.noise import Noise
 
 LogKind = Literal["landmarks", "scans"]
@@ -194,9 +200,9 @@ def recognised_format(path: Path, variant: Variant) -> str | None:
     return names[0] if len(names) == 1 else None
 
 
-def truth_of(world: FigureEight | Building) -> Truth:
+def truth_of(world: FigureEight | World | Building) -> Truth:
     """Return the truth of a simulated world."""
-    if isinstance(world, FigureEight):
+    if isinstance(world, FigureEight | World):
         places, status, stamps_s = world.landmarks_map, world.status, stamps_of(world.log)
         return Truth(world.landmark_ids, places, status, stamps_s, world.trajectory)
     still = ~world.moving
@@ -205,4 +211,5 @@ def truth_of(world: FigureEight | Building) -> Truth:
         poses=world.trajectory,
         ends=world.walls[still, :4].reshape(-1, 2, 2),
         corner_scans=world.times_seen()[still, 1:],
+        seen_m=world.seen_extents()[still],
     )

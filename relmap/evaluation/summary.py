@@ -12,6 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 import relmap
+from relmap.core.arrays import Ints
 from relmap.core.landmarks import Submap
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
@@ -23,7 +24,7 @@ from relmap.planes.submaps import WallSubmap
 from relmap.points import PointMapper
 
 MANY = 100
-"""Rejected iterations that the summary lists one by one."""
+"""Rejected iterations, and observations, that the summary lists one by one."""
 SHOWN = 5
 """Weakest segments and merges that are listed."""
 STATUS = ("static", "dynamic", "unmapped")
@@ -61,9 +62,24 @@ def summary_of(
     told: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
     told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
     told["refinement"] = weakness(mapper.refined, offset)
+    trust = {"tied_scans": mapper.tied_share, "submaps": len(result.submaps)}
+    told["association_trust"] = trust
     if isinstance(mapper, PlaneMapper):
-        return told | {"weak_links": (mapper.weak_links + offset).tolist()}
-    return told | {"rejected_iterations": rejected_iterations(mapper.rejected + offset)}
+        weak = (mapper.weak_links + offset).tolist()
+        return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
+    told["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
+    told["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
+    return told
+
+
+def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:
+    """Return the rows (r,) of the log whose ids were overruled."""
+    assert isinstance(log, ObservationLog)
+    iteration, row = mapper.rejected_observations.T
+    iteration = iteration + offset
+    first = np.searchsorted(log.iteration, iteration)
+    inside = (iteration >= log.first_iteration) & (iteration < log.end_iteration)
+    return np.asarray(log.rows[(first + row)[inside]])
 
 
 def _counts(result: Result, log: ObservationLog | ScanLog) -> dict[str, int]:
@@ -100,17 +116,37 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
         "iterations": [offset + submap.first_iteration, offset + submap.last_iteration],
     }
     if isinstance(submap, WallSubmap):
-        scans, metres = len(submap.poses), submap.length_m
+        scans, metres = submap.n_scans, submap.length_m
         row |= {"scans": scans, "metres": metres, "refined": submap.refined}
     return row
 
 
-def rejected_iterations(rejected: NDArray[np.int64]) -> dict[str, Any]:
-    """Return how many iterations were rejected, and the first and last of them."""
-    numbers = rejected.tolist()
-    if len(numbers) > MANY:
-        numbers = numbers[: MANY // 2] + numbers[-MANY // 2 :]
-    return {"count": len(rejected), "iterations": numbers}
+def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict[str, float | None]:
+    """Return how far apart scans of a submap lie in the median, and how wide the sensor's view is.
+
+    None where it is not known; metres and degrees.
+    """
+    steps = [np.linalg.inv(s.poses[:-1]) @ s.poses[1:] for s in submaps if len(s.poses) > 1]
+    view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
+    view_deg = None if view_rad is None else float(np.rad2deg(view_rad))
+    if not any(np.isfinite(T[:, 0, 3]).any() for T in steps):
+        return {"median_m": None, "median_deg": None, "view_deg": view_deg}
+    T = np.concatenate(steps)
+    T = T[np.isfinite(T[:, 0, 3])]
+    turn_rad = np.abs(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
+    return {
+        "median_m": float(np.median(np.hypot(T[:, 0, 3], T[:, 1, 3]))),
+        "median_deg": float(np.rad2deg(np.median(turn_rad))),
+        "view_deg": view_deg,
+    }
+
+
+def ends_of(numbers: Ints, of: str) -> dict[str, Any]:
+    """Return how many numbers (n,) there are, and as what they are of the first and last."""
+    listed = numbers.tolist()
+    if len(listed) > MANY:
+        listed = listed[: MANY // 2] + listed[-MANY // 2 :]
+    return {"count": len(numbers), of: listed}
 
 
 def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any] | None:

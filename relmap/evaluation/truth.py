@@ -33,7 +33,8 @@ _COLUMNS: dict[str, Kind] = {
     "z": "float",
     "status": "text",
 }
-_ENDS = ("x0", "y0", "x1", "y1")
+_ENDS, _SEEN = ("x0", "y0", "x1", "y1"), ("seen0", "seen1")
+_NOWHERE = np.empty((0, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +56,9 @@ class Truth:
         Of walls that stand still, right to left as seen from the front.
     corner_scans : (w, 2) int64
         In how many scans each true end was seen.
+    seen_m : (w, 2) float64
+        From where to where each wall was seen, metres from its first end; NaN where it was not.
+        (0, 2) where that is not known.
     relations : tuple of Relations
         Checked relations between poses, by several clocks; see `relation_errors`.
     """
@@ -66,6 +70,7 @@ class Truth:
     poses: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4, 4)))
     ends: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
     corner_scans: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    seen_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     relations: tuple[Relations, ...] = ()
 
 
@@ -151,13 +156,17 @@ def _read_landmarks(path: Path) -> Truth:
 def _read_walls(path: Path) -> Truth:
     columns: dict[str, Kind] = dict.fromkeys(_ENDS, "float")
     columns |= {"corner0": "int", "corner1": "int"}
-    if "status" in read_text(path).partition("\n")[0].split(","):
+    header = read_text(path).partition("\n")[0].split(",")
+    if "status" in header:
         columns["status"] = "text"
+    if extents := set(header) >= set(_SEEN):
+        columns |= dict.fromkeys(_SEEN, "float or empty")
     table = read_table(path, columns)
     ends = np.column_stack([table[name] for name in _ENDS]).reshape(-1, 2, 2)
     scans = np.column_stack([table["corner0"], table["corner1"]])
     still = table.get("status", np.full(len(ends), "static")) != "dynamic"
-    return Truth(ends=ends[still], corner_scans=scans[still])
+    seen_m = np.column_stack([table[name] for name in _SEEN])[still] if extents else _NOWHERE
+    return Truth(ends=ends[still], corner_scans=scans[still], seen_m=seen_m)
 
 
 def _read_path(path: Path) -> Truth:

@@ -44,7 +44,8 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
 OPTIONAL = ("submap", "moving_bin")
 """Columns that the results of other programs, and of earlier versions, may lack."""
 SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
-TRACK_COLUMNS: dict[str, Kind] = {"iteration": "int", "row": "int", "landmark": "int"}
+REJECTED = "rejected_id"
+TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", REJECTED), "int")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +59,14 @@ class Tracks:
     row : (n,) int64
         0-based rows of the log.
     landmark : (n,) int64
+    rejected_id : (n,) int64, optional
+        The id that was given and overruled, -1 where none was; only where there is any.
     """
 
     iteration: Ints
     row: Ints
     landmark: Ints
+    rejected_id: Ints | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +129,9 @@ def write_result(folder: Path, result: Result) -> None:
     ]
     landmark_rows = zip(*columns, strict=True)
     atomic_write(folder / LANDMARKS, csv_text(list(LANDMARK_COLUMNS), landmark_rows))
-    labels = [getattr(tracks, name).tolist() for name in TRACK_COLUMNS]
-    track_text = csv_text(list(TRACK_COLUMNS), zip(*labels, strict=True))
+    names = [name for name in TRACK_COLUMNS if getattr(tracks, name) is not None]
+    labels = [getattr(tracks, name).tolist() for name in names]
+    track_text = csv_text(names, zip(*labels, strict=True))
     atomic_write(folder / TRACKS, compressed(track_text))
     atomic_write(folder / SUBMAPS, submaps_text(result.submaps))
     write_tum(folder / TRAJECTORY, result.stamps_s, result.poses)
@@ -184,7 +189,7 @@ def read_result(folder: Path) -> Result:
     table.setdefault("submap", np.where(np.isfinite(table["x"]), 0, -1))
     table.setdefault("moving_bin", np.full(len(table["x"]), -1))
     position = np.column_stack([table.pop("x"), table.pop("y"), table.pop("z")])
-    tracks = Tracks(**read_table(folder / TRACKS, TRACK_COLUMNS))
+    tracks = Tracks(**read_table(folder / TRACKS, TRACK_COLUMNS, (REJECTED,)))
     stamps_s, poses = read_tum(folder / TRAJECTORY)
     landmarks = LandmarkTable(position=position, **table)
     return Result(landmarks, tracks, stamps_s, poses, _read_summary(folder / SUMMARY))

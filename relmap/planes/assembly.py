@@ -46,15 +46,21 @@ class WallNumbers:
         cls, n_planes: int, wall_end: NDArray[np.int64], corner_of: NDArray[np.int64]
     ) -> WallNumbers:
         """Join tracks whose corners turned out to be the same."""
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
+        return cls(
+            first_of(n_planes, np.column_stack([wall_end, wall_end[corner_of]]) // 2), corner_of
+        )
 
-        a, b = wall_end // 2, wall_end[corner_of] // 2
-        graph = coo_array((np.ones(len(a)), (a, b)), shape=(n_planes, n_planes))
-        n, part = connected_components(graph, directed=False)
-        first = np.full(n, n_planes)
-        np.minimum.at(first, part, np.arange(n_planes))
-        return cls(first[part], corner_of)
+
+def first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for each of n walls the first of those that pairs (k, 2) join it to."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_parts, part = connected_components(graph, directed=False)
+    first = np.full(n_parts, n)
+    np.minimum.at(first, part, np.arange(n))
+    return np.asarray(first[part])
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +82,8 @@ class Assembled:
         Every corner ever numbered.
     settled : bool
         Whether the last solution came to rest.
+    reach : (w, 2) float64 or None, metres
+        From where to where each wall goes, along it; None where what was seen of it tells.
     """
 
     given: WallEquations
@@ -87,6 +95,7 @@ class Assembled:
     rows: NDArray[np.int64]
     all_corners: NDArray[np.int64]
     settled: bool = True
+    reach: NDArray[np.float64] | None = None
 
     @property
     def corner_wall(self) -> NDArray[np.int64]:
@@ -140,6 +149,7 @@ class Assembled:
             walls=self.walls[walls],
             corners=self.corners[corners],
             rows=self.rows[kept],
+            reach=None if self.reach is None else self.reach[walls],
         )
 
     def poses(self, n: int) -> NDArray[np.float64]:
@@ -194,7 +204,7 @@ def assemble(
     corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     ends = history.ends[rows]
     given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd)
-    state = _laid_out(given, poses[iterations])
+    state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))
     return Assembled(given, typical, state, iterations, walls, corners, rows, every)
@@ -211,7 +221,7 @@ def _corners(
     return row, end, corners, compact
 
 
-def _laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
+def laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
     """Return walls and corners as the average of what was seen of them, by given poses."""
     R, t = poses[:, :2, :2], poses[:, :2, 3]
     placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)

@@ -141,14 +141,8 @@ def _matched(
 def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
     """Return all that was seen, scan after scan."""
     rows = assembled.rows
-    ends = history.ends[rows]
-    along = ends[:, 1] - ends[:, 0]
-    size = np.linalg.norm(along, axis=1)
-    along = along / size[:, None]
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    offset = (normal * ends.mean(axis=1)).sum(axis=1)
-    kind, sd = (history.corner[rows] >= 0).astype(np.int8), history.sd[rows]
-    return PlaneObservation(ends, kind, along, normal, offset, size, sd, history.z_extent[rows])
+    kind = (history.corner[rows] >= 0).astype(np.int8)
+    return PlaneObservation.of(history.ends[rows], kind, history.sd[rows], history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:

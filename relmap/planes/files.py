@@ -50,11 +50,18 @@ class DrawnSubmap:
         ``T_submap_robot``.
     planes : PlaneTable
         Mapped in its frame.
+    points : (n, 2) float64, frame of the submap, metres
+        Where some of the beams ended.
+    weak : (w,) int64
+        Places in `poses` of the scans before which too little was seen to tell how far the robot
+        went.
     """
 
     stamps_s: NDArray[np.float64]
     poses: NDArray[np.float64]
     planes: PlaneTable
+    points: NDArray[np.float64]
+    weak: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

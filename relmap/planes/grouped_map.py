@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from relmap.core.map.pose import trajectory
 from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE
-from relmap.planes.assembly import WallNumbers, assemble
+from relmap.planes.assembly import WallNumbers, assemble, first_of
 from relmap.planes.history import PlaneHistory
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.submaps import WallSubmap, among_all, chained_poses
@@ -41,8 +41,9 @@ class GroupedMap:
 
     @property
     def unmerged(self) -> WallNumbers:
-        """Who is who before anybody is merged."""
-        return WallNumbers(np.arange(self.walls.n_planes), np.arange(len(self.walls.wall_end)))
+        """Who is who before anybody is merged, but where submaps were tied."""
+        wall_of = first_of(self.walls.n_planes, self.walls.links.same_walls)
+        return WallNumbers(wall_of, np.arange(len(self.walls.wall_end)))
 
     def at_rest(self, numbers: WallNumbers) -> WallNumbers:
         """Return who is who with corners that were seen moving left out (-1)."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,12 +47,22 @@ class PlaneHistory:
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """First iteration of each submap and one after its last, those of most iterations first."""
-        edges = np.flatnonzero(np.diff(self.submap, prepend=-1, append=-1)).tolist()
-        spans = [(a, b) for a, b in pairwise(edges) if self.submap[a] >= 0]
-        return sorted(spans, key=lambda span: span[0] - span[1])
+        """First iteration of each submap and one after its last, those of most iterations first.
 
-    def within(self, span: tuple[int, int]) -> slice:
-        """Return the rows of the iterations from the first of a span up to its end."""
+        Some in between may belong to no submap or to others.
+        """
+        own = np.flatnonzero(self.submap >= 0)
+        number, first, count = np.unique(self.submap[own], return_index=True, return_counts=True)
+        last = len(own) - 1 - np.unique(self.submap[own][::-1], return_index=True)[1]
+        spans = np.column_stack([own[first], own[last] + 1])
+        return [(a, b) for a, b in spans[np.lexsort((number, -count))].tolist()]
+
+    def own(self, span: tuple[int, int]) -> NDArray[np.bool_]:
+        """Tell which iterations (k,) of the span of a submap are its own."""
+        return np.asarray(self.submap[slice(*span)] == self.submap[span[0]])
+
+    def within(self, span: tuple[int, int]) -> NDArray[np.int64]:
+        """Return the rows of the iterations of a submap, by its span."""
         begin, end = np.searchsorted(self.iteration, span).tolist()
-        return slice(begin, end)
+        own = self.own(span)[self.iteration[begin:end] - span[0]]
+        return np.arange(begin, end)[own]

@@ -6,12 +6,13 @@ tracks with one normal and one offset that overlap along the wall show the same 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from relmap.planes.assembly import Assembled, WallNumbers, directions
+from relmap.planes.assembly import Assembled, WallNumbers, directions, first_of
 
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
@@ -30,8 +31,8 @@ OUTLYING = 0.05
 def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
     """Return who is who, with tracks on one line joined, and false corners left out (-1)."""
     low, high = wall_extents(assembled)
-    first = _first_of(len(assembled.walls), _pairs(assembled, low, high))
-    corner_of = _joined_corners(assembled, first)
+    first = first_of(len(assembled.walls), _pairs(assembled, low, high))
+    corner_of = joined_corners(assembled, first)
     return WallNumbers(
         _renamed(assembled, numbers, first),
         np.where(numbers.corner_of < 0, -1, corner_of[numbers.corner_of]),
@@ -40,17 +41,8 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
 
 def join_pairs(assembled: Assembled, numbers: WallNumbers, pairs: NDArray[np.int64]) -> WallNumbers:
     """Return who is who when pairs (k, 2) of compact wall numbers are one wall each."""
-    first = _first_of(len(assembled.walls), pairs)
+    first = first_of(len(assembled.walls), pairs)
     return WallNumbers(_renamed(assembled, numbers, first), numbers.corner_of)
-
-
-def _first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each of n walls the first of those that pairs join it to."""
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_parts, part = connected_components(graph, directed=False)
-    first = np.full(n_parts, n)
-    np.minimum.at(first, part, np.arange(n))
-    return first[part]
 
 
 def _renamed(
@@ -67,7 +59,9 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
 
     given, state = assembled.given, assembled.state
     along = directions(state.angle)[1][given.wall]
-    reach = np.einsum("nei,ni->ne", _placed(assembled) - state.centre[given.wall][:, None], along)
+    reach = np.einsum(
+        "nei,ni->ne", placed_ends(assembled) - state.centre[given.wall][:, None], along
+    )
     return (
         quantiles(given.wall, reach[:, 0].copy(), OUTLYING),
         -quantiles(given.wall, -reach[:, 1], OUTLYING),
@@ -94,26 +88,24 @@ def _pairs(
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
     if not len(a):
         return np.empty((0, 2), dtype=np.int64)  # scipy's sparse arrays index nothing badly
-    both = _seen_together(assembled, a, b)
+    both = np.asarray(seen_together(assembled)[a, b] > 0).reshape(-1)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)
     return np.column_stack([a[on_one_another], b[on_one_another]])
 
 
-def _seen_together(
-    assembled: Assembled, a: NDArray[np.int64], b: NDArray[np.int64]
-) -> NDArray[np.bool_]:
+def seen_together(assembled: Assembled) -> Any:
+    """Return in how many scans each wall was seen with each other; a sparse array (w, w)."""
     given = assembled.given
     n = len(assembled.walls)
     seen = coo_array(
         (np.ones(len(given.wall)), (given.wall, given.iteration)),
         shape=(n, len(assembled.iterations)),
     ).tocsr()
-    together = (seen @ seen.T).tocsr()
-    return np.asarray(together[a, b] > 0).reshape(-1)
+    return (seen @ seen.T).tocsr()
 
 
-def _joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
+def joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return for every corner ever numbered which one it is; -1 where it is none."""
     given, corners = assembled.given, assembled.corners
     every = np.arange(1 + int(max(corners.max(initial=-1), assembled.all_corners.max(initial=-1))))
@@ -148,7 +140,7 @@ def _times_seen_beyond(
     """Count how often the walls (c,) of corners were seen to go on beyond their places (c,)."""
     own = wall_of[assembled.given.wall]
     along = directions(assembled.state.angle[own])[1]
-    reach = np.einsum("nei,ni->ne", _placed(assembled), along)
+    reach = np.einsum("nei,ni->ne", placed_ends(assembled), along)
     order = np.argsort(own, kind="stable")
     begin, end = np.searchsorted(own[order], [wall, wall + 1])
     corner = np.repeat(np.arange(len(wall)), end - begin)
@@ -159,7 +151,7 @@ def _times_seen_beyond(
     return np.bincount(corner[seen], minlength=len(wall))
 
 
-def _placed(assembled: Assembled) -> NDArray[np.float64]:
+def placed_ends(assembled: Assembled) -> NDArray[np.float64]:
     """Return the ends (n, 2, 2) of what was seen in the map's frame."""
     given, state = assembled.given, assembled.state
     c, s = np.cos(state.yaw), np.sin(state.yaw)

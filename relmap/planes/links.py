@@ -80,6 +80,8 @@ def unsure_m(before: NDArray[np.float64]) -> float:
     It is taken for the median of the last motions that were measured, of those (n, 3) so far: that
     is the less sure the more they differ.
     """
+    if not len(before):
+        return np.inf
     low, middle, high = np.quantile(_lengths(before[-VARYING:]), (0.25, 0.5, 0.75))
     return float(max((high - low) / 2 / np.sqrt(STEADY), UNSURE * middle))
 
@@ -103,6 +105,7 @@ def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tu
     turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
     off_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
     off_m += LEVER_M * np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    off_m = off_m[np.isfinite(off_m)]
     torn = off_m > TORN_M
     return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
 
@@ -126,7 +129,7 @@ def stretched_m(
     ways = [
         np.linalg.norm(path[last, :2, 3] - path[first, :2, 3], axis=1) for path in (poses, before)
     ]
-    return float(np.abs(ways[0] - ways[1]).max())
+    return float(np.nan_to_num(np.abs(ways[0] - ways[1])).max())
 
 
 def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -16,14 +17,15 @@ from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers
+from relmap.planes.beams import ToldBeams
+from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
-from relmap.planes.observation import checked_planes, journaled, of_journal
+from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.refined_map import refined_map
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
-from relmap.planes.solving import tracks_astray
 from relmap.planes.stitching import weak_links
 from relmap.planes.submaps import WallSubmap, among_all
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
@@ -74,7 +76,7 @@ class PlaneMapper(Mapper):
     _variant = "planes"
 
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
-    STATE = "walls=_planes refined_walls=_refined_walls _astray"
+    STATE = "walls=_planes refined_walls=_refined_walls _moved"
 
     def __init__(
         self,
@@ -85,13 +87,15 @@ class PlaneMapper(Mapper):
     ) -> None:
         super().__init__(config, journal, run)
         self.engine.association.is_known = False
-        self._planes.store = self.engine.store
+        self._planes.links.store = self.engine.store
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
-        self._astray = np.empty(0, dtype=np.int64)
+        self._moved = np.empty(0, dtype=np.int64)
 
-    def update(self, points: Any, ids: ArrayLike | None = None) -> NDArray[np.int64]:
+    def update(
+        self, points: Any, ids: ArrayLike | None = None, beams: ArrayLike | None = None
+    ) -> NDArray[np.int64]:
         """Take in one iteration.
 
         Parameters
@@ -102,6 +106,10 @@ class PlaneMapper(Mapper):
             or none is there, which ends are the walls' own shows over time (Fig. 4).
         ids : None
             Walls have no known association.
+        beams : (n, 2) or (n, 3) array, robot frame, metres, optional
+            Where the beams of the scan ended; the points where these are given.  Those of a 2-D
+            laser, (n, 2), judge how the robot moved; those of a cloud only what is seen through.
+            The sensor is at the `origin` (2,) of the planes, if they have one.
 
         Returns
         -------
@@ -116,19 +124,23 @@ class PlaneMapper(Mapper):
         if ids is not None:
             raise RelmapError("ids were given; a plane mapper finds out itself who is who")
         if not hasattr(points, "ends"):
+            beams = points if beams is None else beams
             points = self._segmented(points)
-        seen = checked_planes(points)
+        return self._take_in(checked_planes(points, beams))
+
+    def _take_in(self, seen: PlaneObservation) -> NDArray[np.int64]:
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = None
-        self._astray = np.empty(0, dtype=np.int64)
+        self._moved = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None)
         if self._journal is not None:
-            self._journal.append(journaled(seen), None, walls)
+            self._journal.append(journaled(seen), None, walls, beams=seen.beams.to_bytes())
         return walls
 
     def finish(self) -> None:
         """Map what is left: what is in view, and submaps too short for a group on the way."""
+        self._planes.tie()
         super().finish()
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
@@ -141,7 +153,7 @@ class PlaneMapper(Mapper):
         self._note_call("refine")
         # From where the groups place the scans, and without who moves.  Who is who is found anew,
         # where the walls come to lie: merged by places that have drifted, some are wrong.
-        self._astray = np.empty(0, dtype=np.int64)
+        self._moved = np.empty(0, dtype=np.int64)
         grouped, moving = self._grouped, self._moving
         history, numbers = grouped.history, grouped.at_rest(grouped.unmerged)
         merged = grouped.at_rest(grouped.numbers)
@@ -152,18 +164,13 @@ class PlaneMapper(Mapper):
                 numbers = grouped.with_those_of(submap.span, numbers, merged)
             else:
                 submaps[k], numbers = found
-        astray = [tracks_astray(s.assembled, history) for s in submaps if s.refined and s.assembled]
-        self._astray = np.concatenate([self._astray, *astray])
+        for k, submap in enumerate(submaps):
+            submaps[k], numbers, moved = floor_plan(
+                submap, numbers, history, self._planes.links.beams, moving
+            )
+            self._moved = np.concatenate([self._moved, moved])
         self._spread = None
-        self._refined_walls = [self._at_rest(submap) for submap in submaps], numbers
-
-    def _at_rest(self, submap: WallSubmap) -> WallSubmap:
-        """Return a submap without the tracks that went astray."""
-        if submap.assembled is None or not submap.refined:
-            return submap
-        track = self.history.plane[submap.assembled.rows]
-        kept = submap.assembled.only(~np.isin(track, self._astray))
-        return WallSubmap.of(submap.span, submap.poses, kept, refined=True)
+        self._refined_walls = submaps, numbers
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now.
@@ -192,8 +199,8 @@ class PlaneMapper(Mapper):
             sd=store.column("sd"),
             z_extent=store.column("z_extent"),
             corner=store.column("corner"),
-            motion=self._planes.motions,
-            submap=self._planes.submaps,
+            motion=self._planes.links.motions,
+            submap=self._planes.links.submaps,
         )
 
     @property
@@ -217,6 +224,19 @@ class PlaneMapper(Mapper):
         submaps, numbers = self._state
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
+
+    def points_of(self, number: int, most: int) -> NDArray[np.float64]:
+        """Return where beams of a submap ended (n, 2), in its frame, metres; for display.
+
+        Parameters
+        ----------
+        number : int
+            Place of the submap in `submaps`.
+        most : int
+            Of more points only one in so many is returned.
+        """
+        submap = self.submaps[number]
+        return self._planes.links.beams.placed(submap.poses, submap.span, most)[1]
 
     @property
     def map(self) -> LandmarkMap:
@@ -287,7 +307,8 @@ class PlaneMapper(Mapper):
         return WallModel(self._planes)
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
-        return self.update(of_journal(scan.values))
+        seen = checked_planes(of_journal(scan.values))
+        return self._take_in(replace(seen, beams=ToldBeams.from_bytes(scan.beams)))
 
     def _segmented(self, points: Any) -> Any:
         if self._segmenter is None:
@@ -329,5 +350,5 @@ class PlaneMapper(Mapper):
     def _moving(self) -> NDArray[np.bool_]:
         """Which plane tracks (p,) move, or are not where the refined map has them."""
         moving = self._grouped.moving_walls
-        moving[self._astray] = True
+        moving[self._moved] = True
         return moving

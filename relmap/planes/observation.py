@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
+from relmap.planes.beams import ToldBeams
 from relmap.planes.corners import CORNER, CUT, UNKNOWN
 
 SHORTEST_M = 1e-6
 """A wall shorter than this has no direction."""
+NO_BEAMS = ToldBeams.checked(np.empty((0, 2)), np.zeros(2))
 FARTHEST_END_M = FARTHEST_M / 4
 """Beyond this an end is damage; what is estimated from it is within reach of a point then."""
 
@@ -41,6 +43,8 @@ class PlaneObservation:
         Standard deviation of how far away a wall is, where its middle is; 0 where not known.
     z_extent : (m, 2) float64
         Lowest and highest z; 0 where not known.
+    beams : ToldBeams
+        None where they are not told.
     """
 
     ends: NDArray[np.float64]
@@ -51,6 +55,23 @@ class PlaneObservation:
     size: NDArray[np.float64]
     sd: NDArray[np.float64]
     z_extent: NDArray[np.float64]
+    beams: ToldBeams = NO_BEAMS
+
+    @classmethod
+    def of(
+        cls,
+        ends: NDArray[np.float64],
+        kind: NDArray[np.int8],
+        sd: NDArray[np.float64],
+        z_extent: NDArray[np.float64],
+    ) -> PlaneObservation:
+        """Return walls by what is stored of them."""
+        across = ends[:, 1] - ends[:, 0]
+        size = np.hypot(across[:, 0], across[:, 1])
+        along = across / size[:, None]
+        normal = np.column_stack([-along[:, 1], along[:, 0]])
+        offset = (normal * ends.mean(axis=1)).sum(axis=1)
+        return cls(ends, kind, along, normal, offset, size, sd, z_extent)
 
     def __len__(self) -> int:
         """Return the number of walls."""
@@ -61,12 +82,18 @@ class PlaneObservation:
         """Whether an end is told to be the wall's own; (m, 2)."""
         return np.asarray(self.kind == CORNER)
 
+    @property
+    def arrays(self) -> Any:
+        """What the compiled matching knows of the walls."""
+        return self.ends, self.along, self.normal, self.size, self.sd, self.static
+
     def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
-        """Return some of the walls."""
-        return PlaneObservation(*(getattr(self, field.name)[rows] for field in fields(self)))
+        """Return some of the walls, without beams."""
+        walls = (getattr(self, field.name)[rows] for field in fields(self)[:-1])
+        return PlaneObservation(*walls)
 
 
-def checked_planes(planes: Any) -> PlaneObservation:
+def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     """Return the walls of one scan.
 
     Parameters
@@ -74,8 +101,10 @@ def checked_planes(planes: Any) -> PlaneObservation:
     planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
         Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
         and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where nobody can
-        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,) and `z_extent` (m, 2)
-        are used where they are there.
+        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2)
+        and `origin` (2,), where the sensor is, are used where they are there.
+    beams : (n, 2) or (n, 3) array, optional
+        Where beams ended; see `ToldBeams.checked`.
 
     Raises
     ------
@@ -88,21 +117,18 @@ def checked_planes(planes: Any) -> PlaneObservation:
     if kind.size != 2 * m:
         raise RelmapError(f"end_type has shape {kind.shape}; it must be ({m}, 2), as ends are")
     sd, z_extent = _measured(planes, m)
-    across = ends[:, 1] - ends[:, 0]
-    size = np.hypot(across[:, 0], across[:, 1])
-    kept = size > SHORTEST_M
-    ends, size, kind = ends[kept], size[kept], kind.reshape(m, 2)[kept]
-    along = across[kept] / size[:, None]
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    offset = (normal * ends.mean(axis=1)).sum(axis=1)
-    if (offset > 0).any():
-        wall = int(np.flatnonzero(kept)[np.argmax(offset > 0)])
+    told = NO_BEAMS
+    if beams is not None:
+        told = ToldBeams.checked(beams, getattr(planes, "origin", np.zeros(2)))
+    kept = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > SHORTEST_M
+    kind = _coded(kind.reshape(m, 2)[kept])
+    seen = PlaneObservation.of(ends[kept], kind, sd[kept], z_extent[kept])
+    if (seen.offset > 0).any():
+        wall = int(np.flatnonzero(kept)[np.argmax(seen.offset > 0)])
         raise RelmapError(
             f"wall {wall} is seen from behind; its ends must go from right to left as seen"
         )
-    return PlaneObservation(
-        ends, _coded(kind), along, normal, offset, size, sd[kept], z_extent[kept]
-    )
+    return replace(seen, beams=told)
 
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:

@@ -8,7 +8,6 @@ of the corners alone, which hold it, broke csail into 91 submaps, not 58, and fh
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,16 +96,15 @@ def place(
     """
     from relmap.planes.matching_kernels import guesses
 
-    arrays = tracks.arrays, _seen(seen)
-    best, still = (_settled(*arrays, guess) for guess in (before, STILL))
+    best, still = (settled(tracks, seen, guess) for guess in (before, STILL))
     if still[1].score > best[1].score + HALTED:
         best = still
     recent = tracks.missed == tracks.missed.min(initial=0)
     possible = min(worth(tracks, seen, recent))
     if best[1].score < CONTENT * possible:
-        motions, scores = guesses(*arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
+        motions, scores = guesses(tracks.arrays, seen.arrays, ROUGHLY, REACH_M, TURN_RAD, GUESSES)
         for motion in motions[scores > best[1].score]:
-            found = _settled(*arrays, PlanarMotion(float(motion[0]), motion[1:]))
+            found = settled(tracks, seen, PlanarMotion(float(motion[0]), motion[1:]))
             doubt = _doubt(found[0], before)
             if not _jumps(*found, farthest_m) and found[1].score > best[1].score + doubt:
                 best = found
@@ -136,16 +134,15 @@ def worth(
     )
 
 
-def _seen(seen: PlaneObservation) -> Any:
-    """Return what the kernels know of the walls of a scan."""
-    return seen.ends, seen.along, seen.normal, seen.size, seen.sd, seen.static
-
-
-def _settled(tracks: Any, seen: Any, guess: PlanarMotion) -> tuple[PlanarMotion, Match]:
+def settled(
+    tracks: PlaneTracks, seen: PlaneObservation, guess: PlanarMotion
+) -> tuple[PlanarMotion, Match]:
     """Fit a guess to what agrees with it, and see again what agrees."""
-    from relmap.planes.matching_kernels import settled
+    from relmap.planes import matching_kernels
 
     start = np.array([guess.yaw, *guess.t])
-    motion, track_of, score = settled(tracks, seen, start, ROUGHLY, ROUNDS, HELD, LEAST_M)
+    motion, track_of, score = matching_kernels.settled(
+        tracks.arrays, seen.arrays, start, ROUGHLY, ROUNDS, HELD, LEAST_M
+    )
     walls = np.flatnonzero(track_of >= 0)
     return PlanarMotion(float(motion[0]), motion[1:]), Match(track_of[walls], walls, score)

@@ -124,4 +124,5 @@ def poses_of(
     """Return the poses (k, 4, 4) of a submap by its refined map, else by the motion since."""
     rows = slice(*span)
     poses, motion = assembled.poses(history.n_iterations)[rows], history.motion[rows]
-    return stitched([without_strays(poses, motion)], motion)
+    own = history.own(span)[:, None, None]
+    return np.where(own, stitched([without_strays(poses, motion)], motion), np.nan)

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.state.growing import GrowingArray
-from relmap.core.state.store import ObservationStore
 from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
-from relmap.planes.links import STEADY, believed, farthest_m, measured_along, unsure_m
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL, PlanarMotion, place
+from relmap.planes.scan_links import ScanLinks
+from relmap.planes.search import Found
 from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
@@ -51,56 +50,28 @@ class PlaneRegistration:
 
     Attributes
     ----------
-    store : ObservationStore
-        What was observed so far, for ends of unknown type.
+    links : ScanLinks
+        How each scan is tied to those before.
     corner, landmark : (w, 2) int64
         Corner at either end of each wall of the scan seen last, and the landmark that the map hangs
         on there; -1 for none.
     """
 
     _tracks: PlaneTracks | None
-    _motion: PlanarMotion
-    STATE = (
-        "_motions _submaps _tracks _motion n_planes _n_submaps _unsure_m "
-        "_unsure_each_m _half _wall_end _submap_of _told _since"
-    )
+    STATE = "_tracks n_planes _half _wall_end _submap_of _told _since links"
 
     def __init__(self, max_missed: int, bridge_m: float) -> None:
-        self._max_missed, self._bridge_m = max_missed, bridge_m
+        self._max_missed = max_missed
         self._tracks = None
-        self._motion = STILL
-        self._n_submaps = 0
-        self._unsure_m, self._unsure_each_m = 0.0, 0.0
-        self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
-        self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self.links = ScanLinks(bridge_m)
         self._half: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._wall_end: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._submap_of: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._told: GrowingArray[np.int8] = GrowingArray(np.int8, (2,))
         self._since: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.n_planes = 0
-        self.store = ObservationStore()
         self.corner = np.empty((0, 2), dtype=np.int64)
         self.landmark = np.empty((0, 2), dtype=np.int64)
-
-    @property
-    def _usual(self) -> PlanarMotion:
-        """How the robot went last: the median of some scans, for one of them may be a jump."""
-        if not len(self._motions):
-            return STILL
-        last = np.sort(self.motions[-STEADY:], axis=0)
-        yaw, x, y = last[len(last) // 2].tolist()
-        return PlanarMotion(yaw, np.array([x, y]))
-
-    @property
-    def motions(self) -> NDArray[np.float64]:
-        """From the robot frame before into that of each iteration: yaw, x, y; (i, 3), rough."""
-        return self._motions.values
-
-    @property
-    def submaps(self) -> NDArray[np.int64]:
-        """Submap of each iteration; (i,), -1 where nothing ties it to any."""
-        return self._submaps.values
 
     @property
     def half(self) -> NDArray[np.float64]:
@@ -137,53 +108,34 @@ class PlaneRegistration:
         Where no link to those before is believed, a submap begins.
         """
         walls = np.full(len(seen), -1)
-        self._motion, tracks = self._usual, self._tracks  # on as before
+        motion, tracks = self.links.usual, self._tracks  # on as before
         if tracks is not None and len(seen):
-            tracks = self._followed(tracks, seen, walls)
+            found = self.links.into(tracks, seen)
+            motion = found.motion if found else motion
+            tracks = _followed(tracks, seen, found, walls) if found else None
         elif tracks is not None:
-            tracks = tracks.carried(self._motion.yaw, self._motion.t)
+            tracks = tracks.carried(motion.yaw, motion.t)
             tracks.missed += 1
-        self._n_submaps += int(tracks is None and len(seen) > 0)
+        if tracks is None and len(seen):
+            self.links.begin_submap()
         new = walls < 0
         walls[new] = self.n_planes + np.arange(new.sum())
         self.n_planes += int(new.sum())
         self._told.resize(self.n_planes, UNTOLD)
-        self._since.resize(self.n_planes, len(self._motions))
+        self._since.resize(self.n_planes, len(self.links))
         self._test_ends()
         begun = PlaneTracks.begun(walls[new], seen.only(new))
         tracks = begun if tracks is None else tracks.joined(begun)
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
         self._see_corners(tracks, seen, walls)
-        self._motions.extend(np.array([[self._motion.yaw, *self._motion.t]]))
-        self._submaps.extend(np.array([-1 if self._tracks is None else self._n_submaps - 1]))
+        self.links.append(seen, motion, self._tracks is not None)
         return walls
 
-    def _followed(
-        self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
-    ) -> PlaneTracks | None:
-        """Return the tracks where a scan sees them, and enter which walls (m,) they are.
-
-        None where it is tied to them by too little.
-        """
-        found = place(tracks, seen, self._usual, farthest_m(self.motions))
-        if found is None or not believed(tracks, seen, found, self._usual):
-            return None
-        motion, match = found
-        if measured_along(tracks, seen, match):
-            self._unsure_m = 0.0
-        else:
-            if not self._unsure_m:
-                self._unsure_each_m = unsure_m(self.motions)
-            self._unsure_m += self._unsure_each_m
-        if self._unsure_m > self._bridge_m:
-            self._unsure_m = 0.0
-            return None
-        self._motion = motion
-        tracks = tracks.carried(motion.yaw, motion.t)
-        tracks.see(match.tracks, seen, match.walls)
-        walls[match.walls] = tracks.plane[match.tracks]
-        return tracks
+    def tie(self) -> None:
+        """Tie submaps that follow one another where their scans, compared anew, agree."""
+        name = self.links.tie()
+        self._submap_of.values[:] = name[self.submap_of]
 
     def _see_corners(
         self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
@@ -205,7 +157,7 @@ class PlaneRegistration:
         corners = tracks.corner[row, end]
         corners[fresh] = len(self._half) + np.arange(fresh.sum())
         self._half.extend(seen.size[wall[fresh]] / 2)
-        self._submap_of.extend(np.full(fresh.sum(), self._n_submaps - 1))
+        self._submap_of.extend(np.full(fresh.sum(), self.links.submap))
         self._wall_end.extend(2 * walls[wall[fresh]] + end[fresh])
         times = np.where(fresh, 1, tracks.corner_seen[row, end] + 1)
         share = (1 / np.minimum(times, MEMORY))[:, None]
@@ -225,12 +177,12 @@ class PlaneRegistration:
 
         Ends of unknown type are tested now and then.
         """
-        now = len(self._motions)
+        now = len(self.links)
         if now < INTERVAL or now % TESTED:
             return
-        rows, iteration = self.store.between(now - INTERVAL, now)
-        wall, kind = self.store.column("wall")[rows], self.store.column("kind")[rows]
-        ends, sd = self.store.column("location")[rows], self.store.column("sd")[rows]
+        rows, iteration = self.links.store.between(now - INTERVAL, now)
+        wall, kind = self.links.store.column("wall")[rows], self.links.store.column("kind")[rows]
+        ends, sd = self.links.store.column("location")[rows], self.links.store.column("sd")[rows]
         same, unknown = self._since.values[wall] <= now - INTERVAL, kind == UNKNOWN
         if not (same & unknown.any(axis=1)).any():
             return
@@ -249,21 +201,32 @@ class PlaneRegistration:
     def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
         """Let another interval begin for walls (k,), and forget what was told of their ends."""
         self._told.values[walls, ends] = UNTOLD
-        self._since.values[walls] = len(self._motions)
+        self._since.values[walls] = len(self.links)
 
     def _name(self, wall: int, end: int, corner: int) -> None:
         """Enter which corner an end of a wall was throughout the last interval."""
-        now = len(self._motions)
+        now = len(self.links)
         begin = max(int(self._since.values[wall]), now - INTERVAL, 0)
-        rows, _ = self.store.between(min(begin, now), now)
-        own = self.store.column("wall")[rows] == wall
-        self.store.column("corner")[rows][own, end] = corner
+        rows, _ = self.links.store.between(min(begin, now), now)
+        own = self.links.store.column("wall")[rows] == wall
+        self.links.store.column("corner")[rows][own, end] = corner
         if corner == NO_CORNER:
-            self.store.column("landmark")[rows][own, end] = corner
+            self.links.store.column("landmark")[rows][own, end] = corner
 
     def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
         """Return how sure the ends (m,) are along their walls, about."""
         return 3 * seen.sd
+
+
+def _followed(
+    tracks: PlaneTracks, seen: PlaneObservation, found: Found, walls: NDArray[np.int64]
+) -> PlaneTracks:
+    """Return the tracks where a scan sees them, and enter which walls (m,) they are."""
+    motion, match = found.motion, found.match
+    tracks = tracks.carried(motion.yaw, motion.t)
+    tracks.see(match.tracks, seen, match.walls)
+    walls[match.walls] = tracks.plane[match.tracks]
+    return tracks
 
 
 def _best(size: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.planes.assembly import BLUNT, FLAT_M, Assembled
+from relmap.planes.assembly import FLAT_M, Assembled
 from relmap.planes.equations import WallEquations
-from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import WallSystem, wall_residuals
 
 EXACT_M = 1e-7
@@ -25,9 +24,6 @@ LAST = (8, 4.0)
 """Most steps of the last solution, and the residual from which an observation is in doubt."""
 SHARPLY = (6, 4.0)
 """The same, of each solution with less noise than walls have at best."""
-ASTRAY_M, ASTRAY, MOSTLY = 0.04, 6.0, 0.75
-"""A track moved that is farther from its place in the map, and by more typical residuals, in more
-than a quarter of its sights."""
 
 
 def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], cautious: bool) -> Assembled:
@@ -79,27 +75,6 @@ def _solved(
         state = own.refine(state, most, doubtful, by_scan)
         given, settled = _reweighted(assembled.given, *wall_residuals(given, state)), own.settled
     return replace(assembled, given=given, state=state, settled=settled)
-
-
-def tracks_astray(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
-    """Return the plane tracks that are not where the refined map has them, time and again.
-
-    Such have moved, though binning could not tell them from what stood still.
-    """
-    from relmap.core.linalg.order_kernels import quantiles
-
-    given = assembled.given
-    across, along = wall_residuals(given, assembled.state)
-    track = history.plane[assembled.rows]
-    astray = [np.empty(0, dtype=np.int64)]
-    for of, off in (
-        (track, np.abs(across).max(axis=1)),
-        (track[given.corner_row], np.abs(along) / BLUNT),
-    ):
-        tracks, row = np.unique(of, return_inverse=True)
-        limit = max(ASTRAY_M, ASTRAY * float(np.median(off))) if len(off) else ASTRAY_M
-        astray.append(tracks[quantiles(row, off, MOSTLY) > limit])
-    return np.unique(np.concatenate(astray))
 
 
 def _reweighted(

@@ -21,7 +21,7 @@ class WallSubmap(Submap):
     Attributes
     ----------
     poses : (k, 4, 4) float64
-        ``T_submap_robot`` of its iterations.
+        ``T_submap_robot`` of its iterations; NaN for those in between that are not tied to it.
     assembled : Assembled or None
         None where no wall was seen often enough.
     refined : bool
@@ -53,9 +53,15 @@ class WallSubmap(Submap):
         return self.first_iteration, self.last_iteration + 1
 
     @property
+    def n_scans(self) -> int:
+        """How many scans are tied to it."""
+        return int(np.isfinite(self.poses[:, 0, 3]).sum())
+
+    @property
     def length_m(self) -> float:
         """Length of the path, metres."""
-        steps = np.diff(self.poses[:, :2, 3], axis=0)
+        known = np.isfinite(self.poses[:, 0, 3])
+        steps = np.diff(self.poses[known, :2, 3], axis=0)
         return float(np.linalg.norm(steps, axis=1).sum())
 
 
@@ -72,6 +78,7 @@ def chained_poses(
     paths: list[NDArray[np.float64]], span: tuple[int, int], history: PlaneHistory
 ) -> NDArray[np.float64]:
     """Return the poses of a submap by the paths (i, 4, 4) that submaps of the map tell."""
-    rows = slice(*span)
-    there = [path[rows] for path in paths if np.isfinite(path[rows, 0, 0]).any()]
-    return stitched(there, history.motion[rows])
+    rows, own = slice(*span), history.own(span)[:, None, None]
+    there = [np.where(own, path[rows], np.nan) for path in paths]
+    there = [path for path in there if np.isfinite(path[:, 0, 0]).any()]
+    return np.where(own, stitched(there, history.motion[rows]), np.nan)

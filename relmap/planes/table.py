@@ -94,7 +94,8 @@ def _mapped(
     """Return ends, normals and corners of the mapped walls."""
     state = assembled.state
     normal, along = directions(state.angle)
-    reach = np.column_stack(wall_extents(assembled))
+    reach = assembled.reach
+    reach = np.column_stack(wall_extents(assembled)) if reach is None else reach.copy()
     at_end = _at_ends(assembled)
     wall, end = np.nonzero(at_end >= 0)
     compact = at_end[wall, end]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from relmap.evaluation.corners import MatchedCorners
 from relmap.evaluation.truth import Truth
+from relmap.planes.files import DrawnSubmap
 from relmap.planes.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
 from relmap.plots.sheet import BLUE, INK, PALE, RED, Sheet, blank, legend_below, to_png
@@ -20,19 +22,20 @@ from relmap.simulation import Building
 WALL = BLUE
 CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
+POINT = "#b4b4b4"
+FINE, DOT, FINE_DPI = 1.1, 1.6, 240
+"""Width of a wall, and size of a corner, hardly wider, for pictures to be hung up."""
 PANEL_IN = 3.4
 TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
 
 
-def plot_submaps(
-    submaps: Sequence[tuple[PlaneTable, NDArray[np.float64]]], n_submaps: int
-) -> Figure:
+def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
     """Draw the walls and paths of submaps, each in its own frame and a panel of its own.
 
     Parameters
     ----------
-    submaps : sequence of (PlaneTable, (k, 4, 4) float64)
+    submaps : sequence of DrawnSubmap
         Those to be drawn, the map itself first.
     n_submaps : int
         How many there are.
@@ -42,36 +45,65 @@ def plot_submaps(
     matplotlib.figure.Figure
     """
     if len(submaps) < 2:
-        title = None if n_submaps < 2 else f"the largest of {n_submaps} submaps"
-        return plot_planes(*submaps[0], title=title)
+        return _plot_submap(submaps[0], n_submaps)
     columns = int(np.ceil(np.sqrt(len(submaps))))
     rows = -(-len(submaps) // columns)
     figure = blank(PANEL_IN * columns, PANEL_IN * rows + 0.8, dpi=110)
-    for number, (planes, poses) in enumerate(submaps):
+    for number, submap in enumerate(submaps):
         axes = figure.add_subplot(rows, columns, number + 1, aspect="equal", adjustable="datalim")
-        n_walls, n_corners = _draw_map(axes, planes, poses)
+        n_walls, n_corners = _draw_submap(axes, submap)
         name = "map" if number == 0 else f"submap {number}"
         axes.set_title(
-            f"{name}: {len(poses)} scans, {n_walls} walls, {n_corners} corners", fontsize=8
+            f"{name}: {len(submap.poses)} scans, {n_walls} walls, {n_corners} corners", fontsize=8
         )
         axes.grid(color=PALE, linewidth=0.5)
         axes.tick_params(labelsize=6)
     left = n_submaps - len(submaps)
     also = f", {left} of a few scans not drawn" if left else ""
     figure.suptitle(f"{n_submaps} separate submaps{also}", fontsize=11)
-    legend_below(figure, 3, axes)
+    legend_below(figure, 4, *figure.axes)
     return figure
+
+
+def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
+    """Draw the one submap there is to draw."""
+    planes, poses = submap.planes, submap.poses
+    sheet = _sheet(planes.ends[planes.status == "static"].reshape(-1, 2), poses)
+    n_walls, n_corners = _draw_submap(sheet.views[0][0], submap)
+    apart = f"the largest of {n_submaps} submaps: " if n_submaps > 1 else ""
+    sheet.finish(f"{apart}{n_walls} walls, {n_corners} corners, {len(poses)} poses")
+    return sheet.figure
+
+
+def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
+    """Draw the floor plan over points of the scans; return how many walls and corners it has."""
+    points, at = submap.points, submap.poses[:, :2, 3]
+    axes.plot(*points.T, ",", color=POINT, zorder=1.5, rasterized=True)
+    counts = _draw_map(axes, submap.planes, submap.poses)
+    axes.plot(*at[0], "o", color=INK, markersize=5, zorder=7, label="start", linestyle="")
+    axes.plot(*at[-1], "s", color=INK, markersize=5, zorder=7, label="end", linestyle="")
+    if len(submap.weak):
+        ring: dict[str, Any] = {"color": RED, "markerfacecolor": "none", "markersize": 7}
+        between = (at[submap.weak - 1] + at[submap.weak]) / 2
+        axes.plot(*between.T, "o", zorder=7, label="weak link", linestyle="", **ring)
+    return counts
 
 
 def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return how many walls and corners."""
     mapped = planes.status == "static"
-    draw_walls(axes, planes.ends[mapped], "wall")
+    draw_walls(axes, planes.ends[mapped], "wall", width=FINE)
     at = planes.ends[mapped][planes.corner[mapped] >= 0]
-    axes.plot(*at.T, "o", color=CORNER, markersize=2.2, zorder=6, label="corner", linestyle="")
+    dot: dict[str, Any] = {"color": CORNER, "markersize": DOT, "markeredgewidth": 0}
+    axes.plot(*at.T, "o", zorder=6, label="corner", linestyle="", **dot)
     path = broken_at_jumps(poses[:, :2, 3])
-    axes.plot(*path.T, color=PATH, linewidth=0.8, zorder=2, label="path of the robot")
+    axes.plot(*path.T, color=PATH, linewidth=0.6, zorder=2, label="path of the robot")
     return int(mapped.sum()), len(at)
+
+
+def _sheet(places: NDArray[np.float64], poses: NDArray[np.float64]) -> Sheet:
+    """Return a sheet with room for places (n, 2) and the path of poses (k, 4, 4)."""
+    return Sheet(_in_space(places), _in_space(poses[:, :2, 3]), planar=True, dpi=FINE_DPI)
 
 
 def plot_planes(
@@ -100,8 +132,7 @@ def plot_planes(
     true_ends = np.empty((0, 2, 2))
     if truth is not None:
         true_ends = (truth[0].ends - truth[1].t) @ truth[1].R
-    flat = np.concatenate([places, true_ends.reshape(-1, 2)])
-    sheet = Sheet(_in_space(flat), _in_space(poses[:, :2, 3]), planar=True)
+    sheet = _sheet(np.concatenate([places, true_ends.reshape(-1, 2)]), poses)
     axes = sheet.views[0][0]
     if truth is not None:
         draw_true_walls(axes, true_ends)

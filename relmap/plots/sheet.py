@@ -31,7 +31,9 @@ INK = "#333333"
 WIDTH_IN = 7.5
 HEIGHT_IN = 8.0
 """Largest size of the views together; the figure has margins around them."""
-BESIDE_IN, ABOVE_IN, BELOW_IN, NARROWEST_IN = 2.1, 0.9, 0.6, 6.5
+BESIDE_IN, ABOVE_IN, BELOW_IN, NARROWEST_IN = 2.1, 1.1, 0.6, 6.5
+LEGEND_ROW_IN = 0.2
+"""Height of each row of a legend but the first, for which there is room."""
 NARROWEST = 0.15
 """Least width of a view as a share of its length."""
 BULK = (0.05, 0.95)
@@ -115,6 +117,7 @@ class Sheet:
         What is to be drawn; see `limits_of`.
     planar : bool
         Whether the view from above is enough.
+    dpi : int, optional
 
     Attributes
     ----------
@@ -123,7 +126,13 @@ class Sheet:
         Panels, and which coordinates each shows.
     """
 
-    def __init__(self, places: NDArray[np.float64], way: NDArray[np.float64], planar: bool) -> None:
+    def __init__(
+        self,
+        places: NDArray[np.float64],
+        way: NDArray[np.float64],
+        planar: bool,
+        dpi: int = 150,
+    ) -> None:
         low, high = _padded(limits_of(places, way))
         self._outside = int(((places < low) | (places > high)).any(axis=1).sum())
         pairs = [[0, 1]] if planar else [[0, 1], [0, 2]]
@@ -131,7 +140,7 @@ class Sheet:
         wide_m = float(high[0] - low[0])
         scale = min(WIDTH_IN / wide_m, HEIGHT_IN / sum(tall_m))
         width = max(scale * wide_m + BESIDE_IN, NARROWEST_IN)
-        self.figure = blank(width, scale * sum(tall_m) + BELOW_IN * len(pairs) + ABOVE_IN)
+        self.figure = blank(width, scale * sum(tall_m) + BELOW_IN * len(pairs) + ABOVE_IN, dpi)
         panels = self.figure.subplots(len(pairs), 1, squeeze=False, height_ratios=tall_m)[:, 0]
         self.views = list(zip(panels.tolist(), pairs, strict=True))
         for axes, pair in self.views:
@@ -156,7 +165,10 @@ class Sheet:
         axes.set_title(title + outside, fontsize=11)
         labels = axes.get_legend_handles_labels()[1]
         if labels:
-            legend = legend_below(self.figure, 3 if max(map(len, labels)) < 45 else 2, axes)
+            columns = 3 if max(map(len, labels)) < 45 else 2
+            rows = -(-len(labels) // columns)
+            self.figure.set_figheight(self.figure.get_figheight() + LEGEND_ROW_IN * (rows - 1))
+            legend = legend_below(self.figure, columns, axes)
             for handle in legend.legend_handles:
                 if isinstance(handle, PathCollection):
                     handle.set_sizes([24.0])

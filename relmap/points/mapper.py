@@ -14,7 +14,7 @@ from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.readout import positions_in_largest_submap
-from relmap.core.scan import checked_ids, checked_points
+from relmap.core.scan import checked_covariances, checked_ids, checked_points
 from relmap.mapper import Mapper
 from relmap.points.model import PointModel
 
@@ -60,7 +60,12 @@ class PointMapper(Mapper):
         super().__init__(config, journal, run)
         self._finder: PlaceFinder | None = None
 
-    def update(self, points: ArrayLike, ids: ArrayLike | None = None) -> NDArray[np.int64]:
+    def update(
+        self,
+        points: ArrayLike,
+        ids: ArrayLike | None = None,
+        covariances: ArrayLike | None = None,
+    ) -> NDArray[np.int64]:
         """Take in the observations of one iteration.
 
         Parameters
@@ -70,6 +75,10 @@ class PointMapper(Mapper):
         ids : (n,) array of int, optional
             Known association; negative where a landmark was not identified.  They come with every
             scan or with none.
+        covariances : (n, d, d) array, robot frame, square metres, optional
+            How noisy each point is, in which direction; see `range_bearing_covariances` for
+            sensors that measure range and bearing.  `refine` weighs each observation by it.  They
+            come with every scan that sees anything or with none.
 
         Returns
         -------
@@ -85,15 +94,37 @@ class PointMapper(Mapper):
         self._finder = None
         points_robot = checked_points(points, self.engine.store.dimension)
         known = None if ids is None else checked_ids(ids, len(points_robot))
+        noise = None if covariances is None else checked_covariances(covariances, points_robot)
+        if len(points_robot) and self._has_covariances not in (None, noise is not None):
+            given = "came with" if noise is None else "did not come with"
+            raise RelmapError(
+                f"covariances {given} the scans before; give them with every scan or none"
+            )
         if self._journal is not None:
             self._journal.ready()
-        labels = self.engine.update(points_robot, known)
+        labels = self.engine.update(points_robot, known, noise)
         seen = labels >= 0
         numbers = self.engine.table.now(labels[seen])
         labels[seen] = self.engine.association.labels_of(numbers)
         if self._journal is not None:
-            self._journal.append(points_robot, known, labels)
+            self._journal.append(points_robot, known, labels, noise)
         return labels
+
+    @property
+    def _has_covariances(self) -> bool | None:
+        """Whether covariances come with the observations; None before the first of these."""
+        if len(self.engine.weighed):
+            return True
+        return False if len(self.engine.table) else None
+
+    @property
+    def rejected_observations(self) -> NDArray[np.int64]:
+        """Iteration, and row in its scan, of each observation (r, 2) whose id was overruled.
+
+        It lies far from where its landmark is, and so is of no landmark or of the one that was
+        expected there, as its label says.  Those of `rejected` iterations are not listed.
+        """
+        return self.engine.association.overruled
 
     def refine(self) -> None:
         """Bring all landmarks to where all observations agree best, by joint least squares.
@@ -192,4 +223,4 @@ class PointMapper(Mapper):
         return PointModel()
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
-        return self.update(scan.values, scan.ids)
+        return self.update(scan.values, scan.ids, scan.covariances)

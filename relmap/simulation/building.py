@@ -6,36 +6,26 @@ is its sensor's, is `SENSOR_HEIGHT_M` above the floor; there the map's z is 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from relmap.datasets.scans import planar_poses
-from relmap.simulation.floor_plan import (
-    CLEARANCE_M,
-    FloorPlan,
-    World,
-    make_floor_plan,
-    wall_distances,
-)
+from relmap.simulation.coverage import seen_extents, times_seen
+from relmap.simulation.drive import STEP_M, drive_round
+from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.moving_walls import make_moving
 from relmap.simulation.noise import Array, Noise, check_arguments
-from relmap.simulation.sensor import DEPTH_SENSOR, LASER, BuildingScan, Sampling, Scanner, Sensor
+from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, sensor_of
+from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
+from relmap.simulation.things import Things, walking
 from relmap.simulation.visibility import seen_walls
 
 SENSOR_HEIGHT_M = 1.0
-STEP_M = 0.22
-TURN_RAD = np.deg2rad(4.0)
-"""From one scan to the next the robot moves and turns by about this much, at most."""
-WEAVE_M = 0.15
-"""Amplitude with which it weaves about its line."""
-WEAVES = 5
-GRID_M = 0.01
-SMOOTH_M = 0.4
 STEP_S = 0.2
+"""From one scan to the next, where the robot goes `STEP_M`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,16 +59,21 @@ class Building:
         Returns
         -------
         (w, 3) int64
-            Scans in which some of the wall was seen, its right end, and its left end.
+            Scans in which some of the wall was seen, its right end, and its left end; an end where
+            the wall goes on, as in a curve, is none.
         """
-        counts = np.zeros((len(self.walls), 3), dtype=np.int64)
-        for scan in self.scans:
-            corner = scan.seen.end_type == "corner"
-            counts[np.unique(scan.seen.wall), 0] += 1
-            # No two stretches of a wall have the same true end.
-            counts[scan.seen.wall[corner[:, 0]], 1] += 1
-            counts[scan.seen.wall[corner[:, 1]], 2] += 1
-        return counts
+        return times_seen(self.walls, self.scans)
+
+    def seen_extents(self) -> NDArray[np.float64]:
+        """Return from where to where each wall was seen, in ten scans by five points each.
+
+        Returns
+        -------
+        (w, 2) float64
+            Metres from its first end; NaN where it was not seen, or moves.
+        """
+        extents = seen_extents(self.walls, self.trajectory, self.scans)
+        return np.where(self.moving[:, None], np.nan, extents)
 
 
 def simulate_building(
@@ -94,6 +89,9 @@ def simulate_building(
     sensor: Sensor | None = None,
     sample_ends: bool = False,
     moving: int = 0,
+    step_m: float = STEP_M,
+    people: int = 0,
+    clutter: float = 0.0,
 ) -> Building:
     """Drive round the corridor of a building, or round among panels.
 
@@ -109,11 +107,14 @@ def simulate_building(
         Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
     iterations : int, optional
         Number of scans; as many as the loops take where left out. One loop is 250 to 310 in a
-        building, some 200 among panels, 390 along the long wall and back.
+        building, some 200 among panels, 390 along the long wall and back, with the usual step.
     seed : int
         Seed of everything random.
-    world : "building", "panels" or "long-wall"
-        Corridors and rooms, free-standing panels only, or a long wall alone, then panels.
+    world : str
+        "building": corridors and rooms; the same without right angles ("oblique"), with panes of
+        "glass" or "furniture"; free-standing "panels" only; "long-wall", which stands alone, then
+        panels; "twin-rooms", all the same, which the robot enters; a square "corridor" of sides
+        that are the same; "bare-corridor", without features; or "curved".
     loops : int
         How often the robot drives round.
     sensor : Sensor, optional
@@ -122,6 +123,13 @@ def simulate_building(
         With `surface`, put a point on each end of every stretch that has two points or more.
     moving : int
         Number of doors that swing; among panels, of panels that slide and turn.
+    step_m : float
+        How far the robot goes from one scan to the next; it turns the less the less it goes, by
+        4 degrees at most where it goes 0.22 m.
+    people : int
+        Number of people who walk about; of a laser.
+    clutter : float
+        Share of the beams of a laser that meet small things, others in each scan.
 
     Returns
     -------
@@ -132,20 +140,24 @@ def simulate_building(
     RelmapError
         Where an argument is out of its range.
     """
-    sensor = sensor or (LASER if sampling == "laser" else DEPTH_SENSOR)
+    sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
-    _check(scanner, seed, iterations, world, loops, moving)
+    _check(scanner, seed, iterations, world, loops, moving, step_m, people, clutter)
     rng = np.random.default_rng(seed)
     plan = make_floor_plan(world, rng)
-    trajectory = _drive_round(plan.loop, loops, iterations, rng)
-    # Movers have a generator of their own: the rest of the world is the same with and without them.
+    trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
+    stamps_s = STEP_S * (step_m / STEP_M) * np.arange(len(trajectory), dtype=np.float64)
+    # What moves or is no wall has generators of its own: the rest is the same with and without.
+    walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
+    crowd = walking(plan, people, stamps_s, trajectory, walkers)
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
+    things = [Things(at, plan.glass, clutter, others) for at in crowd]
     scans = [
-        _scan(movers.at(plan.walls, k), pose, scanner, rng) for k, pose in enumerate(trajectory)
+        _scan(movers.at(plan.walls, k), pose, scanner, rng, things[k])
+        for k, pose in enumerate(trajectory)
     ]
     walls = movers.at(plan.walls, 0) - [0, 0, 0, 0, SENSOR_HEIGHT_M, SENSOR_HEIGHT_M]
     moves = np.isin(np.arange(len(walls)), movers.row)
-    stamps_s = STEP_S * np.arange(len(trajectory), dtype=np.float64)
     return Building(walls, moves, trajectory, stamps_s, scans, sensor)
 
 
@@ -175,7 +187,7 @@ def building_scene(
     RelmapError
         Where an argument is out of its range.
     """
-    sensor = sensor or (LASER if sampling == "laser" else DEPTH_SENSOR)
+    sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
     _check(scanner, seed)
     rng = np.random.default_rng(seed)
@@ -190,6 +202,9 @@ def _check(
     world: str = "building",
     loops: int = 1,
     moving: int = 0,
+    step_m: float = STEP_M,
+    people: int = 0,
+    clutter: float = 0.0,
 ) -> None:
     points, sampling, sensor = scanner.points, scanner.sampling, scanner.sensor
     range_m, view_rad = sensor.range_m, sensor.view_rad
@@ -204,16 +219,26 @@ def _check(
             f"the range of the sensor is {range_m}; it must be positive, metres",
         ),
         (
-            0 < view_rad <= np.pi and 0 < sensor.vertical_view_rad < np.pi,
-            "the field of view must lie in (0, pi] radians, the vertical one in (0, pi)",
+            0 < view_rad < 2 * np.pi and 0 < sensor.vertical_view_rad < np.pi,
+            "the field of view must lie in (0, 2 pi) radians, the vertical one in (0, pi)",
         ),
         (
             iterations is None or 1 <= iterations <= 10**6,
             f"iterations is {iterations}; it must lie in [1, 1000000]",
         ),
-        (world in get_args(World), f"world is {world!r}; it must be building, panels or long-wall"),
+        (
+            world in get_args(World),
+            f"world is {world!r}; it must be one of {', '.join(get_args(World))}",
+        ),
         (1 <= loops <= 1000, f"loops is {loops}; it must lie in [1, 1000]"),
         (0 <= moving <= 1000, f"moving is {moving}; it must lie in [0, 1000]"),
+        (0 < step_m <= 10, f"step is {step_m}; it must lie in (0, 10] metres"),
+        (0 <= people <= 1000, f"people is {people}; it must lie in [0, 1000]"),
+        (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
+        (
+            sampling == "laser" or not (people or clutter or world == "glass"),
+            "people, clutter and glass are for lasers alone; sampling must be laser",
+        ),
     ]
     check_arguments(scanner.noise, scanner.sigma, seed, *limits)
 
@@ -232,49 +257,18 @@ def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Array:
 
 
 def _scan(
-    walls: Array, T_map_robot: Array, scanner: Scanner, rng: np.random.Generator
+    walls: Array,
+    T_map_robot: Array,
+    scanner: Scanner,
+    rng: np.random.Generator,
+    things: Things | None = None,
 ) -> BuildingScan:
+    sensor, before = scanner.sensor, None
     ends_map = walls[:, :4].reshape(-1, 2, 2)
     ends_robot = (ends_map - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
-    seen = seen_walls(ends_robot, scanner.sensor.range_m, scanner.sensor.view_rad / 2)
-    return scanner.scan(seen, walls[0, 4:] - SENSOR_HEIGHT_M, rng)
-
-
-def _drive_round(
-    loop: Array, loops: int, iterations: int | None, rng: np.random.Generator
-) -> Array:
-    """Return the poses (k, 4, 4) of a robot on a closed line (l, 2), slower where it turns.
-
-    It starts somewhere on the line; without a number of iterations it drives round `loops` times.
-    """
-    line, yaw, turning = _fine_line(loop, rng)
-    effort = np.maximum(1 / STEP_M, turning / TURN_RAD)
-    effort = gaussian_filter1d(effort, SMOOTH_M / GRID_M, mode="wrap")
-    done = np.concatenate([[0.0], np.cumsum(effort)])
-    around = int(np.ceil(done[-1] * GRID_M))
-    k = loops * around if iterations is None else iterations
-    at = np.arange(k) % around * (done[-1] / around)
-    grid = np.arange(len(line), dtype=np.float64)
-    cell = np.interp(at, done, grid)
-    x, y, angle = (np.interp(cell, grid, values) for values in (*line.T, yaw))
-    return planar_poses(x, y, angle)
-
-
-def _fine_line(loop: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return points (g + 1, 2), yaw (g + 1,) and turn per metre (g,) of the way, g cells long."""
-    closed = np.vstack([loop, loop[:1]])
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
-    g = round(length[-1] / GRID_M)
-    s = np.arange(g) * (length[-1] / g) + rng.uniform(0, length[-1])
-    points = np.column_stack([np.interp(s % length[-1], length, axis) for axis in closed.T])
-    points = gaussian_filter1d(points, SMOOTH_M / GRID_M / 2, axis=0, mode="wrap")
-    ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
-    left /= np.linalg.norm(left, axis=1)[:, None]
-    weave = WEAVE_M * np.sin(2 * np.pi * WEAVES * np.arange(g) / g + rng.uniform(0, 2 * np.pi))
-    points += weave[:, None] * left
-    ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    yaw = np.append(yaw, yaw[0] + 2 * np.pi)
-    turning = np.abs(np.diff(yaw)) / GRID_M
-    return np.vstack([points, points[:1]]), yaw, turning
+    opaque = np.arange(len(walls))
+    if things is not None and things.any:
+        before, opaque = things.seen_from(T_map_robot, ends_robot), np.delete(opaque, things.glass)
+    seen = seen_walls(ends_robot[opaque], sensor.range_m, sensor.view_rad / 2)
+    seen = replace(seen, wall=opaque[seen.wall])
+    return scanner.scan(seen, walls[0, 4:] - SENSOR_HEIGHT_M, rng, before)

@@ -130,6 +130,7 @@ def _rows(log: ObservationLog, rows: NDArray[np.int64]) -> ObservationLog:
         iteration=log.iteration[rows],
         rows=np.arange(len(rows)),
         ids=None if log.ids is None else log.ids[rows],
+        covariances=None if log.covariances is None else log.covariances[rows],
     )
 
 
@@ -144,6 +145,7 @@ def _joined(
         log,
         points_robot=np.concatenate([log.points_robot, points]),
         iteration=np.concatenate([log.iteration, log.iteration[beside]]),
+        covariances=None,
         ids=np.concatenate([_ids(log), ids]),
     )
     return _rows(everything, np.argsort(everything.iteration, kind="stable"))

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.simulation.floor_plan import CLEARANCE_M, DOOR_M, FloorPlan, World, wall_distances
+from relmap.simulation.floor_plan import World
 from relmap.simulation.noise import Array
+from relmap.simulation.rooms import DOOR_M
+from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 
 OPEN_RAD = np.deg2rad(65.0)
 SWING_RAD = np.deg2rad(40.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,10 @@ from relmap.simulation.visibility import SeenWalls, ray_distances
 Sampling = Literal["surface", "rays", "laser"]
 """How the points lie: uniform on the visible surface, or where equally spaced beams meet it (in
 azimuth and elevation, or in the plane of the sensor)."""
+
+Before = Callable[[Array, Array], Array]
+"""Tells of beams at bearings (b,) that go so far (b,), at most as far as the sensor sees, how far
+they go to what stands before the walls (b,); infinite where nothing does."""
 
 _SLACK_RAD = 1e-12
 
@@ -27,7 +32,7 @@ class Sensor:
     range_m : float
         Horizontal range, metres.
     view_rad : float
-        Horizontal field of view, radians, centred ahead; at most a half turn.
+        Horizontal field of view, radians, centred ahead; less than a full turn.
     vertical_view_rad : float
         Vertical field of view of `rays`, radians, centred at the horizon.
     """
@@ -41,6 +46,15 @@ DEPTH_SENSOR = Sensor()
 LASER = Sensor(view_rad=np.deg2rad(180.0))
 
 
+def sensor_of(
+    sampling: Sampling, view_deg: float | None = None, range_m: float | None = None
+) -> Sensor:
+    """Return the usual sensor of a sampling, but for what is given."""
+    usual = LASER if sampling == "laser" else DEPTH_SENSOR
+    view_rad = usual.view_rad if view_deg is None else float(np.deg2rad(view_deg))
+    return replace(usual, view_rad=view_rad, range_m=usual.range_m if range_m is None else range_m)
+
+
 @dataclass(frozen=True, eq=False)
 class BuildingScan:
     """What the robot measured at one place, and what was truly there.
@@ -52,7 +66,7 @@ class BuildingScan:
     seen : SeenWalls
         The visible stretches of walls.
     stretch : (n,) int64
-        The row of `seen` that each point belongs to.
+        The row of `seen` that each point belongs to; -1 where it is of no wall, or of glass.
     ranges_m : (b,) float64 or None
         Of a laser: the range of every beam, right to left; infinite where there is no return.
     """
@@ -64,8 +78,8 @@ class BuildingScan:
 
     @property
     def wall(self) -> NDArray[np.int64]:
-        """The wall that each point belongs to; (n,)."""
-        return self.seen.wall[self.stretch]
+        """The wall that each point belongs to, -1 where it is of none; (n,)."""
+        return np.append(self.seen.wall, -1)[self.stretch]
 
 
 @dataclass(frozen=True)
@@ -82,7 +96,13 @@ class Scanner:
     sensor: Sensor
     sample_ends: bool
 
-    def scan(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
+    def scan(
+        self,
+        seen: SeenWalls,
+        z_robot: Array,
+        rng: np.random.Generator,
+        before: Before | None = None,
+    ) -> BuildingScan:
         """Measure the visible stretches of walls.
 
         Parameters
@@ -91,6 +111,8 @@ class Scanner:
         z_robot : (2,) float64, robot frame, metres
             Lower and upper edge of all walls.
         rng : numpy.random.Generator
+        before : callable, optional
+            Of a laser: what may stand before the walls.
 
         Returns
         -------
@@ -100,7 +122,7 @@ class Scanner:
             return self._scatter(seen, z_robot, rng)
         if self.sampling == "rays":
             return self._cast(seen, z_robot, rng)
-        return self._sweep(seen, rng)
+        return self._sweep(seen, rng, before)
 
     def _scatter(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
         """Scatter points uniformly over the visible surface; each coordinate has the noise."""
@@ -137,11 +159,19 @@ class Scanner:
         z = ranges * np.sin(elevation[row])
         return BuildingScan(_points(flat, bearing[column], z), seen, stretch[column])
 
-    def _sweep(self, seen: SeenWalls, rng: np.random.Generator) -> BuildingScan:
+    def _sweep(
+        self, seen: SeenWalls, rng: np.random.Generator, before: Before | None
+    ) -> BuildingScan:
         """Measure beams in the plane of the sensor, equally spaced from right to left."""
         bearing, stretch, distance = self._met(seen, self.points)
+        if before is not None:
+            free_m = np.where(stretch >= 0, distance, self.sensor.range_m)
+            before_m = before(bearing, free_m)
+            hidden = before_m < free_m
+            stretch = np.where(hidden, -1, stretch)
+            distance = np.where(hidden, before_m, distance)
+        met = distance > 0
         ranges = distance + self._errors(distance, rng)
-        met = stretch >= 0
         points = _points(ranges[met], bearing[met], np.zeros(int(met.sum())))
         return BuildingScan(points, seen, stretch[met], np.where(met, ranges, np.inf))
 

@@ -7,7 +7,7 @@ behind, a wall is invisible; a wall with two sides is two walls, one for each si
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +53,40 @@ def seen_walls(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenW
     range_m : float
         Horizontal range of the sensor, metres.
     half_view_rad : float
-        The sensor sees bearings in [-half_view_rad, half_view_rad], at most a half turn in all.
+        The sensor sees bearings in [-half_view_rad, half_view_rad], less than a full turn in all.
 
     Returns
     -------
     SeenWalls
     """
+    if half_view_rad <= np.pi / 2:
+        return _seen_ahead(ends_robot, range_m, half_view_rad)
+    sides = []
+    for middle in (-half_view_rad / 2, half_view_rad / 2):
+        c, s = np.cos(middle), np.sin(middle)
+        R = np.array([[c, -s], [s, c]])
+        seen = _seen_ahead(ends_robot @ R, range_m, half_view_rad / 2)
+        true = ends_robot[seen.wall]  # exact, where rounding would matter
+        ends = np.where((seen.end_type == "corner")[..., None], true, seen.ends @ R.T)
+        sides.append(replace(seen, ends=ends))
+    return _joined(*sides)
+
+
+def _joined(right: SeenWalls, left: SeenWalls) -> SeenWalls:
+    """Put what is seen on either side together: the wall straight ahead is one stretch."""
+    wall = np.concatenate([right.wall, left.wall])
+    ends, end_type = (
+        np.concatenate([getattr(right, name), getattr(left, name)]) for name in ("ends", "end_type")
+    )
+    k = len(right.wall)
+    if 0 < k < len(wall) and wall[k - 1] == wall[k] and end_type[k, 0] == "view":
+        ends[k - 1, 1], end_type[k - 1, 1] = ends[k, 1], end_type[k, 1]
+        wall, ends, end_type = (np.delete(part, k, axis=0) for part in (wall, ends, end_type))
+    return SeenWalls(wall, ends, end_type)
+
+
+def _seen_ahead(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenWalls:
+    """Return what is seen in at most a half turn."""
     wall, ends, kind = _clipped(ends_robot, range_m, half_view_rad)
     events, at = _merged(np.arctan2(ends[..., 1], ends[..., 0]))
     nearest = _nearest(ends_robot[wall], at, (events[:-1] + events[1:]) / 2)

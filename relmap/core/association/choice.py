@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.association.base import Registration
+from relmap.core.association.constellation import Constellation
 from relmap.core.association.known import KnownAssociation
 from relmap.core.config import WITH_IDS, MapperConfig
 from relmap.core.errors import RelmapError
@@ -79,6 +80,20 @@ class DataAssociation:
         """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
         scans = [] if self.registration is None else self.registration.rejected
         return np.array(scans, dtype=np.int64) + self._first_scan
+
+    @property
+    def overruled(self) -> NDArray[np.int64]:
+        """Iteration, and row in its scan, of each observation (r, 2) not of the landmark given."""
+        if not isinstance(self.registration, KnownAssociation):
+            return np.empty((0, 2), dtype=np.int64)
+        scans = np.array(self.registration.overruled_scans, dtype=np.int64) + self._first_scan
+        return np.column_stack([scans, np.array(self.registration.overruled_rows, dtype=np.int64)])
+
+    @property
+    def tied_share(self) -> float | None:
+        """Share of the scans tied to those before at once; None where nothing is matched so."""
+        registration = self.registration
+        return registration.tied_share if isinstance(registration, Constellation) else None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (n,) are called outside."""

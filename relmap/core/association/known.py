@@ -20,13 +20,17 @@ class KnownAssociation:
     ----------
     rejected : list of int
         Scans, counted from 0, that do not fit the others.
+    overruled_scans, overruled_rows : list of int
+        Scan, and row in it, of each observation that was not taken to be of the given landmark.
     """
 
     rejected: list[int]
-    STATE = "rejected _n_scans _rigidity _labels"
+    overruled_scans: list[int]
+    overruled_rows: list[int]
+    STATE = "rejected overruled_scans overruled_rows _n_scans _rigidity _labels"
 
     def __init__(self) -> None:
-        self.rejected = []
+        self.rejected, self.overruled_scans, self.overruled_rows = [], [], []
         self._n_scans = 0
         self._rigidity = Rigidity()
         self._parts: list[dict[int, int]] = [{} for _ in range(PARTS)]
@@ -67,7 +71,10 @@ class KnownAssociation:
     def _believed(
         self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
     ) -> NDArray[np.int64]:
-        """Return the ids (n,) with `UNIDENTIFIED` where an observation cannot be right."""
+        """Return the ids (n,), others or `UNIDENTIFIED` where an observation cannot be of its own.
+
+        Note which these are.
+        """
         named = np.flatnonzero(ids >= 0)
         if len(named) == len(ids):
             good = self._rigidity.believed(ids, points_robot)
@@ -75,9 +82,12 @@ class KnownAssociation:
             good = self._rigidity.believed(ids[named], points_robot[named])
         if good is None:
             self.rejected.append(self._n_scans - 1)
-        elif len(good) == len(ids) and good.all():
+            return np.full(len(ids), UNIDENTIFIED)
+        if good is ids:
             return ids
         believed = np.full(len(ids), UNIDENTIFIED)
-        if good is not None:
-            believed[named[good]] = ids[named[good]]
+        believed[named] = good
+        overruled = named[good != ids[named]]
+        self.overruled_scans += [self._n_scans - 1] * len(overruled)
+        self.overruled_rows += overruled.tolist()
         return believed

@@ -7,15 +7,17 @@ has drifted by constellation, the relative distances among several landmarks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.association.placement import consistent_placements
+from relmap.core.association.placement import DISTINCT, consistent_placements
 from relmap.core.association.scale import spacing_of
-from relmap.core.association.tying import neighbourhoods
+from relmap.core.association.search import log_chance
+from relmap.core.association.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
 from relmap.core.state.table import NONE, LandmarkState
@@ -36,8 +38,52 @@ SHARE = 0.5
 """Share of the landmarks with candidates that must be in it: the drift is common to all."""
 CANDIDATES = 60
 """Pairs that a constellation is looked for among."""
+AVERAGED = 1.5
+"""Tolerance of averages, in that of observations: less is lost by more of them."""
+LOCAL_DRIFT = 0.1
+"""Variance of what the map has drifted within a group, in those of an observation."""
+LOG_CHANCE = float(np.log(1e-3))
+"""Log of how often landmarks in view may be taken for others."""
 ROUNDS = 5
 """How often doubles are looked for in a row, as each merge tells of others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What speaks for and against landmarks in view being older ones.
+
+    Attributes
+    ----------
+    first : (k,) int64, ascending
+        When each landmark in view was seen first, as far as is known.
+    share : float
+        How likely a landmark lies on another one by chance.
+    reach_m : float
+        How far the map may have drifted.
+    weight, last : (n,)
+        Iterations averaged into the position of each landmark, and when it was seen last.
+    """
+
+    first: NDArray[np.int64]
+    share: float
+    reach_m: float
+    weight: NDArray[np.float64]
+    last: NDArray[np.int64]
+
+    def sharpness(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
+        variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
+        return np.asarray(np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0))
+
+    def tied(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which pairs (k, 2) others in view tie to when the older landmark was seen."""
+        return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
+
+    def is_unlike_chance(self, pairs: NDArray[np.int64], log_placements: float = 0.0) -> bool:
+        """Tell whether so many pairs (k, 2) of one placement out of some are not by chance."""
+        later = len(self.first) - np.searchsorted(self.first, self.last[pairs[:, 1]].min(), "right")
+        n = max(int(later), len(pairs))
+        return log_chance(n, len(pairs), self.share, log_placements) <= LOG_CHANCE
 
 
 class Merger:
@@ -145,7 +191,32 @@ class Merger:
             return np.empty((0, 2), dtype=np.int64)
         spread_m = self._model.position_spread * noise_m
         tolerance_m = max(TOLERANCE * spread_m, EXACT * self._index.cell_m)
-        return chosen(self._table.position, np.array(pairs), tolerance_m)
+        evidence = self._evidence(landmarks, tolerance_m)
+        return chosen(self._table.position, np.array(pairs), tolerance_m, evidence)
+
+    def _evidence(self, landmarks: NDArray[np.int64], tolerance_m: float) -> Evidence | None:
+        """Return what merges of some of the landmarks (n,), seen together, are judged by."""
+        if self._index is None or self._model.drift_m is not None:
+            return None
+        first = np.sort(self._table.first[landmarks[self._table.weight[landmarks] > 0]])
+        reach_m, d = self._index.cell_m, self._table.dimension
+        share = min(np.log(2) * (REACH * tolerance_m / reach_m) ** d, 0.5)
+        return Evidence(first, share, reach_m, self._table.weight, self._table.last)
+
+    def visits(self, doubles: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+        """Yield landmarks (k,) near one another that were seen together; each double has a turn."""
+        table, had = self._table, np.zeros(len(self._table), dtype=bool)
+        for seed in doubles.tolist():
+            if had[seed] or table.weight[seed] == 0:
+                continue
+            together = (table.since <= table.last[seed]) & (table.last >= table.first[seed])
+            there = np.flatnonzero(
+                together & (table.weight > 0) & (table.submap == table.submap[seed])
+            )
+            apart = np.linalg.norm(table.position[there] - table.position[seed], axis=1)
+            there = there[np.argsort(apart, kind="stable")[:NEIGHBOURHOOD]]
+            had[there[: max(1, len(there) // OVERLAP)]] = True
+            yield there
 
     def merge(self, new: int, old: int) -> None:
         """Note that a landmark in view is an old one."""
@@ -181,7 +252,10 @@ class Merger:
 
 
 def chosen(
-    position: NDArray[np.float64], pairs: NDArray[np.int64], tolerance_m: float
+    position: NDArray[np.float64],
+    pairs: NDArray[np.int64],
+    tolerance_m: float,
+    evidence: Evidence | None = None,
 ) -> NDArray[np.int64]:
     """Return which of the pairs (k, 2) of landmarks are one, by where they are mapped.
 
@@ -195,19 +269,33 @@ def chosen(
     pairs : (k, 2) int64
         Candidates: a new landmark, and an old one that it may be.
     tolerance_m : float
+    evidence : Evidence, optional
+        What else was in view; where it is not given, pairs that lie on one another are believed.
     """
+    d = position.shape[1]
     apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
-    if (apart <= tolerance_m).any():
-        return _unique_nearest(pairs[apart <= tolerance_m], apart[apart <= tolerance_m])
+    near = apart <= tolerance_m * (1.0 if evidence is None else evidence.sharpness(pairs))
+    if near.any():
+        on = _unique_nearest(pairs[near], apart[near])
+        if evidence is None or evidence.is_unlike_chance(on):
+            return on
+        if evidence.tied(on).any():
+            return on[evidence.tied(on)]
     pairs = pairs[:CANDIDATES]
-    enough = max(ENOUGH + (position.shape[1] == 3), SHARE * len(np.unique(pairs[:, 0])))
+    enough = max(ENOUGH + (d == 3), SHARE * len(np.unique(pairs[:, 0])))
     found = consistent_placements(position, position, pairs, tolerance_m, tolerance_m)
     shift, pairs = next(found, (None, pairs))
     if shift is None or shift.n_agreeing < enough:
         return np.empty((0, 2), dtype=np.int64)
+    _, rival = next(found, (None, pairs[:0]))
     off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
     pairs = pairs[off <= tolerance_m]
-    return pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
+    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
+    if evidence is not None:
+        drifts = d * (d + 1) / 2 * np.log(1 + 2 * evidence.reach_m / tolerance_m)
+        if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):
+            return np.empty((0, 2), dtype=np.int64)
+    return pairs
 
 
 def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -236,9 +324,8 @@ def merge_doubles(
     merged = 0
     for _ in range(ROUNDS):
         before, doubles = merged, merger.doubles()
-        for around in neighbourhoods(table.position[doubles]):
-            there = doubles[around]
-            merged += merge(there[table.weight[there] > 0])
+        for there in merger.visits(doubles):
+            merged += merge(there)
         if merged == before:
             break
     return merged > 0

@@ -28,7 +28,9 @@ ENOUGH, MORE = 5, 2
 """Landmarks that must be found in the plane, and how many more in space."""
 SHARE = 0.5
 """Share of the scan that must be found."""
-MOST = 10
+RIVAL = 0.6
+"""Share of these that a rival has at least."""
+MOST = 20
 """Places that are told apart; nothing tells more where a scan is."""
 SIGMAS = 4.0
 """How far off a landmark may be, in standard deviations of an observation."""
@@ -51,6 +53,7 @@ class PlaceFinder:
 
     def __init__(self, positions: NDArray[np.float64], noise_m: float) -> None:
         self._positions = positions
+        self._among: NDArray[np.bool_] | None = None
         self._corners, sides = _triangles(positions)
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
@@ -69,26 +72,48 @@ class PlaceFinder:
         places = self.places(points)
         return places[0] if places and is_clear(points, places) else None
 
-    def places(self, points: NDArray[np.float64]) -> list[Placement]:
-        """Return all placements of points (n, d) that enough of them agree with, the best first."""
+    def places(
+        self, points: NDArray[np.float64], among: NDArray[np.bool_] | None = None
+    ) -> list[Placement]:
+        """Return where points (n, d) may lie, the best place first, if enough of them agree there.
+
+        The others are its rivals.  Where it is given, only some landmarks (m,) of the map count.
+        """
         n, d = points.shape
+        self._among = among
         needed = max(ENOUGH + MORE * (d - 2), SHARE * n)
         if self._sides is None or n < needed or self._positions.shape[1] != d:
             return []
         found: list[Placement] = []
-        for placement in self._hypotheses(points, needed):
+        for placement in self._hypotheses(points, RIVAL * needed):
             if not any(self._is_near(points, placement, other) for other in found):
                 better = self._settled(points, placement)
-                if better is not None and better.n_agreeing >= needed:
+                if better is not None and better.n_agreeing >= RIVAL * needed:
                     found.append(better)
             if len(found) == MOST:
                 break
-        return sorted(found, key=lambda placement: -placement.n_agreeing)
+        found.sort(key=lambda placement: -placement.n_agreeing)
+        return found if found and found[0].n_agreeing >= needed else []
 
-    def landmarks_at(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    def landmarks_at(
+        self, points: NDArray[np.float64], among: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.int64]:
         """Return the rows of the map that lie at points (n, d), map frame; -1 where none does."""
-        distance, landmark = nearest(self._tree, points)
-        return np.where(distance[:, 0] <= self._tolerance_m, landmark[:, 0], -1)
+        self._among = among
+        distance, landmark = self._nearest(points)
+        return np.where(distance <= self._tolerance_m, landmark, -1)
+
+    def _nearest(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return distance and row of the landmark nearest to each point (n, d) that counts."""
+        distance, landmark = nearest(self._tree, points, 1 if self._among is None else 3)
+        if self._among is None:
+            return distance[:, 0], landmark[:, 0]
+        counts = np.append(self._among, False)[landmark]
+        first = np.argmax(counts, axis=1)[:, None]
+        far = np.where(counts, distance, np.inf)
+        return np.take_along_axis(far, first, 1)[:, 0], np.take_along_axis(landmark, first, 1)[:, 0]
 
     def by_chance(self, n: int, n_agreeing: int, elsewhere: int) -> float:
         """Return how likely so many of n points would be found in a wrong place.
@@ -114,8 +139,11 @@ class PlaceFinder:
         corners, sides = _triangles(points)
         if self._sides is None or not len(sides):
             return []
-        distance, hit = nearest(self._sides, sides, 4)
-        row, column = np.nonzero(distance <= 2 * self._tolerance_m)
+        distance, hit = nearest(self._sides, sides, 4 if self._among is None else 8)
+        near = distance <= 2 * self._tolerance_m
+        if self._among is not None:
+            near[near] = self._among[self._corners[hit[near]]].all(axis=1)
+        row, column = np.nonzero(near)
         order = np.argsort(distance[row, column], kind="stable")[:HITS]
         here = points[corners[row[order]]]
         there = self._positions[self._corners[hit[row, column][order]]]
@@ -125,7 +153,7 @@ class PlaceFinder:
         off = np.einsum("hij,hkj->hki", R, here) + t[:, None] - there
         likely = np.flatnonzero(fixed & (np.abs(off).max(axis=(1, 2)) <= 2 * self._tolerance_m))
         placed = np.einsum("hij,nj->hni", R[likely], points) + t[likely][:, None]
-        apart = nearest(self._tree, placed.reshape(-1, d))[0].reshape(len(likely), len(points))
+        apart = self._nearest(placed.reshape(-1, d))[0].reshape(len(likely), len(points))
         enough = np.sum(apart <= REACH * self._tolerance_m, axis=1) >= needed
         return [Placement(R[k], t[k], 3) for k in likely[enough]]
 
@@ -133,13 +161,11 @@ class PlaceFinder:
         """Fit a placement to all that it brings onto mapped landmarks."""
         reach_m = REACH * self._tolerance_m
         for _ in range(3):
-            distance, landmark = nearest(self._tree, placement.apply(points))
-            near = np.flatnonzero(distance[:, 0] <= reach_m)
+            distance, landmark = self._nearest(placement.apply(points))
+            near = np.flatnonzero(distance <= reach_m)
             if len(near) < ENOUGH:
                 return None
-            fitted = trimmed_fit(
-                points[near], self._positions[landmark[near, 0]], self._tolerance_m
-            )
+            fitted = trimmed_fit(points[near], self._positions[landmark[near]], self._tolerance_m)
             if fitted is None:
                 return None
             placement, reach_m = fitted, max(reach_m / 2, self._tolerance_m)

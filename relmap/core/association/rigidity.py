@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association.base import UNIDENTIFIED
+
 PLENTY = 6
 """Landmarks in common that a scan is judged by at least."""
 SAMPLE = 32
@@ -34,8 +36,12 @@ DOUBT = 2.0
 CARRIED = 5
 """Scans for which a landmark that is not seen is carried along."""
 WARY, MOST_WARY = 10, 60
-"""Scans in which two observations stray before a new landmark must be seen twice to be believed,
-and most that this lasts."""
+"""Scans for which an observation that strays makes new ids doubtful, and most that this lasts."""
+SURE = 3
+"""How often a landmark must have been seen before another's observation is taken for its own."""
+NEAR, ALONE = 4.0, 2.0
+"""Misfit, in units of the usual one, up to which an observation is that of a landmark expected
+there; and how many times as far away any other must be."""
 
 
 @dataclass(eq=False)
@@ -43,12 +49,25 @@ class _Places:
     """Where landmarks are in the frame of one scan.
 
     ``ids`` (n,) int64 ascend; ``points`` (n, d), robot frame, metres; ``missed`` (n,) int64 scans
-    since each was seen.
+    since each was seen; ``times`` (n,) int64 how often it was, under the id that was given.
     """
 
     ids: NDArray[np.int64]
     points: NDArray[np.float64]
     missed: NDArray[np.int64]
+    times: NDArray[np.int64]
+
+    @classmethod
+    def begun(cls, ids: NDArray[np.int64], points: NDArray[np.float64]) -> _Places:
+        """Return those of a scan by itself."""
+        return cls(ids, points, np.zeros_like(ids), np.ones_like(ids))
+
+    @property
+    def parts(
+        self,
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+        """All of it, as the kernels take it."""
+        return self.ids, self.points, self.missed, self.times
 
 
 @dataclass(eq=False)
@@ -89,8 +108,8 @@ class Rigidity:
 
     def believed(
         self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
-    ) -> NDArray[np.bool_] | None:
-        """Tell which observations can be right.
+    ) -> NDArray[np.int64] | None:
+        """Tell of which landmarks the observations are.
 
         Parameters
         ----------
@@ -100,32 +119,60 @@ class Rigidity:
 
         Returns
         -------
-        (n,) bool or None
-            None where the scan is rejected as a whole.
+        (n,) int64 or None
+            The ids, others where these cannot be right, or `UNIDENTIFIED`; None where the scan is
+            rejected as a whole.
         """
         from relmap.core.association.rigidity_kernels import extent_of
 
         self._extent_m = extent_of(points_robot)
         order = np.argsort(ids)
-        scan = _Places(ids[order], points_robot[order], np.zeros(len(ids), dtype=np.int64))
-        good = np.ones(len(ids), dtype=bool)
+        scan = _Places.begun(ids[order], points_robot[order])
         fit = self._fit(self._last, scan)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:
                 self._begin_with(scan)
-            return good
+            return ids
         if fit.usual_m > self._limit_m():
-            return good if self._fits_the_doubted(scan) else None
+            return ids if self._fits_the_doubted(scan) else None
         self._learn(fit.usual_m)
         far = self._far(fit, scan)
         self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
-        if self._wary > WARY:
-            good[:] = False
-            good[order[fit.shared]] = True
-        if len(far):
-            good[order[fit.shared[far]]] = False
-        self._go_on(fit, scan, far)
-        return good
+        if not len(far) and not self._wary:
+            self._carry(fit, scan.ids, scan.points)
+            return ids
+        named = self._named(fit, scan, far)
+        self._go_on(fit, scan, far, named)
+        believed = np.empty_like(ids)
+        believed[order] = named
+        return believed
+
+    def _named(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the ids (n,) of a scan, those in doubt by the landmarks that are expected there.
+
+        In doubt are observations far from where they should be, and of late also new ids.
+        """
+        assert self._last is not None
+        last, named = self._last, scan.ids.copy()
+        named[fit.shared[far]] = UNIDENTIFIED
+        doubtful = named == UNIDENTIFIED
+        if self._wary:
+            doubtful |= ~np.isin(scan.ids, last.ids)
+        free = last.times >= SURE
+        free[np.delete(fit.rows, far)] = False
+        rows, candidates = np.flatnonzero(doubtful), np.flatnonzero(free)
+        if not len(rows) or not len(candidates):
+            return named
+        expected = fit.apply(last.points[candidates])
+        apart = np.linalg.norm(scan.points[rows][:, None] - expected, axis=2)
+        reach_m = NEAR * self._usual() * (1 + last.missed[candidates])
+        for row, distances in zip(rows.tolist(), apart, strict=True):
+            nearest = int(np.argmin(distances))
+            others = np.append(np.delete(distances, nearest), np.inf).min()
+            own = distances[nearest] <= reach_m[nearest] and others > ALONE * reach_m[nearest]
+            if own and distances[nearest] == apart[:, nearest].min():
+                named[row] = last.ids[candidates[nearest]]
+        return named
 
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
         """Lay places on a scan; None where they have too few landmarks in common."""
@@ -191,17 +238,25 @@ class Rigidity:
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
         return np.asarray(far[~gone])
 
-    def _go_on(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> None:
-        """Make this the last scan; what is not in it is carried along into its frame."""
+    def _go_on(
+        self, fit: _Fit, scan: _Places, far: NDArray[np.int64], named: NDArray[np.int64]
+    ) -> None:
+        """Make this the last scan, as it is named now; the rest is carried along into its frame."""
+        rows = fit.shared[far]
+        rows = rows[named[rows] == UNIDENTIFIED]
+        good = np.flatnonzero(named != UNIDENTIFIED)
+        good = good[np.argsort(named[good])]
+        self._carry(fit, named[good], scan.points[good])
+        if len(rows):
+            self._strayed = _Places.begun(scan.ids[rows], scan.points[rows])
+        renamed = named[good][named[good] != scan.ids[good]]
+        assert self._last is not None
+        self._last.times[np.searchsorted(self._last.ids, renamed)] -= 1
+
+    def _carry(self, fit: _Fit, ids: NDArray[np.int64], points: NDArray[np.float64]) -> None:
+        """Make landmarks of a scan, ids ascending, the last; others are carried into its frame."""
         from relmap.core.association.rigidity_kernels import carry
 
         assert self._last is not None
-        last, self._strayed = self._last, None
-        if len(far):
-            rows = fit.shared[far]
-            self._strayed = _Places(scan.ids[rows], scan.points[rows], scan.missed[rows])
-            scan.points[rows] = fit.apply(last.points[fit.rows[far]])
-        carried = carry(
-            last.ids, last.points, last.missed, scan.ids, scan.points, fit.R, fit.t, CARRIED
-        )
-        self._last = _Places(*carried)
+        self._last = _Places(*carry(self._last.parts, ids, points, fit.R, fit.t, CARRIED))
+        self._strayed = None

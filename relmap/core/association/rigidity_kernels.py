@@ -93,38 +93,39 @@ def lay_on(
 
 @compiled
 def carry(
-    ids: NDArray[np.int64],
-    points: NDArray[np.float64],
-    missed: NDArray[np.int64],
+    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
     scan_ids: NDArray[np.int64],
     scan_points: NDArray[np.float64],
     R: NDArray[np.float64],
     t: NDArray[np.float64],
     longest: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the landmarks of a scan, and those not in it carried along into its frame.
 
-    Both ids ascend, and so do those returned.  Who was missed in more than the longest number of
-    scans is left behind.
+    `last` are ids, points, scans missed and how often each was seen.  Both ids ascend, and so do
+    those returned.  Who was missed in more than the longest number of scans is left behind.
     """
+    ids, points, missed, times = last
     (n, d), m = points.shape, len(scan_ids)
     all_ids, all_points = np.empty(n + m, dtype=np.int64), np.empty((n + m, d))
-    all_missed = np.zeros(n + m, dtype=np.int64)
+    all_missed, all_times = np.zeros(n + m, dtype=np.int64), np.ones(n + m, dtype=np.int64)
     k, i, j = 0, 0, 0
     while i < n or j < m:
         if i == n or (j < m and scan_ids[j] <= ids[i]):
-            i += i < n and scan_ids[j] == ids[i]
             all_ids[k] = scan_ids[j]
             for a in range(d):
                 all_points[k, a] = scan_points[j, a]
+            if i < n and scan_ids[j] == ids[i]:
+                all_times[k] += times[i]
+                i += 1
             k, j = k + 1, j + 1
             continue
         if missed[i] < longest:
-            all_ids[k], all_missed[k] = ids[i], missed[i] + 1
+            all_ids[k], all_missed[k], all_times[k] = ids[i], missed[i] + 1, times[i]
             for a in range(d):
                 all_points[k, a] = t[a]
                 for b in range(d):
                     all_points[k, a] += R[a, b] * points[i, b]
             k += 1
         i += 1
-    return all_ids[:k], all_points[:k], all_missed[:k]
+    return all_ids[:k], all_points[:k], all_missed[:k], all_times[:k]

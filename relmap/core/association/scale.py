@@ -10,8 +10,12 @@ from relmap.core.association.base import middle, nearest
 
 COARSE = 0.1
 """Tolerance before the noise is known, in spacings."""
-SIGMAS = 4.5
-"""Tolerance when it is known, in standard deviations."""
+WIDER = (1, 2, 3.5)
+"""Multiples of it that are tried in turn."""
+SIGMAS, FEW_SIGMAS = 4.5, 3.0
+"""Tolerance when it is known, in standard deviations; and where that is much of a spacing."""
+WIDEST = 0.5
+"""Most tolerance, in spacings."""
 EXACT = 1e-3
 """Least tolerance, in spacings, where there is no noise at all."""
 FAINT = 0.01
@@ -33,23 +37,28 @@ class Scale:
         Typical distance of neighbours, metres; infinite before it is known.
     noise_m : float or None
         Standard deviation of a coordinate's difference between two scans; None before it is known.
+    wider : float
+        How many times as wide the tolerance is before it is known.
     """
 
     spacing_m: float
     noise_m: float | None
-    STATE = "spacing_m noise_m"
+    wider: float
+    STATE = "spacing_m noise_m wider"
 
     def __init__(self) -> None:
         self.spacing_m = np.inf
         self.noise_m = None
+        self.wider = 1.0
 
     @property
     def tolerance_m(self) -> float:
         """How far apart matches that agree may lie."""
         coarse = COARSE * self.spacing_m
         if self.noise_m is None:
-            return coarse
-        return min(max(SIGMAS * self.noise_m, EXACT * self.spacing_m), 1.5 * coarse)
+            return coarse * self.wider
+        most = max(1.5 * coarse, min(FEW_SIGMAS * self.noise_m, WIDEST * self.spacing_m))
+        return min(max(SIGMAS * self.noise_m, EXACT * self.spacing_m), most)
 
     @property
     def gate_m(self) -> float:

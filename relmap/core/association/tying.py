@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere, is_clear
+from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -26,6 +26,8 @@ OVERLAP = 3
 """One in so many of a neighbourhood is looked for with no other neighbourhood around it."""
 BY_CHANCE = 1e-3
 """How often landmarks that lie at random may be taken for a place, over a whole map."""
+CLEAR = 0.6
+"""Share of the landmarks of a place that may be found in another."""
 SAME = 0.1
 """How far off, in sizes of a neighbourhood, the way there and back may lead."""
 APART = 4.0
@@ -81,8 +83,8 @@ def _found_elsewhere(
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
         elsewhere = found_elsewhere(points, rivals)
         sure = trials * finder.by_chance(len(points), len(hits[0]), elsewhere) <= BY_CHANCE
-        clear = sure and is_clear(points, rivals)
-        if clear and _leads_back(back, positions[hits[0]], places[0], points):
+        clear = elsewhere <= CLEAR * places[0].n_agreeing
+        if sure and clear and _leads_back(back, positions[hits[0]], places[0], points):
             return other, replace(places[0], t=places[0].t - shifts[other])
     return None
 

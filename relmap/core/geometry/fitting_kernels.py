@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-from relmap.core.linalg.small_kernels import identity
+from relmap.core.linalg.small_kernels import identity, inverse3
 
 TRIMMING_ROUNDS = 8
 
@@ -79,6 +79,49 @@ def fit_rows(
         for b in range(d):
             t[a] -= R[a, b] * means[0, b]
     return R, t, fixes(scatter, d), scatter
+
+
+@compiled
+def swings(points: NDArray[np.float64], rows: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the variance (n,) of points (n, d) placed by a fit to some rows of them.
+
+    In units of that of one of these.  They leave those far from their line free to swing.
+    """
+    means, swing = np.empty((2, 3)), np.zeros(len(points))
+    means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
+    for a in range(3):
+        means[1, a] = means[0, a]
+    add_swings(points, rows, _moments(points, points, rows, means)[1], swing)
+    return swing
+
+
+@helper
+def add_swings(
+    points: NDArray[np.float64],
+    rows: NDArray[np.bool_],
+    scatter: NDArray[np.float64],
+    swing: NDArray[np.float64],
+) -> None:
+    """Add what `swings` returns to variances (n,), but for NaN; the scatter is overwritten."""
+    n, d = points.shape
+    x, y, z, count = centre_of(points, rows)
+    trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
+    for i in range(3):
+        for j in range(3):
+            scatter[i, j] = (trace if i == j else 0.0) - scatter[i, j]
+    spread, _ = inverse3(scatter)
+    xx, yy, zz = spread[0, 0], spread[1, 1], spread[2, 2]
+    xy, xz, yz = 2 * spread[0, 1], 2 * spread[0, 2], 2 * spread[1, 2]
+    for i in range(n):
+        a, b = points[i, 0] - x, points[i, 1] - y
+        if d == 2:  # a turn moves a point at its distance, any way round
+            turned = (a * a + b * b) / (2 * trace)
+        else:
+            c = points[i, 2] - z
+            along = a * (xx * a + xy * b + xz * c) + b * (yy * b + yz * c) + zz * c * c
+            turned = ((xx + yy + zz) * (a * a + b * b + c * c) - along) / 3
+        if not np.isnan(a):
+            swing[i] += 1 / count + turned
 
 
 @helper

@@ -95,6 +95,9 @@ class Averaging:
         n_members = len(group.rows)
         for _ in range(ROUNDS):
             relative = complete(landmarks, chart.iterations, block, reference)
+            if chart.variance is not None:
+                seen = np.isin(landmarks, relative.landmarks)
+                relative = replace(relative, given=chart.variance[seen])
             solid = (relative.n_used >= FEWEST) & rests(relative, self._tolerated_m)
             solid &= ~self._table.dynamic[relative.landmarks]
             solid &= relative.amplified <= SOLID * relative.n_used

@@ -5,39 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
+from relmap.core.geometry.fitting_kernels import add_swings, fit_rows, set_placement
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median, smallest
-from relmap.core.linalg.small_kernels import identity, inverse3
-
-
-@helper
-def _amplify(
-    points: NDArray[np.float64],
-    rows: NDArray[np.bool_],
-    scatter: NDArray[np.float64],
-    amplified: NDArray[np.float64],
-) -> None:
-    """Add the variance (n,) of points placed by a fit to some rows, in units of the noise's."""
-    n, d = points.shape
-    x, y, z, count = centre_of(points, rows)
-    trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
-    for i in range(3):
-        for j in range(3):
-            scatter[i, j] = (trace if i == j else 0.0) - scatter[i, j]
-    spread, _ = inverse3(scatter)
-    xx, yy, zz = spread[0, 0], spread[1, 1], spread[2, 2]
-    xy, xz, yz = 2 * spread[0, 1], 2 * spread[0, 2], 2 * spread[1, 2]
-    for i in range(n):
-        a, b = points[i, 0] - x, points[i, 1] - y
-        if d == 2:  # a turn moves a point at its distance, any way round
-            turned = (a * a + b * b) / (2 * trace)
-        else:
-            c = points[i, 2] - z
-            along = a * (xx * a + xy * b + xz * c) + b * (yy * b + yz * c) + zz * c * c
-            turned = ((xx + yy + zz) * (a * a + b * b + c * c) - along) / 3
-        if not np.isnan(a):
-            amplified[i] += 1 + 1 / count + turned
+from relmap.core.linalg.small_kernels import identity
 
 
 @helper
@@ -122,7 +93,9 @@ def place_iterations(
         set_placement(R, t, i, turn, shift)
         if fixed[i]:
             guess = turn
-            _amplify(here, rows, scatter, amplified)
+            add_swings(here, rows, scatter, amplified)
+            for k in range(n):
+                amplified[k] += 0.0 if np.isnan(here[k, 0]) else 1.0
             place(here, R, t, i, placed)
     mean, squares = _averages(placed, amplified)
     return R, t, fixed, mean, squares, amplified

@@ -23,12 +23,15 @@ class PointChart:
     points_robot : (n, i, d) float64, robot frame, metres
         The observations; NaN where a landmark was not seen.
     visible : (n, i) bool
+    variance : (n,) float64, square metres, optional
+        Of an observed coordinate, where covariances came with the observations.
     """
 
     landmarks: NDArray[np.int64]
     iterations: NDArray[np.int64]
     points_robot: NDArray[np.float64]
     visible: NDArray[np.bool_]
+    variance: NDArray[np.float64] | None = None
 
     @classmethod
     def around(cls, seed: int, store: ObservationStore, begin: int, end: int) -> PointChart:
@@ -39,7 +42,11 @@ class PointChart:
     def only(self, rows: NDArray[np.bool_]) -> PointChart:
         """Return the chart of some of its landmarks, the seed among them."""
         return PointChart(
-            self.landmarks[rows], self.iterations, self.points_robot[rows], self.visible[rows]
+            self.landmarks[rows],
+            self.iterations,
+            self.points_robot[rows],
+            self.visible[rows],
+            None if self.variance is None else self.variance[rows],
         )
 
     @property

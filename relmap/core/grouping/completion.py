@@ -37,6 +37,8 @@ class RelativeMap:
         Whether an iteration is fixed by what was seen in it.
     common_interval : (c,) int64, ascending
         Iterations that show all members of the group that it began with.
+    given : (n,) float64, square metres, optional
+        Variance of an observed coordinate, where covariances came with the observations.
     """
 
     landmarks: NDArray[np.int64]
@@ -49,6 +51,7 @@ class RelativeMap:
     t: NDArray[np.float64]
     fixed: NDArray[np.bool_]
     common_interval: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    given: NDArray[np.float64] | None = None
 
     @property
     def n_used(self) -> NDArray[np.int64]:
@@ -64,6 +67,7 @@ class RelativeMap:
             variance=self.variance[rows],
             amplified=self.amplified[rows],
             used=self.used[rows],
+            given=None if self.given is None else self.given[rows],
         )
 
 

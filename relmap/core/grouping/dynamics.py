@@ -122,8 +122,14 @@ def judge_at_last(table: LandmarkState, landmarks: NDArray[np.int64]) -> None:
 
 
 def rests(relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
-    """Tell whose place deviates no more than the noise explains; (n,)."""
-    limit = LIMIT * max(noise_m, _exact(relative.positions)) ** 2
+    """Tell whose place deviates no more than the noise explains; (n,).
+
+    That is the noise of most landmarks, or that of the landmark itself where it is known.
+    """
+    variance = np.array(max(noise_m, _exact(relative.positions)) ** 2)
+    if relative.given is not None:
+        variance = np.maximum(variance, relative.given)
+    limit = LIMIT * variance
     return np.asarray(np.nan_to_num(relative.variance) <= limit * relative.amplified)
 
 

@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.state.table import NONE, LandmarkState
 
+LOOSE, LOOSE_SUBMAP = 30.0, 1e4
+"""Variance of a place, in units of that of those fitted to, above which it is not known well enough
+to be mapped, and to tie submaps, which are refined as a whole."""
+
 
 class GlobalMap:
     """Positions of landmarks, each that of the best group of every interval, averaged.
@@ -58,7 +62,10 @@ class GlobalMap:
         Returns
         -------
         (g, d) float64, frame of the submap, metres, or None where the members fix no rotation
+            NaN for landmarks that they leave free to swing.
         """
+        from relmap.core.geometry.fitting_kernels import swings
+
         in_map = self.weights_in(submap, landmarks)
         shared = in_map > 0
         there = self.table.position[landmarks[shared]]
@@ -66,7 +73,9 @@ class GlobalMap:
             return None
         weights = 1 / (1 / in_map[shared] + 1 / n_iterations[shared])
         R, t = fit_rigid(relative_map[shared], there, weights)
-        return relative_map @ R.T + t
+        placed = relative_map @ R.T + t
+        placed[~(swings(relative_map, shared) <= LOOSE)] = np.nan
+        return placed
 
     def new_submap(self) -> int:
         """Return the number of a submap that nothing belongs to yet."""
@@ -121,8 +130,16 @@ class GlobalMap:
     ) -> None:
         shared = self.table.submap[landmarks] == other
         there = self.table.position[landmarks[shared]]
-        if fixes_rotation(there):
+        if fixes_rotation(there) and self._is_fixed(other, landmarks[shared]):
             self.tie(other, submap, *fit_rigid(there, positions[shared]))
+
+    def _is_fixed(self, submap: int, shared: NDArray[np.int64]) -> bool:
+        """Tell whether some landmarks leave none of their submap free to swing far."""
+        from relmap.core.geometry.fitting_kernels import swings
+
+        members = np.flatnonzero(self.table.submap == submap)
+        swing = swings(self.table.position[members], np.isin(members, shared))
+        return bool((swing <= LOOSE_SUBMAP).all())
 
     def tie(self, other: int, submap: int, R: NDArray[np.float64], t: NDArray[np.float64]) -> None:
         """Let a submap join another, in whose frame its own lies at R (d, d) and t (d,)."""

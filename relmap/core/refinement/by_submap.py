@@ -11,14 +11,19 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, refine
 from relmap.core.refinement.observations import observations_of
 from relmap.core.refinement.powers import refine_by_powers
+from relmap.core.refinement.weighed import refine_weighed
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE
+from relmap.core.state.weighed import WeighedObservations
 
 logger = logging.getLogger(__name__)
 
 
 def refine_submaps(
-    global_map: GlobalMap, rows: SegmentRows, kept: ObservationStore | None
+    global_map: GlobalMap,
+    rows: SegmentRows,
+    kept: ObservationStore | None,
+    weighed: WeighedObservations,
 ) -> list[Refined]:
     """Move all landmarks to where the observations agree best; tell of each submap, in order.
 
@@ -28,16 +33,21 @@ def refine_submaps(
     rows : SegmentRows
     kept : ObservationStore, optional
         Every observation, where bounded noise is to be made use of.
+    weighed : WeighedObservations
+        Those with covariances of their own; then nothing is made of bounded noise.
     """
     table = global_map.table
     of, submaps, moving = table.landmark_of, table.submap, table.dynamic
     others = (submaps == NONE) & ~moving
-    found = []
+    found, end = [], 0 if kept is None else kept.n_iterations
     for submap in np.unique(submaps[submaps != NONE]):
         refined = refine(rows, table.position, submaps == submap, of, others, moving)
-        if refined is not None and kept is not None:
-            seen = observations_of(kept, refined.landmarks, refined.positions, of)
-            refined = refine_by_powers(refined, seen)
+        if refined is not None and len(weighed):
+            refined = refine_weighed(refined, weighed, of)
+        elif refined is not None and kept is not None:
+            points, (seen, when) = kept.points(0, end), kept.seen(0, end)
+            own = refined.landmarks, refined.positions
+            refined = refine_by_powers(refined, observations_of(points, of[seen], when, *own)[0])
         if refined is not None:
             global_map.move(refined.landmarks, refined.positions)
             found.append(refined)

@@ -23,8 +23,10 @@ from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.rows import JointRows, levels_of, rows_of_each
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
-FLOPS_PER_OBSERVATION = 2e4
-"""What may be spent to have one placement for each iteration: half a microsecond or so."""
+FLOPS_PER_OBSERVATION, FLOPS = 2e4, 2e9
+"""What may be spent to have one placement for each iteration: half a microsecond or so each, and
+half a second in all to begin with segments as a whole.  These are up to 1.4 times worse where much
+comes into view from scan to scan."""
 HOLD = 1e-9, 1e-6
 """What holds an unknown in a step, as a share of what holds others and in observations: none moves
 far that hangs by nothing."""
@@ -289,10 +291,13 @@ class FreeLandmarks(SegmentProblem):
         return self._eliminated.covariances(linear, each, BARELY, inverse)
 
 
-def segment_problem(
+def segment_problems(
     rows: JointRows, size: float, anchor: tuple[int, int]
-) -> FreePlacements | FreeLandmarks:
-    """Return the exact problem, or where that takes too long that of segments as a whole.
+) -> list[FreePlacements | FreeLandmarks]:
+    """Return what is to be solved, one after the other: the exact problem in the end.
+
+    Where that takes long, that of segments as a whole goes before, and where it takes too long, in
+    its stead.
 
     Parameters
     ----------
@@ -306,11 +311,13 @@ def segment_problem(
     levels = levels_of(rows.begin, rows.landmark, len(rows.landmarks))
     pattern = Pattern.of_levels(levels[0], d)
     flops = exact_flops(rows, pattern)
+    problems: list[FreePlacements | FreeLandmarks] = []
     if flops > FLOPS_PER_OBSERVATION * rows.n_seen.sum():
         coarse = FreeLandmarks(rows, size, levels[1], anchor)
-        if flops > coarse.pattern.flops:
-            return coarse
-    return FreePlacements(rows, size, pattern, anchor)
+        problems += [coarse] if flops > coarse.pattern.flops else []
+    if not problems or flops <= FLOPS:
+        problems.append(FreePlacements(rows, size, pattern, anchor))
+    return problems
 
 
 def exact_flops(rows: JointRows, pattern: Pattern) -> float:

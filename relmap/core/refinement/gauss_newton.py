@@ -109,6 +109,7 @@ def gauss_newton(
     same: float = SAME,
     monotone: bool = True,
     reuse: bool = True,
+    faint: float = 0.0,
 ) -> Solution[State]:
     """Return a state of the least cost.
 
@@ -134,6 +135,8 @@ def gauss_newton(
         strict, to raise the cost is the way out of what mismatched observations hold.
     reuse : bool
         Whether a factor is used again as long as that gains much; not where weights change a lot.
+    faint : float
+        As `unsure`, of a damped step: where full ones are too long, many more would be needed.
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
@@ -159,7 +162,7 @@ def gauss_newton(
         enough = max(unsure * unit, problem.rounding)
         shrinks = min(1.0, gain / before) if np.isfinite(before) else 1.0
         converged = not damping and shrinks * gain <= enough
-        if converged and change.max() < same:
+        if (converged and change.max() < same) or (damping and gain <= faint * unit):
             break
         is_slow = not reuse or damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)

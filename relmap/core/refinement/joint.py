@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
-from relmap.core.refinement.equations import Laid, SegmentProblem, segment_problem
+from relmap.core.refinement.equations import Laid, segment_problems
 from relmap.core.refinement.residuals import (
     MergeResiduals,
     SegmentResiduals,
@@ -24,7 +25,7 @@ from relmap.core.refinement.residuals import (
     segment_residuals,
 )
 from relmap.core.refinement.rows import JointRows
-from relmap.core.refinement.settling import Settled, settle, size_of
+from relmap.core.refinement.settling import Settled, polished, settle, size_of
 
 STEADY = 3.0
 """Median deviation up to which a landmark keeps its place, in units of what is usual."""
@@ -36,8 +37,8 @@ SURELY = 3.0
 class Spread:
     """Works out the covariances of some landmarks, turned and scaled (d, d)."""
 
-    problem: SegmentProblem
-    settled: Settled
+    problem: Any
+    settled: Settled[Any]
     chosen: NDArray[np.bool_]
     scale: NDArray[np.float64]
 
@@ -156,8 +157,10 @@ def _solved(
     anchor = _anchor(joint)
     if anchor is None:
         return None
-    problem = segment_problem(joint, size_of(start.positions), anchor)
+    problem, *finer = segment_problems(joint, size_of(start.positions), anchor)
     settled = settle(problem, start)
+    for problem in finer:
+        settled = polished(problem, settled)
     (refined, placed), weight = settled.state, settled.weight
     explained = (weight == 1).astype(np.float64)
     cost = problem.equations(settled.state, explained, with_matrix=False, damping=0.0).cost

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.refinement.rows import numbered
-from relmap.core.state.store import ObservationStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,31 +53,31 @@ class Observations:
 
 
 def observations_of(
-    store: ObservationStore,
+    points: NDArray[np.float64],
+    seen: NDArray[np.int64],
+    when: NDArray[np.int64],
     landmarks: NDArray[np.int64],
     positions: NDArray[np.float64],
-    of: NDArray[np.int64],
-) -> Observations:
-    """Return the observations of landmarks (m,) at positions (m, d).
+) -> tuple[Observations, NDArray[np.int64]]:
+    """Return the observations of landmarks (m,) at positions (m, d), and which (k,) of all.
 
     Parameters
     ----------
-    store : ObservationStore
-        Of points; it keeps all of them.
+    points : (n, d) float64, robot frame, metres
+        All observations.
+    seen : (n,) int64
+        Of which landmark each is, after merging.
+    when : (n,) int64, ascending
+        In which iteration each was made.
     landmarks : (m,) int64, ascending
     positions : (m, d) float64, metres
-    of : (k,) int64
-        The landmark that each number stands for, after merging.
     """
-    number = np.full(len(of), -1)
-    number[landmarks] = np.arange(len(landmarks))
-    seen, when = store.seen(0, store.n_iterations)
-    landmark = number[of[seen]]
-    rows = np.flatnonzero(landmark >= 0)
-    points, landmark, when = store.points(0, store.n_iterations)[rows], landmark[rows], when[rows]
-    every = _observations(points, landmark, when)
+    at = np.searchsorted(landmarks, seen).clip(0, len(landmarks) - 1)
+    rows = np.flatnonzero(landmarks[at] == seen)
+    every = _observations(points[rows], at[rows], when[rows])
     fixed = every.placed_on(positions)[2][every.iteration]
-    return _observations(points[fixed], landmark[fixed], when[fixed])
+    rows = rows[fixed]
+    return _observations(points[rows], at[rows], when[rows]), rows
 
 
 def _observations(

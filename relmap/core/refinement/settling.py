@@ -3,31 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
-from relmap.core.refinement.equations import FreeLandmarks, FreePlacements, Laid
-from relmap.core.refinement.gauss_newton import SAME, WORSE, gauss_newton
+from relmap.core.refinement.equations import Laid, SegmentProblem
+from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
 
 Array = NDArray[np.float64]
 Weights = Callable[[Array, float], Array]
 
-ROUNDS = 30
+ROUNDS, FEW_ROUNDS = 100, 10
+"""Steps at most, and from where another problem that is nearly the same has settled."""
+FAINT = 0.03
+"""Gain of a damped step, in squared standard deviations of the whole map, that is the last."""
 WORTH_SAYING = 1.0
 """Gain of the last step, in squared standard deviations of the whole map, above which it is said
 that it did not settle."""
 
 
+class HasPositions(Protocol):
+    """A state with landmarks (m, d), metres."""
+
+    @property
+    def positions(self) -> Array:
+        """Where the landmarks are."""
+        ...
+
+
+State = TypeVar("State", bound=HasPositions)
+
+
 @dataclass(frozen=True, eq=False)
-class Settled:
+class Settled(Generic[State]):
     """What the robust joint least squares came to.
 
     Attributes
     ----------
-    state : Laid
+    state : tuple
+        With the positions of the landmarks, as the problem has it.
     weight : (n,) float64
         Of an observation of each row.
     converged : bool
@@ -35,12 +52,12 @@ class Settled:
         start from.
     """
 
-    state: Laid
+    state: State
     weight: Array
     converged: bool
 
 
-def settle(problem: FreePlacements | FreeLandmarks, start: Laid) -> Settled:
+def settle(problem: Problem[State], start: State) -> Settled[State]:
     """Return the state of the least robust cost, no worse than the one to start from.
 
     The first weights are those of the start: a few wrong matches would drag a map that is solved
@@ -60,16 +77,31 @@ def settle(problem: FreePlacements | FreeLandmarks, start: Laid) -> Settled:
 
         return weigh
 
-    found = gauss_newton(problem, start, weighing(lenient), ROUNDS)
+    found = gauss_newton(problem, start, weighing(lenient), ROUNDS, faint=FAINT)
     final = strict(problem.residuals(found.state), limit)
     if np.abs(final - found.weight).max() > SAME:
-        found = gauss_newton(problem, found.state, weighing(strict), ROUNDS)
+        found = gauss_newton(problem, found.state, weighing(strict), ROUNDS, faint=FAINT)
     rounding = len(residual) * (EXACT * size) ** 2
     cost = robust_cost(problem.residuals(found.state), first)
     if not cost <= WORSE * robust_cost(residual, first) + rounding:
         return Settled(start, strict(residual, first), converged=False)
     converged = found.converged or found.gain <= WORTH_SAYING
     return Settled(found.state, found.weight, converged)
+
+
+def polished(problem: SegmentProblem, settled: Settled[Laid]) -> Settled[Laid]:
+    """Return the state of the least cost near one that another problem has settled in.
+
+    The residuals are those of segments as a whole, which this problem need not make less: what
+    counts is its own cost.
+    """
+
+    def cost(state: Laid) -> float:
+        return problem.equations(state, settled.weight, with_matrix=False, damping=0.0).cost
+
+    start, weight = settled.state, settled.weight
+    found = gauss_newton(problem, start, lambda _: weight, FEW_ROUNDS, monotone=False)
+    return replace(settled, state=found.state) if cost(found.state) <= cost(start) else settled
 
 
 def size_of(positions: Array) -> float:

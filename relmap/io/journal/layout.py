@@ -9,7 +9,8 @@ version of what follows.
     was asked for, null where a program of its own keeps the journal.
 ``scans``
     One row for each update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 where
-    ids came with it), ``checksum`` (CRC-32, see `checksum`).
+    ids came with it), ``checksum`` (CRC-32, see `checksum`); of planes ``beams``, see
+    `relmap.planes.beams`, in bytes.
 ``observations``
     One row for each observation in the order of ``iteration`` and ``row``, as given to the mapper.
     Of points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id``
@@ -17,6 +18,9 @@ version of what follows.
     Of planes the right end ``x0``, ``y0`` and the left end ``x1``, ``y1``, robot frame, metres, the
     extent ``z0``, ``z1``, ``sd`` of the wall's distance, ``end0`` and ``end1`` (1 for a corner,
     else 0), and ``landmark``, the number of the wall.
+``covariances``
+    Only where covariances came with points: ``iteration``, ``row``, and ``xx``, ``xy``, ``xz``,
+    ``yy``, ``yz``, ``zz``, robot frame, square metres, those of z null in a planar world.
 ``calls``
     What else was asked of the mapper, "finish" or "refine", when it had taken in the scans before
     ``iteration``.
@@ -31,11 +35,16 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 
-SCHEMA = 1
-"""Version of the tables."""
+SCHEMA = 2
+"""Version of the tables; since 2 journals of planes keep beams."""
 APPLICATION = 0x726C6D70
 """What SQLite's ``application_id`` says: relmap."""
 META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)"
+PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""The entries of a covariance: those of its upper triangle."""
+COVARIANCES = (
+    f"CREATE TABLE covariances (iteration INTEGER, row INTEGER, {' REAL, '.join(PAIRS)} REAL)"
+)
 
 
 @dataclass(frozen=True)
@@ -49,11 +58,14 @@ class Layout:
         The columns of what was seen, with their types.
     has_ids : bool
         Whether ids may come with what was seen.
+    has_beams : bool
+        Whether beams may come with it.
     """
 
     variant: str
     values: tuple[str, ...]
     has_ids: bool
+    has_beams: bool
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -67,32 +79,46 @@ class Layout:
         return ", ".join(column.split()[0] for column in self.columns)
 
     @property
+    def scans(self) -> str:
+        """The names of the columns of scans, as SQL lists them."""
+        return "iteration, rows, known, checksum" + ", beams" * self.has_beams
+
+    @property
     def tables(self) -> dict[str, str]:
         """The SQL that makes each table."""
+        beams = ", beams BLOB" * self.has_beams
         return {
             "meta": META,
             "scans": "CREATE TABLE scans (iteration INTEGER PRIMARY KEY, rows INTEGER, "
-            "known INTEGER, checksum INTEGER)",
+            f"known INTEGER, checksum INTEGER{beams})",
             "observations": f"CREATE TABLE observations ({', '.join(self.columns)})",
             "calls": "CREATE TABLE calls (iteration INTEGER, call TEXT)",
         }
 
 
-POINTS = Layout("points", ("x REAL", "y REAL", "z REAL"), has_ids=True)
+POINTS = Layout("points", ("x REAL", "y REAL", "z REAL"), has_ids=True, has_beams=False)
 _WALL = [f"{name} REAL" for name in ("x0", "y0", "x1", "y1", "z0", "z1", "sd")]
-PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=False)
+PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=False, has_beams=True)
 LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 
 
-def checksum(iteration: int, values: Floats, ids: Ints | None, labels: Ints) -> int:
+def checksum(
+    iteration: int,
+    values: Floats,
+    ids: Ints | None,
+    labels: Ints,
+    covariances: Floats | None = None,
+    beams: bytes = b"",
+) -> int:
     """Return the CRC-32 of one scan.
 
-    It is that of the iteration number, the values (n, c) row by row, the ids where they came, and
-    the landmarks (n,); all as little-endian numbers of 8 bytes.
+    It is that of the iteration number, the values (n, c) row by row, the ids where they came, the
+    landmarks (n,), and where they came the covariances (n, d, d) row by row; all as little-endian
+    numbers of 8 bytes; and of the beams.
     """
-    parts = [np.array([iteration]), values, *([] if ids is None else [ids]), labels]
+    came = [part for part in (ids, labels, covariances) if part is not None]
     total = 0
-    for part in parts:
+    for part in (np.array([iteration]), values, *came):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"
         total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
-    return total
+    return zlib.crc32(beams, total)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,16 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
-from relmap.io.journal.layout import APPLICATION, LAYOUTS, META, SCHEMA, Layout, checksum
+from relmap.io.journal.layout import (
+    APPLICATION,
+    COVARIANCES,
+    LAYOUTS,
+    META,
+    PAIRS,
+    SCHEMA,
+    Layout,
+    checksum,
+)
 
 MOST_ROWS = 10_000_000
 """Observations in one scan above which the number is damage."""
@@ -31,11 +40,16 @@ class RecordedScan:
     ids : (n,) int64 or None
     labels : (n,) int64
         What the mapper called the landmarks.
+    covariances : (n, d, d) float64 or None
+        Of points, where they came; None for a scan without observations.
+    beams : bytes
     """
 
     values: Floats
     ids: Ints | None
     labels: Ints
+    covariances: Floats | None = None
+    beams: bytes = b""
 
 
 class JournalReader:
@@ -72,7 +86,15 @@ class JournalReader:
             self._require({"meta": META})
             self.meta = self._read_meta()
             self.layout: Layout = LAYOUTS[self.meta["variant"]]
+            if self.layout.has_beams and self._version < SCHEMA:
+                raise RelmapError(
+                    f"journal {path} is of version {self._version}, which kept no beams: map its "
+                    "log again"
+                )
             self._require(self.layout.tables)
+            self._has_covariances = self._holds("covariances")
+            if self._has_covariances:
+                self._require({"covariances": COVARIANCES})
             self.calls = self._read_calls()
         except _WRONG as error:
             self.close()
@@ -111,14 +133,17 @@ class JournalReader:
         k = -1
         try:
             scans = self._connection.execute(
-                "SELECT iteration, rows, known, checksum FROM scans ORDER BY iteration"
+                f"SELECT {self.layout.scans} FROM scans ORDER BY iteration"
             )
             rows = self._connection.execute(
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
-            for k, (iteration, n, known, check) in enumerate(scans):
-                scan = self._scan(rows, k, n, bool(known))
-                if iteration != k or check != checksum(k, scan.values, scan.ids, scan.labels):
+            covariances = self._covariances()
+            for k, (iteration, n, known, check, *beams) in enumerate(scans):
+                scan = replace(self._scan(rows, k, n, bool(known)), beams=bytes(*beams))
+                if covariances is not None and n:
+                    scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
+                if iteration != k or check != checksum(k, **vars(scan)):
                     raise ValueError("its checksum does not match")
                 yield scan
                 k += 1
@@ -130,6 +155,13 @@ class JournalReader:
                 f"journal {self.path} is damaged at iteration {k}: {reason(error)}; the {k} scans "
                 "before can be recovered: relmap resume --salvage does it"
             ) from error
+
+    def _covariances(self) -> sqlite3.Cursor | None:
+        """Return a cursor at the first covariance; None where none came."""
+        if not self._has_covariances:
+            return None
+        names = ", ".join(("iteration", "row", *PAIRS))
+        return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
 
     def _scan(self, cursor: sqlite3.Cursor, k: int, n: int, known: bool) -> RecordedScan:
         if not 0 <= n <= MOST_ROWS:
@@ -149,12 +181,12 @@ class JournalReader:
 
     def _check_version(self) -> None:
         (application,) = self._connection.execute("PRAGMA application_id").fetchone()
-        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        (self._version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise RelmapError(f"{self.path} is an SQLite file, but not a journal of relmap")
-        if version > SCHEMA:
+        if self._version > SCHEMA:
             raise RelmapError(
-                f"journal {self.path} is of version {version}, and this relmap reads up to "
+                f"journal {self.path} is of version {self._version}, and this relmap reads up to "
                 f"{SCHEMA}: a newer relmap can resume it"
             )
         self._connection.execute("PRAGMA trusted_schema = OFF")
@@ -167,6 +199,10 @@ class JournalReader:
         if not isinstance(meta.get("configuration"), dict) or meta.get("variant") not in LAYOUTS:
             raise ValueError("its table meta lacks variant or configuration")
         return meta
+
+    def _holds(self, table: str) -> bool:
+        sql = "SELECT count(*) FROM sqlite_master WHERE name = ?"
+        return bool(self._connection.execute(sql, (table,)).fetchone()[0])
 
     def _require(self, tables: dict[str, str]) -> None:
         """Make sure that tables are just what they should be: nothing hides behind their names."""
@@ -188,6 +224,18 @@ class JournalReader:
                 raise ValueError(f"its table calls holds {call!r}")
             calls.setdefault(int(iteration), []).append(call)
         return calls
+
+
+def _matrices(cursor: sqlite3.Cursor, k: int, n: int, d: int) -> Floats:
+    """Return the covariances (n, d, d) of scan k, which are next."""
+    rows = cursor.fetchmany(n)
+    if [row[:2] for row in rows] != [(k, i) for i in range(n)]:
+        raise ValueError("covariances are missing")
+    entries = np.array([row[2:] for row in rows], dtype=np.float64)
+    found = np.empty((n, d, d))
+    for a, b in zip(*np.triu_indices(d), strict=True):
+        found[:, a, b] = found[:, b, a] = entries[:, PAIRS.index("xyz"[a] + "xyz"[b])]
+    return found
 
 
 def stated_size(path: Path) -> int:

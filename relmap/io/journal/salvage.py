@@ -82,7 +82,7 @@ def _recover(damaged: Path, whole: Path) -> int:
                 for scan in reader.scans():
                     for call in reader.calls.get(journal.n_scans, []):
                         journal.call(call)
-                    journal.append(scan.values, scan.ids, scan.labels)
+                    journal.append(**vars(scan))
         finally:
             journal.close()
     return journal.n_scans

@@ -11,9 +11,18 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
+import numpy as np
+
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
-from relmap.io.journal.layout import APPLICATION, SCHEMA, Layout, checksum
+from relmap.io.journal.layout import (
+    APPLICATION,
+    COVARIANCES,
+    PAIRS,
+    SCHEMA,
+    Layout,
+    checksum,
+)
 
 INTERVAL_S = 1.0
 """How often what was written is made sure of."""
@@ -46,6 +55,7 @@ class Journal:
         self._layout = layout
         self._waiting: list[tuple[str, list[tuple[Any, ...]]]] = []
         self._written = 0
+        self._has_covariances = False
         self._sure_at = monotonic()
         self._failure: sqlite3.Error | None = None
         self._connection: sqlite3.Connection | None = None
@@ -83,7 +93,14 @@ class Journal:
         if self._failure is not None:
             self.flush()
 
-    def append(self, values: Floats, ids: Ints | None, labels: Ints) -> None:
+    def append(
+        self,
+        values: Floats,
+        ids: Ints | None,
+        labels: Ints,
+        covariances: Floats | None = None,
+        beams: bytes = b"",
+    ) -> None:
         """Take in one scan; where it cannot be written, the next `ready` or `flush` says so.
 
         Parameters
@@ -92,6 +109,10 @@ class Journal:
             What was seen, in the order of the layout's columns; of points (n, 2) or (n, 3).
         ids : (n,) int64 or None
         labels : (n,) int64
+        covariances : (n, d, d) float64, optional
+            Of points.
+        beams : bytes
+            Where the layout has beams.
         """
         k, n = self.n_scans, len(labels)
         columns = values.T.tolist() if n else []
@@ -101,10 +122,31 @@ class Journal:
             columns += [] if ids is None else [ids.tolist()]
         rows = zip(repeat(k, n), range(n), *columns, labels.tolist(), strict=True)
         self._insert(f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows)), n)
-        scan = (k, n, int(ids is not None), checksum(k, values, ids, labels))
-        self._waiting.append(("INSERT INTO scans VALUES (?, ?, ?, ?)", [scan]))
+        if covariances is not None and n:
+            self._append_covariances(covariances)
+        kept = (beams,) * self._layout.has_beams
+        check = checksum(k, values, ids, labels, covariances, beams)
+        scan = (k, n, int(ids is not None), check, *kept)
+        slots = ["?"] * len(scan)
+        self._waiting.append((f"INSERT INTO scans VALUES ({', '.join(slots)})", [scan]))
         self.n_scans += 1
         self._try(sure=monotonic() - self._sure_at >= INTERVAL_S)
+
+    def _append_covariances(self, covariances: Floats) -> None:
+        """Let the covariances (n, d, d) of a scan wait to be written, in a table of their own."""
+        n, d = covariances.shape[:2]
+        entries = {
+            "xyz"[a] + "xyz"[b]: covariances[:, a, b].tolist()
+            for a, b in zip(*np.triu_indices(d), strict=True)
+        }
+        columns = [entries.get(pair, [None] * n) for pair in PAIRS]
+        rows = list(zip(repeat(self.n_scans, n), range(n), *columns, strict=True))
+        if not self._has_covariances:
+            made = COVARIANCES.replace("TABLE", "TABLE IF NOT EXISTS", 1)
+            self._waiting.append((made, [()]))
+            self._has_covariances = True
+        slots = ", ".join("?" * (2 + len(PAIRS)))
+        self._waiting.append((f"INSERT INTO covariances VALUES ({slots})", rows))
 
     def _insert(self, slots: str, numbers: list[float], n: int) -> None:
         """Let n rows of numbers wait to be written, many with one statement: that takes half."""

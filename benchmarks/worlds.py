@@ -1,0 +1,149 @@
+"""Own association in worlds that are hard to associate: the map against batch least squares.
+
+    python benchmarks/worlds.py [--only NAME[,NAME]] [--seeds N]
+
+Each line is a world and a seed: the landmark RMSE of all submaps, each aligned by itself, as a
+multiple of that of batch least squares over all observations with the true ids (worst: of the worst
+submap of ten landmarks); landmarks per true one; purity; the share of the landmarks seen ten times
+that is mapped, in all submaps and in the largest; submaps of ten landmarks; seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.errors import RelmapError
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.evaluation.metrics import majority_ids, purity
+from relmap.simulation import World, WorldSpec, simulate_world
+
+FEWEST = 10
+"""Landmarks without which a submap is not judged."""
+FIELD = {"kind": "field", "length_m": 540.0}
+WORLDS: dict[str, dict[str, object]] = {
+    "streets": {},
+    "streets-space": {"space": True},
+    "long-streets": {"length_m": 1200.0, "iterations": 800},
+    "corridor": {"kind": "corridor", "length_m": 800.0},
+    "ring": {"kind": "ring", "length_m": 1000.0, "iterations": 600},
+    "field": FIELD,
+    "line": {"kind": "line", "length_m": 300.0, "iterations": 300, "spacing_m": 2.0},
+    "plane": {**FIELD, "kind": "plane"},
+    "clumps": {**FIELD, "kind": "clumps"},
+    "columns": {**FIELD, "kind": "columns"},
+    "stairs": {"kind": "stairs", "length_m": 100.0, "iterations": 300},
+    "noise-.1": {**FIELD, "sigma": 0.2},
+    "noise-.2": {**FIELD, "sigma": 0.4},
+    "noise-.3": {**FIELD, "sigma": 0.6},
+    "range-noise": {"noise": "range"},
+    "bearing-noise": {"noise": "bearing"},
+    "growing-noise": {"noise": "growing", "sigma": 0.1},
+    "stereo": {"noise": "stereo", "sigma": 0.03, "space": True},
+    "missed": {"missed": 0.3},
+    "missed-spurious": {"missed": 0.3, "spurious": 0.1},
+    "missed-space": {"missed": 0.3, "spurious": 0.1, "space": True},
+    "turns-20": {**FIELD, "turn_deg": 20.0},
+    "turns-40": {**FIELD, "turn_deg": 40.0},
+    "turns-60": {**FIELD, "turn_deg": 60.0},
+    "turns-60-round": {**FIELD, "turn_deg": 60.0, "view_deg": 360.0},
+    "sparse": {"spacing_m": 7.0},
+}
+
+
+def least_squares(world: World) -> dict[int, NDArray[np.float64]]:
+    """Return where batch least squares with the true ids puts each landmark that is fixed."""
+    points, d = world.log.points_robot, world.log.points_robot.shape[1]
+    used = world.true_ids >= 0
+    for _ in range(20):
+        seen = np.bincount(world.true_ids[used], minlength=len(world.landmark_ids))
+        scans = np.bincount(world.log.iteration[used], minlength=len(world.log))
+        kept = used & (seen[world.true_ids] > 1) & (scans[world.log.iteration] > d)
+        if kept.sum() == used.sum():
+            break
+        used = kept
+    ids, landmark = np.unique(world.true_ids[used], return_inverse=True)
+    pose = np.unique(world.log.iteration[used], return_inverse=True)[1]
+    try:
+        batch = Batch(points[used], pose, landmark)
+        found = batch_least_squares(batch, world.landmarks_map[ids, :d])
+    except RelmapError:
+        return {}
+    return dict(zip(ids.tolist(), found, strict=True))
+
+
+def squares(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the squared errors (n,) after rigid alignment."""
+    R, t = fit_rigid(positions, truth)
+    return np.asarray(np.sum((positions @ R.T + t - truth) ** 2, axis=1))
+
+
+def judge(world: World) -> dict[str, float]:
+    """Map a world by own association and judge the map."""
+    limit, truth, d = least_squares(world), world.landmarks_map, world.log.points_robot.shape[1]
+    begin = perf_counter()
+    mapper = PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper.finish()
+    mapper.refine()
+    seconds = perf_counter() - begin
+    now = mapper.landmarks_of(labels)
+    stands_for = dict(
+        zip(*(a.tolist() for a in majority_ids(now, world.true_ids)[:2]), strict=True)
+    )
+    all_ids: list[int] = []
+    errors, least, ratios, largest = [], [], [], 0
+    often = np.flatnonzero(np.bincount(world.true_ids[world.true_ids >= 0]) >= FEWEST)
+    for rank, submap in enumerate(mapper.submaps):
+        own = [label in stands_for for label in submap.landmark_ids.tolist()]
+        ids = np.array([stands_for[label] for label in submap.landmark_ids[own].tolist()])
+        all_ids += ids.tolist()
+        largest = len(np.intersect1d(ids, often)) if rank == 0 else largest
+        known = np.array([row in limit for row in ids.tolist()], dtype=bool)
+        if known.sum() < FEWEST:
+            continue
+        there = truth[ids[known], :d]
+        errors.append(squares(submap.positions[own][known, :d], there))
+        least.append(squares(np.array([limit[row] for row in ids[known].tolist()]), there))
+        ratios.append(np.sqrt(errors[-1].sum() / least[-1].sum()))
+    mapped = np.intersect1d(all_ids, often)
+    return {
+        "ratio": float(np.sqrt(np.concatenate(errors).sum() / np.concatenate(least).sum()))
+        if errors
+        else np.nan,
+        "worst": max(ratios, default=np.nan),
+        "per true": len(all_ids) / max(len(set(all_ids)), 1),
+        "purity": purity(now, world.true_ids) or np.nan,
+        "mapped": len(mapped) / len(often),
+        "largest": largest / len(often),
+        "submaps": len(ratios),
+        "s": seconds,
+    }
+
+
+def main() -> None:
+    """Print a line for each world and seed."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", help="names, separated by commas", default=",".join(WORLDS))
+    parser.add_argument("--seeds", default="0,1,2,3,4")
+    given = parser.parse_args()
+    header = ("ratio", "worst", "per true", "purity", "mapped", "largest", "submaps", "s")
+    print(f"{'world':16} seed" + "".join(f"{name:>9}" for name in header))
+    for name in given.only.split(","):
+        for seed in map(int, given.seeds.split(",")):
+            spec = WorldSpec(**WORLDS[name], seed=seed)  # type: ignore[arg-type]
+            found = judge(simulate_world(spec))
+            cells = (
+                f"{found[key]:9.{4 if key == 'purity' else 0 if key == 'submaps' else 2}f}"
+                for key in header
+            )
+            print(f"{name:16} {seed:4}" + "".join(cells), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""Loops that stay open because the map has drifted on the way: places that a submap shows twice.
+
+A neighbourhood of landmarks that were seen together is looked for among what the same submap saw
+before, wherever that lies: no drift is too large.  It is believed where it is unlike chance and no
+other place comes near, as with submaps (see `tying`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.association.placement import Placement
+from relmap.core.association.recognition import HITS, PlaceFinder, found_elsewhere
+from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
+from relmap.core.state.table import NONE, LandmarkState
+
+FARTHEST = 10.0
+"""How far the map may have drifted, in standard deviations."""
+TIED = 3
+"""Landmarks of a neighbourhood, seen before as is known, that tie it already."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A place that was seen twice.
+
+    Attributes
+    ----------
+    pairs : (k, 2) int64
+        Landmarks of the later visit, and the older ones that they are.
+    placement : Placement
+        Where what the later visit saw should lie, from where it lies on the map.
+    """
+
+    pairs: NDArray[np.int64]
+    placement: Placement
+
+
+class LoopFinder:
+    """Finds loops in a map, one after the other; each landmark is looked at once.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    noise_m : float
+        Standard deviation of an observed coordinate.
+    """
+
+    def __init__(self, table: LandmarkState, noise_m: float) -> None:
+        self._table = table
+        self._noise_m = noise_m
+        self._had = np.zeros(len(table), dtype=bool)
+
+    def next(self) -> Loop | None:
+        """Return a loop that is still open; None where no more are found."""
+        table = self._table
+        for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+            own = np.flatnonzero(table.submap == submap)
+            if self._had[own].all() or len(own) < 2 * NEIGHBOURHOOD:
+                continue
+            finder = PlaceFinder(table.position[own], self._noise_m)
+            for seed in own[np.argsort(table.first[own], kind="stable")].tolist():
+                loop = None if self._had[seed] else self._loop(finder, own, seed)
+                if loop is not None:
+                    return loop
+        return None
+
+    def _loop(self, finder: PlaceFinder, own: NDArray[np.int64], seed: int) -> Loop | None:
+        """Return the loop that the neighbourhood of a landmark closes, if it does."""
+        table = self._table
+        together = own[
+            (table.since[own] <= table.last[seed]) & (table.last[own] >= table.since[seed])
+        ]
+        apart = np.linalg.norm(table.position[together] - table.position[seed], axis=1)
+        around = together[np.argsort(apart, kind="stable")[:NEIGHBOURHOOD]]
+        self._had[around[: max(1, len(around) // OVERLAP)]] = True
+        self._had[seed] = True
+        if np.sum(table.since[around] > table.first[around]) >= TIED:
+            return None
+        before = table.last[own] < table.since[around].min()
+        points = table.position[around]
+        places = finder.places(points, before)
+        if not places:
+            return None
+        at = finder.landmarks_at(places[0].apply(points), before)
+        pairs = np.column_stack([around, own[at]])[at >= 0]
+        _, first = np.unique(pairs[:, 1], return_index=True)
+        pairs = pairs[first]
+        trials = HITS * len(own)
+        if not self._may_have_drifted(around, together, pairs[:, 1], places[0]):
+            return None
+        rival = found_elsewhere(points, places)
+        sure = trials * finder.by_chance(len(points), len(pairs), rival) <= BY_CHANCE
+        return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
+
+    def _may_have_drifted(
+        self,
+        around: NDArray[np.int64],
+        together: NDArray[np.int64],
+        old: NDArray[np.int64],
+        placement: Placement,
+    ) -> bool:
+        """Tell whether the map may be as far off as a loop says: a random walk of the direction.
+
+        Each time that all in view is replaced it is known by so many landmarks, seen so often.
+        """
+        table, place = self._table, self._table.position[around]
+        off_m = np.linalg.norm(placement.apply(place) - place, axis=1).max()
+        begin, end = table.last[old].max(initial=0), table.since[around].min()
+        spread = table.position[together] - table.position[together].mean(axis=0)
+        radius_m = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))
+        length = float(np.median(table.last[together] - table.since[together] + 1))
+        turn = self._noise_m * np.sqrt(2 / (len(together) * length)) / max(radius_m, 1e-9)
+        between = (table.first >= begin) & (table.first <= end)
+        between &= table.submap == table.submap[around[0]]
+        away = np.linalg.norm(table.position[between] - place.mean(axis=0), axis=1)
+        lever_m = away.max(initial=0.0) + radius_m
+        return bool(off_m <= FARTHEST * turn * np.sqrt((end - begin) / length + 1) * lever_m)

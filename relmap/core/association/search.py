@@ -1,0 +1,150 @@
+"""How scans lie to one another, found without a guess, and how sure that is.
+
+Triangles of one scan are looked up among all of the other by their sides; each that is found says
+how the scans may lie, and the placement on which most points agree is right if so many are unlike
+chance (a contrario: Desolneux, Moisan and Morel, 2000) and no other placement comes near.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.association.placement import Placement, trimmed_fit
+
+TRIANGLES = 120
+"""Triangles that are looked up at most."""
+MOST = 3000
+"""Triangles found that are tried."""
+ROUNDS = 4
+"""How often a placement is fitted again to what it brings together."""
+RIVALS = 4
+"""Rivals that are settled before they are counted."""
+
+
+def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> float:
+    """Return the log of how many placements bring so many points onto others by chance.
+
+    Parameters
+    ----------
+    n, n_agreeing : int
+    share : float
+        How likely a point lies on another in a wrong placement.
+    log_placements : float
+        Log of how many placements differ.
+    """
+    ways = math.lgamma(n + 1) - math.lgamma(n_agreeing + 1) - math.lgamma(n - n_agreeing + 1)
+    return log_placements + ways + n_agreeing * math.log(max(share, 1e-12))
+
+
+def search(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    tolerance_m: float,
+    fewest: int,
+) -> tuple[Placement, int] | None:
+    """Return the placement on which most points agree, and on how many the best rival rests.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) float64, metres
+    tolerance_m : float
+        How far apart matches that agree may lie.
+    fewest : int
+        Points that must agree.
+
+    Returns
+    -------
+    placement : Placement
+    rival : int
+        Matches of the best of the other placements that this one has otherwise.  None where no
+        placement is found.
+    """
+    from relmap.core.association.search_kernels import placements_by_triangles
+
+    triangles = _triangles(source, 2 * tolerance_m)
+    if not len(triangles) or min(len(source), len(target)) < fewest:
+        return None
+    R, t, matches = placements_by_triangles(
+        source, target, triangles, 1.5 * tolerance_m, fewest, MOST
+    )
+    if not len(R):
+        return None
+    best = None
+    for row in np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:RIVALS]:
+        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m)
+        if placed is not None and (best is None or placed.n_agreeing > best.n_agreeing):
+            best = placed
+    if best is None or best.n_agreeing < fewest:
+        return None
+    match = _matches(source, target, best, 1.5 * tolerance_m)
+    others = np.sum((matches >= 0) & (matches != match), axis=1)
+    rival = 0
+    for row in np.argsort(-others, kind="stable")[:RIVALS]:
+        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m)
+        if placed is not None and others[row]:
+            other = _matches(source, target, placed, tolerance_m)
+            rival = max(rival, int(np.sum((other >= 0) & (other != match))))
+    return best, rival
+
+
+def settled(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    placement: Placement,
+    tolerance_m: float,
+) -> Placement | None:
+    """Fit a placement of points (n, d) to all that it brings onto others (m, d).
+
+    None where these are too few.
+    """
+    from relmap.core.association.search_kernels import matched_at
+
+    match, n_agreeing = np.empty(len(source), np.int64), 0
+    for _ in range(ROUNDS):
+        n = matched_at(source, target, placement.R, placement.t, 1.5 * tolerance_m, match)
+        rows = np.flatnonzero(match >= 0)
+        fitted = trimmed_fit(source[rows], target[match[rows]], tolerance_m)
+        if fitted is None:
+            return None
+        placement = fitted
+        if n <= n_agreeing:
+            break
+        n_agreeing = n
+    return placement
+
+
+def _matches(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    placement: Placement,
+    tolerance_m: float,
+) -> NDArray[np.int64]:
+    """Return the target of each source point (n,), -1 where it comes to lie on none."""
+    from relmap.core.association.search_kernels import matched_at
+
+    match = np.empty(len(source), np.int64)
+    matched_at(source, target, placement.R, placement.t, tolerance_m, match)
+    return match
+
+
+def _triangles(points: NDArray[np.float64], least_m: float) -> NDArray[np.int64]:
+    """Return triangles (k, 3) of points (n, d) whose sides, in space whose heights, are long."""
+    n, d = points.shape
+    rng = np.random.default_rng(n)
+    if n < 3:
+        return np.empty((0, 3), dtype=np.int64)
+    if math.comb(n, 3) <= 6 * TRIANGLES:
+        corners = rng.permutation(np.array(list(combinations(range(n), 3))))
+    else:
+        corners = rng.integers(0, n, (6 * TRIANGLES, 3))
+    sides = points[corners[:, [1, 2, 0]]] - points[corners[:, [2, 0, 1]]]
+    length = np.linalg.norm(sides, axis=2)
+    size = length.min(axis=1)
+    if d == 3:
+        area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        size = np.minimum(size, area / np.maximum(length.max(axis=1), 1e-300))
+    return np.asarray(corners[size > least_m][:TRIANGLES])

@@ -1,0 +1,133 @@
+"""Placements of one set of points in another, without any guess, compiled; see `search`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.fitting_kernels import fit_rows
+from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.small_kernels import identity
+
+
+@compiled
+def distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mutual distances (n, n) of points (n, d)."""
+    n, d = points.shape
+    found = np.zeros((n, n))
+    for i in range(n):
+        for j in range(i):
+            square = 0.0
+            for a in range(d):
+                square += (points[i, a] - points[j, a]) ** 2
+            found[i, j] = np.sqrt(square)
+            found[j, i] = found[i, j]
+    return found
+
+
+@compiled
+def matched_at(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+    tolerance_m: float,
+    match: NDArray[np.int64],
+) -> int:
+    """Enter the target point (m, d) that each source point (n, d) comes to lie on, or -1.
+
+    Each target has one at most, the nearest; returns how many have one.
+    """
+    (n, d), m = source.shape, len(target)
+    owner, nearest = np.full(m, -1), np.full(m, tolerance_m * tolerance_m)
+    match[:] = -1
+    placed = np.empty(d)
+    count = 0
+    for i in range(n):
+        for a in range(d):
+            placed[a] = t[a]
+            for b in range(d):
+                placed[a] += R[a, b] * source[i, b]
+        best, at = tolerance_m * tolerance_m, -1
+        for k in range(m):
+            square = (placed[0] - target[k, 0]) ** 2
+            if square < best:
+                for a in range(1, d):
+                    square += (placed[a] - target[k, a]) ** 2
+                if square < best:
+                    best, at = square, k
+        if at >= 0 and best < nearest[at]:
+            if owner[at] >= 0:
+                match[owner[at]] = -1
+            else:
+                count += 1
+            owner[at], nearest[at], match[i] = i, best, at
+    return count
+
+
+@compiled
+def placements_by_triangles(
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    triangles: NDArray[np.int64],
+    tolerance_m: float,
+    fewest: int,
+    most: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Return placements that triangles of source points found among the target points.
+
+    Parameters
+    ----------
+    source, target : (n, d), (m, d) float64, metres
+    triangles : (k, 3) int64
+        Rows of the source.
+    tolerance_m : float
+        Largest difference of two sides that agree, and distance of a match.
+    fewest : int
+        Matches of a placement that is returned.
+    most : int
+        Triangles found that are tried at most.
+
+    Returns
+    -------
+    R, t : (h, d, d), (h, d) float64
+    matches : (h, n) int64
+        The target point of each source point, or -1.
+    """
+    (n, d), m = source.shape, len(target)
+    here, there = distances(source), distances(target)
+    R, t, matches = np.empty((most, d, d)), np.empty((most, d)), np.empty((most, n), np.int64)
+    corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, np.bool_)
+    h, tried, turn = 0, 0, identity(d)
+    for i, j, p in triangles:
+        _enter(source, i, j, p, corners)
+        for k in range(m):
+            for q in range(m):
+                if k == q or abs(there[k, q] - here[i, j]) > tolerance_m:
+                    continue
+                for r in range(m):
+                    off = max(abs(there[k, r] - here[i, p]), abs(there[q, r] - here[j, p]))
+                    if off > tolerance_m or r in (k, q):
+                        continue
+                    _enter(target, k, q, r, found)
+                    turn, shift, fixed, _ = fit_rows(corners, found, every, turn)
+                    if fixed and tried < most:
+                        tried += 1
+                        n_agreeing = matched_at(
+                            source, target, turn, shift, tolerance_m, matches[h]
+                        )
+                        if n_agreeing >= fewest:
+                            R[h], t[h] = turn, shift
+                            h += 1
+        if tried == most:
+            break
+    return R[:h], t[:h], matches[:h]
+
+
+@compiled
+def _enter(
+    points: NDArray[np.float64], i: int, j: int, k: int, corners: NDArray[np.float64]
+) -> None:
+    """Enter three of points (n, d) as corners (3, d)."""
+    for a in range(points.shape[1]):
+        corners[0, a], corners[1, a], corners[2, a] = points[i, a], points[j, a], points[k, a]

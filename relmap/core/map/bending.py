@@ -1,0 +1,65 @@
+"""Bending a map so that a loop closes: a start that the refinement can go on from."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import expm, logm
+from scipy.sparse.linalg import splu
+
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.condensing import SegmentRows
+
+STIFF = 1e4
+"""Weight of what the loop ties, in observations."""
+SLACK = 1e-9
+"""Weight of staying where it is, which fixes the frame."""
+
+
+def bend(
+    global_map: GlobalMap,
+    rows: SegmentRows,
+    pairs: NDArray[np.int64],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
+) -> None:
+    """Spread the drift that a closed loop shows over what lies between.
+
+    Segments and the landmarks that they saw move alike, as far as they can: least squares on the
+    logarithms of their motions.
+
+    Parameters
+    ----------
+    global_map : GlobalMap
+    rows : SegmentRows
+    pairs : (k, 2) int64
+        Landmarks, and older ones that they are.
+    R, t : (d, d), (d,) float64
+        Brings the first of each pair to where the second is.
+    """
+    table = global_map.table
+    landmark = table.landmark_of[rows.landmark]
+    on = table.submap[landmark] == table.submap[pairs[0, 0]]
+    members, column = np.unique(landmark[on], return_inverse=True)
+    m, n = len(members), len(members) + rows.n_segments
+    seen, known = rows.n_seen[on].astype(np.float64), np.isin(pairs, members).all(axis=1)
+    later, older = np.searchsorted(members, pairs[known]).T
+    stiff = np.full(len(later), STIFF)
+    one, other = np.append(column, later), np.append(m + rows.segment[on], older)
+    weight = np.append(seen, stiff)
+    coupling = sparse.coo_array((weight, (one, other)), shape=(n, n))
+    coupling = coupling + coupling.T
+    laplacian = sparse.diags_array(coupling.sum(axis=1) + SLACK) - coupling
+    motion = np.eye(len(t) + 1)
+    motion[:-1, :-1], motion[:-1, -1] = R, t
+    twist = np.real(logm(motion))
+    right = np.zeros(n)
+    np.add.at(right, later, STIFF)
+    np.add.at(right, older, -STIFF)
+    share = splu(laplacian.tocsc()).solve(right)[:m]
+    positions = table.position[members].copy()
+    levels, of = np.unique(np.round(share, 3), return_inverse=True)
+    moved = np.array([expm(level * twist) for level in levels])[of]
+    positions = np.einsum("nij,nj->ni", moved[:, :-1, :-1], positions) + moved[:, :-1, -1]
+    global_map.move(members, positions)

@@ -1,0 +1,177 @@
+"""Extending a submap to all that the condensed segments tie to it.
+
+A group needs several landmarks that stay in view together.  A segment needs less: two landmarks
+that are mapped (three in space) place it, and with it everything else that it saw.  So what no
+group could place, and what is in submaps of its own, is placed segment by segment, the surest
+first.  The joint least squares then does with all of it what it does with the rest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.alignment import place_each, sums_each
+from relmap.core.geometry.robust import fit_robust_each
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.state.table import NONE, LandmarkState
+
+TIERS = (3.0, 10.0, 100.0)
+"""Variance of a place that a segment gives, in units of an observation's: the surest go first."""
+STEADY, LEAST_STEADY = 3.0, 0.95
+"""Deviation up to which segments agree on a place, in units of that of the least steady of the
+mapped landmarks, but for one in twenty: landmarks are not equally noisy."""
+AGREEING = 0.8
+"""Share of the segments that must agree: one who stands still for half of the time moves."""
+SURE = 3
+"""Segments that must agree on the place of a landmark that was taken for moving."""
+SEEN_AGAIN = 2
+"""Observations without which a landmark is not placed: nothing would tell a wrong one."""
+
+
+class _Laid(NamedTuple):
+    """The rows (n,) as their segments lie: places, variances, and how far these may deviate."""
+
+    placed: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    limit: float
+
+
+def extend_submaps(global_map: GlobalMap, rows: SegmentRows) -> bool:
+    """Extend submaps, the largest first, to what segments tie to them; tell whether any grew.
+
+    Landmarks of smaller submaps come to the larger; those that were taken for moving, and keep
+    their place from segment to segment as others do, are static.
+
+    Parameters
+    ----------
+    global_map : GlobalMap
+    rows : SegmentRows
+        Of all iterations.
+    """
+    table = global_map.table
+    landmark = table.now(rows.landmark)
+    submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
+    done = np.zeros(len(table), dtype=bool)
+    grew = False
+    for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+        for suspects in (False, True):
+            grew |= _extend(global_map, submap, rows, landmark, done, suspects)
+        own = np.flatnonzero(table.submap == submap)
+        if len(own) < table.dimension:  # what others left of it
+            table.take_off_map(own)
+        done[own] = True
+    return grew
+
+
+def _extend(
+    global_map: GlobalMap,
+    submap: int,
+    rows: SegmentRows,
+    landmark: NDArray[np.int64],
+    done: NDArray[np.bool_],
+    suspects: bool,
+) -> bool:
+    """Extend one submap by landmarks that are in no larger one, either at rest or suspected."""
+    table, tier, grew = global_map.table, 0, False
+    often = np.bincount(landmark, rows.n_seen, minlength=len(table)) >= SEEN_AGAIN
+    while tier < len(TIERS):
+        known = table.submap == submap
+        wanted = often & ~known & ~done & (table.dynamic == suspects)
+        if not known.any() or not wanted[landmark].any():
+            break
+        laid = _lay(rows, landmark, table.position, known[landmark])
+        chosen = np.flatnonzero(wanted[landmark] & (laid.variance <= TIERS[tier]))
+        placed = _placed(table, rows, landmark, chosen, laid, SURE if suspects else 1)
+        if not len(placed[0]):
+            tier += 1
+            continue
+        table.take_off_map(placed[0])
+        table.dynamic[placed[0]] = False
+        table.highest_level[placed[0]] = np.maximum(table.highest_level[placed[0]], 1)
+        global_map.place(submap, *placed)
+        tier, grew = 0, True
+    return grew
+
+
+def _lay(
+    rows: SegmentRows,
+    landmark: NDArray[np.int64],
+    positions: NDArray[np.float64],
+    known: NDArray[np.bool_],
+) -> _Laid:
+    """Lay every segment on those of its rows (n,) that are known, and tell how sure the others are.
+
+    Where fewer agree than fix a segment, or less than half, the variance of all of it is infinite.
+    """
+    n, d = rows.n_segments, rows.points.shape[1]
+    there, of = positions[landmark[known]], rows.segment[known]
+    n_seen = rows.n_seen[known].astype(np.float64)
+    R, t, fixed, weight = fit_robust_each(rows.points[known], there, n_seen, of, n)
+    agree = weight == 1
+    counts = np.bincount(of[agree], minlength=n)
+    fixed &= (counts >= d) & (2 * counts >= np.bincount(of, minlength=n))
+    placed = place_each(R, t, rows.segment, rows.points)
+    variance = _variances(rows, np.flatnonzero(known)[agree], n)
+    variance[~fixed[rows.segment]] = np.inf
+    inside = np.flatnonzero(known)[fixed[of]]
+    apart = np.linalg.norm(placed[inside] - positions[landmark[inside]], axis=1)
+    deviation = _upper(apart / np.sqrt(variance[inside]), landmark[inside])
+    usual = float(np.quantile(deviation, LEAST_STEADY)) if len(deviation) else 0.0
+    return _Laid(placed, variance, STEADY * usual)
+
+
+def _upper(values: NDArray[np.float64], of: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return what most of the values (n,) of each number in `of` do not exceed."""
+    order = np.lexsort((values, of))
+    _, first, counts = np.unique(of[order], return_index=True, return_counts=True)
+    return np.asarray(values[order][first + (AGREEING * counts).astype(np.int64)])
+
+
+def _variances(rows: SegmentRows, fitted: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+    """Return the variance (n,) of each row of segments fitted to some rows, in an observation's."""
+    at, d = rows.segment[fitted], rows.points.shape[1]
+    seen = rows.n_seen[fitted].astype(np.float64)
+    total = np.maximum(np.bincount(at, seen, minlength=n), 1e-300)
+    centre = sums_each(seen[:, None] * rows.points[fitted], at, n) / total[:, None]
+    away = rows.points - centre[rows.segment]
+    outer = away[fitted][:, :, None] * away[fitted][:, None, :]
+    scatter = sums_each(seen[:, None, None] * outer, at, n)
+    trace = np.trace(scatter, axis1=1, axis2=2)
+    square = np.sum(away**2, axis=1)
+    if d == 2:
+        turned = square / (2 * np.maximum(trace, 1e-300))[rows.segment]
+    else:
+        spread = np.linalg.pinv(trace[:, None, None] * np.eye(3) - scatter)[rows.segment]
+        along = np.einsum("ni,nij,nj->n", away, spread, away)
+        turned = (np.trace(spread, axis1=1, axis2=2) * square - along) / 3
+    return np.asarray(1 / rows.n_seen + 1 / total[rows.segment] + turned)
+
+
+def _placed(
+    table: LandmarkState,
+    rows: SegmentRows,
+    landmark: NDArray[np.int64],
+    chosen: NDArray[np.int64],
+    laid: _Laid,
+    sure: int,
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return landmarks (k,), places (k, d) and weights (k,) of those on which segments agree."""
+    chosen = chosen[np.argsort(landmark[chosen], kind="stable")]
+    numbers, first = np.unique(landmark[chosen], return_index=True)
+    found: list[int] = []
+    places, weights = [], []
+    for number, of in zip(numbers.tolist(), np.split(chosen, first[1:]), strict=False):
+        if len(of) < sure:
+            continue
+        place = np.median(laid.placed[of], axis=0)
+        apart = np.linalg.norm(laid.placed[of] - place, axis=1) / np.sqrt(laid.variance[of])
+        if len(of) == 1 or np.sort(apart)[int(AGREEING * len(of))] <= laid.limit:
+            found.append(number)
+            places.append(place)
+            weights.append(float(rows.n_seen[of].sum()))
+    shape = len(found), laid.placed.shape[1]
+    return np.array(found, dtype=np.int64), np.array(places).reshape(shape), np.array(weights)

@@ -1,0 +1,163 @@
+"""Refinement by single observations, each weighed by the covariance that came with it.
+
+Observations that differ in how noisy they are, and in which direction, leave no segment that says
+what they said.  So they are kept, and the map of the segments is what this begins with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.linalg.cholesky import Pattern
+from relmap.core.refinement.equations import BARELY, ROUNDING, derivatives, rotations
+from relmap.core.refinement.joint import Refined, Spread
+from relmap.core.refinement.observations import Observations, observations_of
+from relmap.core.refinement.powers import LOOSE, LOOSE_POSE, Placed
+from relmap.core.refinement.rows import levels_of
+from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
+from relmap.core.refinement.settling import settle, size_of
+from relmap.core.state.weighed import WeighedObservations
+
+Array = NDArray[np.float64]
+
+
+def refine_weighed(
+    refined: Refined, weighed: WeighedObservations, of: NDArray[np.int64]
+) -> Refined:
+    """Return where landmarks lie by observations that are weighed by their covariances.
+
+    Parameters
+    ----------
+    refined : Refined
+        By segments.
+    weighed : WeighedObservations
+    of : (k,) int64
+        The landmark that each number stands for, after merging.
+    """
+    seen, rows = observations_of(
+        weighed.location,
+        of[weighed.landmark],
+        weighed.iteration,
+        refined.landmarks,
+        refined.positions,
+    )
+    anchor = int(np.searchsorted(seen.iterations, refined.anchor_iteration))
+    counts = np.bincount(seen.landmark, minlength=len(refined.landmarks))
+    if anchor == len(seen.iterations) or not counts.all():
+        return refined
+    problem = WeighedProblem(seen, weighed.covariance[rows], refined.positions, anchor)
+    settled = settle(problem, problem.start(refined.positions))
+    state = settled.state
+    explained = (settled.weight == 1).astype(np.float64)
+    R, t = state.R[anchor], state.t[anchor]
+    unit = np.sqrt(explained @ problem.residuals(state) ** 2 / problem.freedoms_of(explained))
+    every = np.ones(len(refined.landmarks), dtype=bool)
+    return replace(
+        refined,
+        positions=(state.positions - t) @ R,
+        spread=Spread(problem, settled, every, unit * R),
+        converged=settled.converged,
+    )
+
+
+class WeighedProblem:
+    """The residuals of single observations in their standard deviations; a `Problem`.
+
+    Parameters
+    ----------
+    seen : Observations
+    covariance : (n, d, d) float64, robot frame, square metres
+    positions : (m, d) float64, metres
+        About where the landmarks are.
+    anchor : int
+        The iteration whose placement makes the frame.
+    """
+
+    def __init__(
+        self, seen: Observations, covariance: Array, positions: Array, anchor: int
+    ) -> None:
+        n, d = seen.points.shape
+        m, k = len(positions), len(seen.iterations)
+        self.seen, self._root = seen, np.linalg.inv(np.linalg.cholesky(covariance))
+        self._fixed = d * m + (3 * d - 3) * (k - 1)
+        self.freedoms = max(n * d - self._fixed, 1)
+        self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
+        level = levels_of(seen.begin, seen.landmark, m)[0]
+        self.pattern = Pattern.of_levels(level, d)
+        self._unknown = self.pattern.first[:, None] + np.arange(d)
+        kept = np.repeat(self._unknown[seen.landmark], d, axis=0)
+        free_in_matrix = (np.arange(k) != anchor).astype(np.float64)
+        self._eliminated = Elimination(
+            self.pattern,
+            kept,
+            d * seen.begin,
+            np.arange(n * d),
+            np.arange(k),
+            free_in_matrix=free_in_matrix,
+        )
+
+    def start(self, positions: Array) -> Placed:
+        """Return the state in which each iteration fits landmarks (m, d) best, about."""
+        weight, seen = np.sum(self._root**2, axis=(1, 2)), self.seen
+        there = positions[seen.landmark]
+        R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
+        return Placed(positions, R, t)
+
+    def freedoms_of(self, explained: Array) -> float:
+        """Return how many more residuals there are than unknowns, of observations (n,) of 1."""
+        return float(max(explained.sum() * self.seen.points.shape[1] - self._fixed, 1))
+
+    def residuals(self, state: Placed) -> Array:
+        """Return the lengths (n,) of what is left, in standard deviations."""
+        return np.asarray(np.linalg.norm(self._left(state)[0], axis=1))
+
+    def equations(
+        self, state: Placed, weight: Array, with_matrix: bool, damping: float
+    ) -> NormalEquations:
+        """Return the normal equations of the landmarks."""
+        equations = self._equations(state, weight, with_matrix, LOOSE_POSE)
+        if with_matrix:
+            least = LOOSE * self.pattern.largest(equations.matrix)
+            self.pattern.hold(equations.matrix, damping, least)
+        return equations
+
+    def stepped(
+        self, state: Placed, equations: NormalEquations, step: Array, weight: Array
+    ) -> Placed:
+        """Return the state after a step."""
+        d = state.positions.shape[1]
+        turn, shift = np.split(equations.eliminated_steps(step), [-d], axis=1)
+        positions = state.positions + step[self._unknown]
+        return Placed(positions, rotations(turn) @ state.R, state.t + shift)
+
+    def covariances(self, state: Placed, weight: Array) -> Array:
+        """Return the covariances (m, d, d) of the landmarks where the given ones are right."""
+        matrix = self._equations(state, weight, True, BARELY).matrix
+        self.pattern.hold(matrix, BARELY, 0.0)
+        self.pattern.factorise(matrix)
+        return self.pattern.parts(self.pattern.inverse(matrix), self._unknown)
+
+    def _equations(
+        self, state: Placed, weight: Array, with_matrix: bool, hold: float
+    ) -> NormalEquations:
+        n, d = self.seen.points.shape
+        left, by_landmark, away = self._left(state)
+        by_placement = -(by_landmark @ derivatives(away)).reshape(n * d, -1)
+        linear = Linearised(left.ravel(), by_placement, by_landmark.reshape(n * d, d))
+        return self._eliminated.equations(linear, np.repeat(weight, d), hold, with_matrix)
+
+    def _left(self, state: Placed) -> tuple[Array, Array, Array]:
+        """Return what is left (n, d), its derivative (n, d, d) by the landmark, and the ways there.
+
+        The first two in standard deviations; the ways (n, d) from robot to landmark, map frame.
+        """
+        at = self.seen.iteration
+        away = state.positions[self.seen.landmark] - state.t[at]
+        back = np.swapaxes(state.R[at], 1, 2)
+        off = self.seen.points - np.einsum("nij,nj->ni", back, away)
+        left = np.einsum("nij,nj->ni", self._root, off)
+        return left, -(self._root @ back), away

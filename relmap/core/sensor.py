@@ -1,0 +1,77 @@
+"""How noisy points are that a sensor measures by range and bearing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.core.scan import checked_points
+
+LEVEL = 0.01
+"""Least share of the distance that a point is taken to be off the vertical: right above the sensor
+the bearing says nothing, and the covariance would be singular."""
+
+
+def range_bearing_covariances(
+    points: ArrayLike,
+    range_sigma_m: float,
+    bearing_sigma_rad: float,
+    elevation_sigma_rad: float | None = None,
+) -> NDArray[np.float64]:
+    """Return the covariances of points measured by range, bearing and, in space, elevation.
+
+    To first order: along the ray the range's, across it the distance times the angle's.
+
+    Parameters
+    ----------
+    points : (n, 2) or (n, 3) array, metres
+        In the frame of the sensor, z up.
+    range_sigma_m, bearing_sigma_rad : float
+        Standard deviations of range and bearing.
+    elevation_sigma_rad : float, optional
+        In space, that of the angle above the plane of x and y; the bearing's where left out.
+
+    Returns
+    -------
+    (n, d, d) float64, square metres
+
+    Raises
+    ------
+    RelmapError
+        Where points are not as `PointMapper.update` takes them, or a standard deviation is not
+        above 0 and finite.
+    """
+    array = checked_points(points, 0)
+    if elevation_sigma_rad is None:
+        elevation_sigma_rad = bearing_sigma_rad
+    for name, unit, sigma in (
+        ("range", "metres", range_sigma_m),
+        ("bearing", "radians", bearing_sigma_rad),
+        ("elevation", "radians", elevation_sigma_rad),
+    ):
+        if not 0 < sigma < np.inf:
+            raise RelmapError(f"the sigma of the {name} is {sigma}; it must be above 0, in {unit}")
+    n, d = array.shape
+    distance = np.maximum(np.linalg.norm(array, axis=1), range_sigma_m)
+    level = np.maximum(np.hypot(array[:, 0], array[:, 1]), LEVEL * distance)
+    yaw, pitch = np.arctan2(array[:, 1], array[:, 0]), np.zeros(n)
+    if d == 3:
+        pitch = np.arctan2(array[:, 2], np.hypot(array[:, 0], array[:, 1]))
+    c, s, up, zero = np.cos(yaw), np.sin(yaw), np.sin(pitch), np.zeros(n)
+    axes = np.stack(
+        [
+            [c * np.cos(pitch), s * np.cos(pitch), up],
+            [-s, c, zero],
+            [-c * up, -s * up, np.cos(pitch)],
+        ]
+    )[:d, :d]
+    sigmas = np.stack(
+        [
+            np.full(n, range_sigma_m),
+            bearing_sigma_rad * level,
+            elevation_sigma_rad * distance,
+        ]
+    )[:d]
+    root = axes * sigmas[:, None]
+    return np.asarray(np.einsum("kan,kbn->nab", root, root))

@@ -1,0 +1,102 @@
+"""Observations with covariances of their own: each is kept, for the refinement to weigh it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.growing import GrowingArray
+
+
+class WeighedObservations:
+    """Every observation of a run that comes with covariances; empty in other runs.
+
+    Segments cannot keep what differs from observation to observation.  That takes 72 bytes for
+    each in the plane and 112 in space.
+    """
+
+    STATE = "_landmark _location _covariance _iteration"
+
+    def __init__(self) -> None:
+        self._landmark: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._location: GrowingArray[np.float64] = GrowingArray(np.float64, (0,))
+        self._covariance: GrowingArray[np.float64] = GrowingArray(np.float64, (0, 0))
+        self._iteration: GrowingArray[np.int64] = GrowingArray(np.int64)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._landmark)
+
+    def append(
+        self,
+        landmark: NDArray[np.int64],
+        location: NDArray[np.float64],
+        covariance: NDArray[np.float64],
+        iteration: int,
+    ) -> None:
+        """Take in n observations of landmarks (n,) at (n, d), robot frame, metres.
+
+        Parameters
+        ----------
+        landmark : (n,) int64
+            As numbered now.
+        location : (n, d) float64, robot frame, metres
+        covariance : (n, d, d) float64, square metres
+        iteration : int
+        """
+        if not len(self):
+            d = location.shape[1]
+            self._location = GrowingArray(np.float64, (d,))
+            self._covariance = GrowingArray(np.float64, (d, d))
+        self._landmark.extend(landmark)
+        self._location.extend(location)
+        self._covariance.extend(covariance)
+        self._iteration.extend(np.full(len(landmark), iteration))
+
+    def variances(
+        self,
+        landmarks: NDArray[np.int64],
+        begin: int,
+        end: int,
+        landmark_of: NDArray[np.int64],
+    ) -> NDArray[np.float64]:
+        """Return the mean variance (k,) of a coordinate of landmarks (k,), square metres.
+
+        Parameters
+        ----------
+        landmarks : (k,) int64
+            Seen in iterations `begin` to `end`.
+        begin, end : int
+        landmark_of : (m,) int64
+            The landmark that each number stands for, after merging.
+        """
+        rows = slice(*np.searchsorted(self.iteration, [begin, end]))
+        order = np.argsort(landmarks)
+        seen = landmark_of[self.landmark[rows]]
+        at = np.searchsorted(landmarks[order], seen).clip(0, len(landmarks) - 1)
+        own = landmarks[order][at] == seen
+        each = np.trace(self.covariance[rows][own], axis1=1, axis2=2) / self.location.shape[1]
+        at = order[at[own]]
+        counts = np.bincount(at, minlength=len(landmarks))
+        total = np.bincount(at, each, minlength=len(landmarks))
+        return np.asarray(total / np.maximum(counts, 1))
+
+    @property
+    def landmark(self) -> NDArray[np.int64]:
+        """Of which landmark each is (n,), as numbered when it was seen."""
+        return self._landmark.values
+
+    @property
+    def iteration(self) -> NDArray[np.int64]:
+        """When each was made (n,), ascending."""
+        return self._iteration.values
+
+    @property
+    def location(self) -> NDArray[np.float64]:
+        """Where each was seen (n, d), robot frame, metres."""
+        return self._location.values
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """How noisy each is (n, d, d), square metres."""
+        return self._covariance.values

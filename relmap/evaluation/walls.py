@@ -1,0 +1,112 @@
+"""How much of the walls is mapped, how much of what is mapped is wall, and what stands twice."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.evaluation.metrics import align
+from relmap.evaluation.truth import Truth
+from relmap.planes.table import PlaneTable
+
+NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
+"""A wall lies on another where it is no farther off, and turned by no more (cosine)."""
+SHORT_M = 0.5
+"""Walls that are no longer are not asked for."""
+SAMPLE_M, MOST_SAMPLES = 0.05, 2000
+"""Walls are compared at points so far apart, and at no more than so many each."""
+
+
+def judge_walls(
+    planes: PlaneTable,
+    truth: Truth,
+    poses: NDArray[np.float64],
+    true_poses: NDArray[np.float64],
+    motion: tuple[Floats, Floats] | None = None,
+) -> dict[str, float | None]:
+    """Judge the mapped walls, by their length.
+
+    Parameters
+    ----------
+    planes : PlaneTable
+    truth : Truth
+    poses, true_poses : (k, 4, 4) float64
+        Of the same instants; they align the two where `motion` does not.
+    motion : tuple of (2, 2) and (2,) float64, optional
+        R and t that bring the map to the truth.
+
+    Returns
+    -------
+    dict
+        `wall_recall`, share of the true walls over 0.5 m, as far as they were seen, on which a
+        mapped wall lies; `wall_precision`, share of the mapped walls over 0.5 m that lie on true
+        ones; `doubled_length`, share of all mapped walls on which another mapped one lies.  Walls
+        lie on one another where they are within 0.1 m and 5 degrees, fronts on the same side.
+        None where there is nothing to compare.
+    """
+    mapped = planes.ends[planes.status == "static"]
+    told = {"doubled_length": doubled_length(mapped)}
+    if not len(truth.ends) or not len(poses):
+        return told
+    R, t = motion or align(poses[:, :2, 3], true_poses[:, :2, 3])
+    there = mapped @ R.T + t
+    seen = _seen_parts(truth)
+    return told | {
+        "wall_recall": _covered(seen[_lengths(seen) > SHORT_M], there),
+        "wall_precision": _covered(there[_lengths(there) > SHORT_M], truth.ends),
+    }
+
+
+def doubled_length(ends: Floats) -> float | None:
+    """Return the share of the length of walls (w, 2, 2) on which another of them lies."""
+    return _covered(ends, ends, others=True)
+
+
+def _seen_parts(truth: Truth) -> Floats:
+    """Return the parts (s, 2, 2) of true walls over `SHORT_M` that were seen."""
+    seen = truth.seen_m
+    if len(seen) != len(truth.ends):
+        return np.empty((0, 2, 2))
+    due = np.isfinite(seen).all(axis=1) & (_lengths(truth.ends) > SHORT_M)
+    first, last = truth.ends[due, 0], truth.ends[due, 1]
+    share = seen[due] / _lengths(truth.ends[due])[:, None]
+    return np.asarray(first[:, None] + share[..., None] * (last - first)[:, None])
+
+
+def _lengths(ends: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
+
+
+def _covered(ends: Floats, by: Floats, others: bool = False) -> float | None:
+    """Return the share of the length of walls that lies on some of those in `by`.
+
+    With `others` the two are the same, and none lies on itself.
+    """
+    length_m = _lengths(ends)
+    if not length_m.sum():
+        return None
+    counts = np.clip(np.ceil(length_m / SAMPLE_M), 1, MOST_SAMPLES).astype(np.int64)
+    wall = np.repeat(np.arange(len(ends)), counts)
+    rank = np.arange(len(wall)) - np.repeat(np.cumsum(counts) - counts, counts)
+    share = (rank + 0.5) / counts[wall]
+    points = ends[wall, 0] + share[:, None] * (ends[wall, 1] - ends[wall, 0])
+    on = np.zeros(len(wall), dtype=bool)
+    for k, other in enumerate(by):
+        if others:
+            on |= _on_wall(points, wall, ends, other, 0.0) & (wall != k)
+        else:
+            on |= _on_wall(points, wall, ends, other, NEAR_M)
+    weight = (length_m / counts)[wall]
+    return float(weight[on].sum() / weight.sum())
+
+
+def _on_wall(points: Floats, wall: Ints, ends: Floats, other: Floats, beyond_m: float) -> Bools:
+    """Tell which points (n, 2) of walls lie on another wall (2, 2), or just beyond its ends."""
+    direction = (ends[:, 1] - ends[:, 0]) / np.maximum(_lengths(ends), 1e-12)[:, None]
+    length_m = np.linalg.norm(other[1] - other[0])
+    along = (other[1] - other[0]) / max(length_m, 1e-12)
+    offset = points - other[0]
+    at_m, across_m = offset @ along, offset @ np.array([-along[1], along[0]])
+    near = (np.abs(across_m) <= NEAR_M) & (at_m >= -beyond_m) & (at_m <= length_m + beyond_m)
+    return np.asarray(near & (direction @ along >= TURN)[wall])

@@ -1,0 +1,190 @@
+"""Beams of a laser: the points of a scan in order, and what they say of a motion.
+
+A motion is computed from walls; beams accept or refuse it.  They agree where the points of one scan
+lie on surfaces of the other, and contradict where a beam passed through what is there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.core.scan import FARTHEST_M, numbers
+from relmap.core.state.growing import GrowingArray
+
+NEAR_M = 0.12
+"""Points nearer to a surface agree with it; those twice as far before one contradict it."""
+PER_SCAN = 2000
+"""Of more beams of a scan only one in so many is kept: a cloud has a hundred thousand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """The points of one scan, in the order of their bearings; robot frame, metres.
+
+    Attributes
+    ----------
+    points : (n, 2) float64
+    bearings : (n,) float64, ascending
+        Seen from the sensor, radians.
+    origin : (2,) float64
+        Where the sensor is.
+    solid : (n,) bool
+        Which points are on walls: people and clutter may have moved.
+    """
+
+    points: NDArray[np.float64]
+    bearings: NDArray[np.float64]
+    origin: NDArray[np.float64]
+    solid: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, points: NDArray[Any], origin: NDArray[np.float64], ends: NDArray[np.float64]
+    ) -> Beams:
+        """Return the beams that end at points (n, 2), some of them on walls by ends (m, 2, 2)."""
+        from relmap.planes.beam_kernels import on_walls
+
+        points = points.astype(np.float64)
+        bearings = np.arctan2(points[:, 1] - origin[1], points[:, 0] - origin[0])
+        order = np.argsort(bearings, kind="stable")
+        points = points[order]
+        solid = on_walls(points, ends, NEAR_M)
+        return cls(points, bearings[order], origin, solid)
+
+    def __len__(self) -> int:
+        """Return the number of beams."""
+        return len(self.points)
+
+    @property
+    def arrays(self) -> Any:
+        """What the kernels know of it."""
+        return self.points, self.bearings, self.origin, self.solid
+
+
+@dataclass(frozen=True, eq=False)
+class ToldBeams:
+    """Where the beams of one scan ended, as a mapper is told; robot frame, metres.
+
+    Attributes
+    ----------
+    points : (n, 2) float32
+    origin : (2,) float64
+        Where the sensor is.
+    in_order : bool
+        Whether they are those of a 2-D laser, which judge motions, or a cloud's, which only tell
+        what is seen through.
+    """
+
+    points: NDArray[np.float32]
+    origin: NDArray[np.float64]
+    in_order: bool
+
+    @classmethod
+    def checked(cls, points: Any, origin: Any) -> ToldBeams:
+        """Return beams that end at points: (n, 2) of a laser, (n, 3) of a cloud.
+
+        Of more than `PER_SCAN` only one in so many is kept.
+
+        Raises
+        ------
+        RelmapError
+            Where a shape is wrong or a value is not finite.
+        """
+        points = numbers(points, "beams", "an (n, 2) or (n, 3) array of numbers")
+        origin = numbers(origin, "origin", "x and y of the sensor")
+        if points.ndim != 2 or points.shape[1] not in (2, 3) or origin.shape != (2,):
+            raise RelmapError(
+                f"beams has shape {points.shape} and origin {origin.shape}; they must be (n, 2) or "
+                "(n, 3), and (2,)"
+            )
+        if not all((np.abs(values) <= FARTHEST_M).all() for values in (points, origin)):
+            raise RelmapError(f"beams must be finite, metres, and at most {FARTHEST_M:g}")
+        every = max(-(-len(points) // PER_SCAN), 1)
+        return cls(points[::every, :2].astype(np.float32), origin, points.shape[1] == 2)
+
+    def to_bytes(self) -> bytes:
+        """Return them as a journal keeps them: in order or not, origin and points."""
+        about = np.array([self.in_order, *self.origin], dtype="<f8")
+        return about.tobytes() + self.points.astype("<f4").tobytes()
+
+    @classmethod
+    def from_bytes(cls, kept: bytes) -> ToldBeams:
+        """Return beams that were kept."""
+        about, points = np.frombuffer(kept[:24], "<f8"), np.frombuffer(kept[24:], "<f4")
+        return cls(points.astype(np.float32).reshape(-1, 2), about[1:].copy(), bool(about[0]))
+
+
+class BeamStore:
+    """Where the beams of every scan ended, as they were told: 8 bytes each."""
+
+    _points: GrowingArray[np.float32]
+    STATE = "_points _offsets _origins _in_order"
+
+    def __init__(self) -> None:
+        self._points = GrowingArray(np.float32, (2,))
+        self._offsets: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._offsets.extend(np.zeros(1, dtype=np.int64))
+        self._origins: GrowingArray[np.float64] = GrowingArray(np.float64, (2,))
+        self._in_order: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+
+    def append(self, told: ToldBeams) -> None:
+        """Add the beams of a scan."""
+        self._points.extend(told.points)
+        self._offsets.extend(np.array([len(self._points)]))
+        self._origins.extend(told.origin[None])
+        self._in_order.extend(np.array([told.in_order]))
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self._points)
+
+    def of(self, scan: int, ends: NDArray[np.float64]) -> Beams:
+        """Return the beams of a laser scan, of which these are the ends of walls (m, 2, 2).
+
+        None where they are not in order, as those of a cloud.
+        """
+        begin, end = self._offsets.values[scan : scan + 2].tolist()
+        end = end if self._in_order.values[scan] else begin
+        return Beams.of(self._points.values[begin:end], self._origins.values[scan], ends)
+
+    def placed(
+        self, poses: NDArray[np.float64], span: tuple[int, int], most: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where beams of some scans begin and end by their poses, (n, 2) each.
+
+        Parameters
+        ----------
+        poses : (k, 4, 4) float64
+            ``T_map_robot`` of the scans of the span; what has none, NaN, is left out.
+        span : (int, int)
+            The first scan, and one after the last.
+        most : int
+            Of more beams only one in so many is returned.
+        """
+        offsets = self._offsets.values[span[0] : span[1] + 1]
+        every = max(int(-(-(offsets[-1] - offsets[0]) // most)), 1)
+        scan = np.repeat(np.arange(len(poses)), np.diff(offsets))[::every]
+        ends = self._points.values[offsets[0] : offsets[-1] : every].astype(np.float64)
+        known = np.isfinite(poses[scan, 0, 0])
+        scan, ends = scan[known], ends[known]
+        R, t = poses[scan, :2, :2], poses[scan, :2, 3]
+        origins = self._origins.values[span[0] + scan]
+        return np.einsum("nij,nj->ni", R, origins) + t, np.einsum("nij,nj->ni", R, ends) + t
+
+
+def compared(
+    earlier: Beams, later: Beams, motions: NDArray[np.float64], near_m: float, step: int = 1
+) -> NDArray[np.float64]:
+    """Return how many points agree, contradict and are not told of; (k, 3).
+
+    For each of the motions (k, 3), yaw, x, y, from the frame of the earlier scan into that of the
+    later one; of every so many beams one is looked at.
+    """
+    from relmap.planes import beam_kernels
+
+    return beam_kernels.compared(earlier.arrays, later.arrays, motions, near_m, step)

@@ -1,0 +1,134 @@
+"""What scans and beams say of each stretch of a wall: seen, ended on, or seen through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.assembly import Assembled, directions
+from relmap.planes.beams import BeamStore
+from relmap.planes.joining import placed_ends
+
+BIN_M = 0.05
+"""Length of a stretch."""
+CELL_M = 0.25
+RIM = 2
+"""Stretches beyond either end of what was seen of a wall."""
+MOST_BEAMS = 400_000
+"""So many tell enough."""
+NEAR_M, NEAR = 0.08, 3.0
+"""How far from a wall a beam ends that ends on it: metres, and in standard deviations of all."""
+BEFORE_M = 0.2
+"""How much before a wall a beam ends that says it is not there."""
+SAMPLED, FAR_M = 10, 0.5
+"""One beam in so many tells how noisy all are, by how far from walls they end, up to so far."""
+LEAST_SINE = float(np.sin(np.deg2rad(8.0)))
+"""A beam along a wall does not tell where it crosses that."""
+MEDIAN = 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Walls cut into stretches of one length; w walls, b stretches in all.
+
+    Attributes
+    ----------
+    base, normal, along : (w, 2) float64
+        A point on each wall, and unit vectors to its front and from its right to its left.
+    low : (w,) float64, metres
+        Where the first stretch begins, along the wall.
+    first : (w + 1,) int64
+        The first stretch of each wall.
+    seen : (b,) int64
+        Observations of the wall there.
+    hits, against : (b,) int64
+        Beams that end there, and that go through or end a little before.
+    """
+
+    base: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    along: NDArray[np.float64]
+    low: NDArray[np.float64]
+    first: NDArray[np.int64]
+    seen: NDArray[np.int64]
+    hits: NDArray[np.int64]
+    against: NDArray[np.int64]
+
+    @property
+    def wall(self) -> NDArray[np.int64]:
+        """The wall of each stretch, (b,)."""
+        return np.repeat(np.arange(len(self.low)), np.diff(self.first))
+
+    @property
+    def place(self) -> NDArray[np.float64]:
+        """Where the middle of each stretch is along its wall; (b,) metres."""
+        wall = self.wall
+        place = self.low[wall] + BIN_M * (np.arange(len(wall)) - self.first[wall] + 0.5)
+        return np.asarray(place)
+
+
+def stretches_of(
+    assembled: Assembled, poses: NDArray[np.float64], span: tuple[int, int], beams: BeamStore
+) -> Stretches:
+    """Return what the scans and beams of a submap say of its walls.
+
+    Parameters
+    ----------
+    assembled : Assembled
+    poses : (k, 4, 4) float64
+        ``T_submap_robot`` of the iterations of the span.
+    span : (int, int)
+    beams : BeamStore
+    """
+    state, of = assembled.state, assembled.given.wall
+    normal, along = directions(state.angle)
+    base = state.centre + state.across[:, None] * normal
+    n = len(base)
+    reach = np.einsum("nei,ni->ne", placed_ends(assembled) - base[of][:, None], along[of])
+    low, high = np.full(n, np.inf), np.full(n, -np.inf)
+    np.minimum.at(low, of, reach[:, 0])
+    np.maximum.at(high, of, reach[:, 1])
+    low -= RIM * BIN_M
+    counts = np.ceil((high - low) / BIN_M).astype(np.int64) + RIM
+    first = np.concatenate([[0], np.cumsum(counts)])
+    at = np.rint((reach - low[of][:, None]) / BIN_M).astype(np.int64) + first[of][:, None]
+    change = np.bincount(at[:, 0], minlength=first[-1]) - np.bincount(at[:, 1], minlength=first[-1])
+    none = np.zeros(first[-1], dtype=np.int64)
+    blank = Stretches(base, normal, along, low, first, np.cumsum(change), none, none)
+    hits, against = _crossed(blank, beams.placed(poses, span, MOST_BEAMS))
+    return Stretches(base, normal, along, low, first, blank.seen, hits, against)
+
+
+def _crossed(
+    walls: Stretches, beams: tuple[NDArray[np.float64], NDArray[np.float64]]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return how many beams end in each stretch, and how many say that no wall is there."""
+    from relmap.planes.plan_kernels import beams_on_walls
+
+    high = walls.low + BIN_M * np.diff(walls.first)
+    given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), _grid(walls)
+    some = beams[0][::SAMPLED], beams[1][::SAMPLED]
+    *_, off = beams_on_walls(some, *given, (FAR_M, FAR_M, LEAST_SINE))
+    off = off[off < FAR_M]
+    noise_m = MEDIAN * float(np.median(off)) if len(off) else 0.0
+    near_m = max(NEAR_M, NEAR * noise_m)
+    hits, against, _ = beams_on_walls(beams, *given, (near_m, near_m + BEFORE_M, LEAST_SINE))
+    return hits, against
+
+
+def _grid(
+    walls: Stretches,
+) -> tuple[NDArray[np.float64], float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return a grid over the walls with those in or beside each cell; see `beams_on_walls`."""
+    wall, n = walls.wall, len(walls.low)
+    points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
+    corner = points.min(axis=0) - 2 * CELL_M
+    cell = ((points - corner) / CELL_M).astype(np.int64)
+    shape = cell.max(axis=0) + 3
+    beside = (-1, 0, 1)
+    at = [(cell[:, 0] + x) * shape[1] + cell[:, 1] + y for x in beside for y in beside]
+    key = np.unique(np.concatenate([each * n + wall for each in at]))
+    starts = np.searchsorted(key // n, np.arange(shape[0] * shape[1] + 1))
+    return corner, CELL_M, shape, starts, key % n

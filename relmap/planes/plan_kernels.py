@@ -1,0 +1,103 @@
+"""Where beams end on walls, and where they say that none is, compiled; see `plan_evidence`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@compiled
+def _vote(
+    line: tuple[float, float, float, float],
+    beam: tuple[float, float, float, float],
+    limits: tuple[float, float, float],
+) -> tuple[int, float, float]:
+    """Return what a beam says of a line: 1 for, -1 against, 0 nothing; where, and its distance.
+
+    `line` is a point and the normal, `beam` the origin and what leads to its end; a place along
+    the line counts from its right to its left as seen from its front.
+    """
+    x, y, nx, ny = line
+    fx, fy, dx, dy = beam[0] - x, beam[1] - y, beam[2], beam[3]
+    near_m, before_m, least_sine = limits
+    before = nx * fx + ny * fy
+    after = before + nx * dx + ny * dy
+    place, off = ny * (fx + dx) - nx * (fy + dy), abs(after)
+    if off <= near_m:
+        return (1 if before > 0 else 0), place, off
+    if before * after >= 0:
+        return (-1 if 0 < after <= before_m else 0), place, off
+    if abs(before - after) < least_sine * np.hypot(dx, dy):
+        return 0, place, off
+    crossed = before / (before - after)
+    return -1, ny * (fx + crossed * dx) - nx * (fy + crossed * dy), off
+
+
+@compiled
+def _cells(
+    beam: tuple[float, float, float, float], corner: Array, cell_m: float, shape: Index
+) -> Index:
+    """Return the cells of a grid that lie along a beam, a cell's size apart."""
+    x, y, dx, dy = beam
+    steps = int(np.hypot(dx, dy) / cell_m) + 1
+    cells, n = np.empty(steps + 1, np.int64), 0
+    for s in range(steps + 1):
+        i = int(np.floor((x + s / steps * dx - corner[0]) / cell_m))
+        j = int(np.floor((y + s / steps * dy - corner[1]) / cell_m))
+        if 0 <= i < shape[0] and 0 <= j < shape[1]:
+            cells[n] = i * shape[1] + j
+            n += 1
+    return cells[:n]
+
+
+@compiled
+def beams_on_walls(
+    beams: tuple[Array, Array],
+    lines: tuple[Array, Array, Array, Array],
+    bins: tuple[Index, float],
+    grid: tuple[Array, float, Index, Index, Index],
+    limits: tuple[float, float, float],
+) -> tuple[Index, Index, Array]:
+    """Return how many beams end on each bin (b,) of the walls, and how many say that none is there.
+
+    They go through it, or end a little before.  And how far each beam (n,) ends from the nearest
+    wall, across it; infinity where none is near.
+
+    Parameters
+    ----------
+    beams : origin and end (n, 2)
+    lines : of each wall a point and the normal (w, 2), and from where to where it goes (w,)
+    bins : first bin of each wall (w + 1,), and their size in metres
+    grid : its corner (2,), size of a cell, cells along x and y (2,), where the walls of each cell
+        begin (c + 1,), and the walls
+    limits : how far from a wall a beam that ends on it may end, how far before it one ends that
+        ends a little before, and the least sine of the angle between a beam and a wall
+    """
+    (origin, end), (base, normal, low, high), (first, bin_m) = beams, lines, bins
+    corner, cell_m, shape, starts, members = grid
+    hits, against = np.zeros(first[-1], np.int64), np.zeros(first[-1], np.int64)
+    off, last = np.full(len(end), np.inf), np.full(len(base), -1)
+    for r in range(len(end)):
+        x, y = origin[r]
+        beam = x, y, end[r, 0] - x, end[r, 1] - y
+        for cell in _cells(beam, corner, cell_m, shape):
+            for w in members[starts[cell] : starts[cell + 1]]:
+                if last[w] == r:
+                    continue
+                last[w] = r
+                line = base[w, 0], base[w, 1], normal[w, 0], normal[w, 1]
+                vote, place, far = _vote(line, beam, limits)
+                if vote == 0 or not low[w] <= place < high[w]:
+                    continue
+                k = first[w] + int((place - low[w]) / bin_m)
+                if vote > 0:
+                    hits[k] += 1
+                else:
+                    against[k] += 1
+                off[r] = min(off[r], far)
+    return hits, against, off

@@ -1,0 +1,243 @@
+"""Which tracks are one wall, looked at once more where the refined map has put the scans.
+
+While loops are closed and walls joined, some tracks come to belong to walls that they do not lie
+on.  So every track is set free, and goes to the wall that it lies on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.assembly import Assembled, WallNumbers, assemble, directions, laid_out
+from relmap.planes.history import PlaneHistory
+from relmap.planes.joining import (
+    OVERLAP,
+    joined_corners,
+    placed_ends,
+    seen_together,
+    wall_extents,
+)
+from relmap.planes.submaps import WallSubmap, among_all
+
+SCATTER_M, SCATTER, MOSTLY = 0.08, 6.0, 0.75
+"""A track moved that is farther from its own line, and by more typical distances, in more than a
+quarter of its sights."""
+SLID_M = 0.25
+"""Likewise a corner along that line."""
+TURN = np.cos(np.deg2rad(15.0))
+ACROSS_M, ACROSS = 0.06, 3.0
+"""How far from a wall both ends of another are that is part of it: metres, and typical distances.
+Twice as far if they overlap and no scan showed both."""
+GAP_M = 0.2
+"""How far beyond its end; where either has a corner there, they must overlap by as much."""
+TIMES = 2
+"""How often walls are gathered: tracks, and then what they came to be."""
+
+
+def regrouped(
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: NDArray[np.bool_]
+) -> tuple[Assembled, WallNumbers, NDArray[np.int64]]:
+    """Return the walls of a submap that its tracks lie on, where its poses put them.
+
+    Parameters
+    ----------
+    submap : WallSubmap
+        With walls.
+    numbers : WallNumbers
+        Who is who in it.
+    history : PlaneHistory
+    moving : (p,) bool
+        Plane tracks that move.
+
+    Returns
+    -------
+    assembled : Assembled
+    numbers : WallNumbers
+    moved : (m,) int64
+        Tracks that moved, which are not among the walls.
+    """
+    given = submap.assembled
+    assert given is not None
+    moved, flat_m = _moved(given, history)
+    still, tracks = moving.copy(), np.unique(history.plane[given.rows])
+    still[moved] = True
+    poses = among_all(submap.poses, submap.span, history)
+    wall_of = numbers.wall_of.copy()
+    wall_of[tracks] = tracks
+    for _ in range(TIMES):
+        found = _with_corners(wall_of, numbers.corner_of, history)
+        laid = assemble(history, found, poses, still)
+        if laid is None:
+            return given, numbers, moved
+        wall_of = _gathered(laid, wall_of, max(ACROSS_M, ACROSS * flat_m))
+    found = _with_corners(wall_of, numbers.corner_of, history)
+    laid = assemble(history, found, poses, still)
+    assert laid is not None
+    corner_of = joined_corners(laid, np.arange(len(laid.walls)))
+    joined = np.where(found.corner_of < 0, -1, corner_of[found.corner_of])
+    found = WallNumbers(found.wall_of, joined)
+    again = assemble(history, found, poses, still)
+    assert again is not None
+    again = _as_noisy(again, given)
+    state = laid_out(again.given, poses[again.iterations])
+    return _as_refined(replace(again, state=state), given), found, moved
+
+
+def _with_corners(
+    wall_of: NDArray[np.int64], corner_of: NDArray[np.int64], history: PlaneHistory
+) -> WallNumbers:
+    """Return who is who with the corners that are one, unless they are now of two walls."""
+    wall = np.zeros(len(corner_of), dtype=np.int64)
+    row, end = np.nonzero(history.corner >= 0)
+    wall[history.corner[row, end]] = wall_of[history.plane[row]]
+    same = (corner_of < 0) | (wall == wall[corner_of])
+    return WallNumbers(wall_of, np.where(same, corner_of, np.arange(len(corner_of))))
+
+
+def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int64], float]:
+    """Return the tracks that do not keep to lines of their own, or whose corners slide along them.
+
+    And how far from its line a wall is usually seen, metres.
+    """
+    from relmap.core.linalg.order_kernels import medians, quantiles
+
+    given, track = assembled.given, history.plane[assembled.rows]
+    tracks, of = np.unique(track, return_inverse=True)
+    ends = placed_ends(assembled)
+    x, y = (np.bincount(of, axis) for axis in (ends[:, 1] - ends[:, 0]).T)
+    normal, along = (each[of] for each in directions(np.arctan2(x, -y)))
+    across = np.einsum("nei,ni->ne", ends, normal)
+    off = np.abs(across - medians(of, across.mean(axis=1))[of][:, None]).max(axis=1)
+    row, end = given.corner_row, given.corner_end
+    corners, corner = np.unique(history.corner[assembled.rows[row], end], return_inverse=True)
+    place = (ends[row, end] * along[row]).sum(axis=1)
+    slid = np.abs(place - medians(corner, place)[corner])
+    owner = np.zeros(len(corners), dtype=np.int64)
+    owner[corner] = track[row]
+    flat_m = float(np.median(off))
+    limit_m = max(SCATTER_M, SCATTER * flat_m)
+    scattered = quantiles(of, off, MOSTLY) > limit_m
+    slides = quantiles(corner, slid, MOSTLY) > max(SLID_M, limit_m)
+    return np.union1d(tracks[scattered], owner[slides]), flat_m
+
+
+@dataclass(eq=False)
+class _Lines:
+    """Walls as lines, n of them, of which some have taken in others.
+
+    Attributes
+    ----------
+    middle, normal, along : (n, 2) float64
+    reach : (n, 2) float64, metres
+        From where to where each goes, along itself.
+    has_corner : (n, 2) bool
+    together : sparse array (n, n)
+        In how many scans each was seen with each other.
+    """
+
+    middle: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    along: NDArray[np.float64]
+    reach: NDArray[np.float64]
+    has_corner: NDArray[np.bool_]
+    together: Any
+
+    @classmethod
+    def of(cls, assembled: Assembled) -> _Lines:
+        state, given = assembled.state, assembled.given
+        normal, along = directions(state.angle)
+        low, high = wall_extents(assembled)
+        middle = state.centre + state.across[:, None] * normal + (low + high)[:, None] / 2 * along
+        half = np.maximum(high - low, 0.0) / 2
+        has_corner = np.zeros((len(middle), 2), dtype=np.bool_)
+        has_corner[given.wall[given.corner_row], given.corner_end] = True
+        reach = np.column_stack([-half, half])
+        return cls(middle, normal, along, reach, has_corner, seen_together(assembled))
+
+    def take_in(self, k: int, rows: NDArray[np.int64], across_m: float) -> int:
+        """Return which of some lines (r,) takes in line k, and is longer then; -1 for none."""
+        rows = rows[self.normal[rows] @ self.normal[k] > TURN]
+        ends = self.middle[k] + self.reach[k][:, None] * self.along[k]
+        offset = ends - self.middle[rows][:, None]
+        off = np.abs(np.einsum("nei,ni->ne", offset, self.normal[rows])).max(axis=1)
+        place = np.einsum("nei,ni->ne", offset, self.along[rows])
+        inside = np.minimum(place, self.reach[rows, 1, None])
+        inside = inside[:, 1] - np.maximum(place[:, 0], self.reach[rows, 0])
+        right, left = place[:, 0] - self.reach[rows, 1], self.reach[rows, 0] - place[:, 1]
+        own, other = self.has_corner[k], self.has_corner[rows]
+        fits = (off <= across_m) & (right <= np.where(own[0] | other[:, 1], -GAP_M, GAP_M))
+        fits &= left <= np.where(own[1] | other[:, 0], -GAP_M, GAP_M)
+        begin, end = self.together.indptr[k : k + 2]
+        apart = ~np.isin(rows, self.together.indices[begin:end])
+        over = inside > OVERLAP * (self.reach[k, 1] - self.reach[k, 0])
+        fits |= apart & over & (off <= 2 * across_m)
+        if not fits.any():
+            return -1
+        best = int(np.argmin(np.where(fits, off, np.inf)))
+        wall = int(rows[best])
+        self.reach[wall, 0] = min(self.reach[wall, 0], place[best, 0])
+        self.reach[wall, 1] = max(self.reach[wall, 1], place[best, 1])
+        return wall
+
+
+def _gathered(
+    assembled: Assembled, wall_of: NDArray[np.int64], across_m: float
+) -> NDArray[np.int64]:
+    """Return who is who among tracks (p,) with walls that lie on a larger one part of it."""
+    lines = _Lines.of(assembled)
+    n = len(lines.middle)
+    sights = np.bincount(assembled.given.wall, minlength=n)
+    size_m = lines.reach[:, 1] + GAP_M
+    part, stands = np.arange(n), np.zeros(n, dtype=np.bool_)
+    for k in np.argsort(-sights * size_m, kind="stable").tolist():
+        wall = lines.take_in(k, np.flatnonzero(stands), across_m)
+        stands[k] = wall < 0
+        part[k] = k if wall < 0 else wall
+    renamed = np.arange(len(wall_of))
+    renamed[assembled.walls] = assembled.walls[part]
+    _, first, of = np.unique(renamed[wall_of], return_index=True, return_inverse=True)
+    return np.asarray(first[of])
+
+
+def _as_noisy(again: Assembled, before: Assembled) -> Assembled:
+    """Return walls with the noise of each observation that was learnt before."""
+    old, given = before.given, again.given
+    sd, corner_sd = given.sd.copy(), given.corner_sd.copy()
+    there = np.flatnonzero(np.isin(again.rows, before.rows))
+    sd[there] = old.sd[np.searchsorted(before.rows, again.rows[there])]
+    keys, old_keys = (
+        2 * each.rows[each.given.corner_row] + each.given.corner_end for each in (again, before)
+    )
+    order = np.argsort(old_keys, kind="stable")
+    there = np.flatnonzero(np.isin(keys, old_keys))
+    at = order[np.searchsorted(old_keys[order], keys[there])]
+    corner_sd[there] = old.corner_sd[at]
+    return replace(again, given=replace(given, sd=sd, corner_sd=corner_sd))
+
+
+def _as_refined(again: Assembled, before: Assembled) -> Assembled:
+    """Return walls laid out anew; those of the same observations as before stay as refined."""
+    size = 1 + int(max(again.walls.max(initial=0), before.walls.max(initial=0)))
+    counts, sums = np.zeros((2, size)), np.zeros((2, size))
+    for k, each in enumerate((again, before)):
+        wall = each.walls[each.given.wall]
+        counts[k] = np.bincount(wall, minlength=size)
+        sums[k] = np.bincount(wall, each.rows, minlength=size)
+    same = (counts[0] == counts[1]) & (sums[0] == sums[1])
+    walls = np.flatnonzero(same[again.walls])
+    old = np.searchsorted(before.walls, again.walls[walls])
+    state, refined = again.state, before.state
+    centre, angle, across = state.centre.copy(), state.angle.copy(), state.across.copy()
+    centre[walls], angle[walls] = refined.centre[old], refined.angle[old]
+    across[walls] = refined.across[old]
+    # Corners stay where they were refined, or where they were seen on average, along their walls.
+    wall, at = again.corner_wall, again.corner_at
+    kept = np.isin(again.corners, before.corners)
+    at[kept] = before.corner_at[np.searchsorted(before.corners, again.corners[kept])]
+    along = ((at - centre[wall]) * directions(angle[wall])[1]).sum(axis=1)
+    laid = replace(state, centre=centre, angle=angle, across=across, along=along)
+    return replace(again, state=laid)

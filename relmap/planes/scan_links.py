@@ -1,0 +1,209 @@
+"""How each scan of walls is tied to those before, and where it is not: motions and submaps.
+
+Walls imply a motion; of a laser its beams judge it (`relmap.planes.search`), else the walls alone
+(`relmap.planes.placement`, `relmap.planes.links`).  Where none is believed, a submap begins.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.state.growing import GrowingArray
+from relmap.core.state.store import ObservationStore
+from relmap.planes.beams import Beams, BeamStore
+from relmap.planes.links import (
+    STEADY,
+    USUAL,
+    VARYING,
+    believed,
+    farthest_m,
+    measured_along,
+    unsure_m,
+)
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.placement import STILL, PlanarMotion, place
+from relmap.planes.search import REACH_M, Found, Search, View, after, others
+from relmap.planes.tracks import PlaneTracks
+from relmap.planes.tying import Scans, tied
+
+VARYING_M = 0.15
+"""Steps that vary by more are not bridged where nothing measures them."""
+SURE, USUALLY = 4.0, 0.5
+"""Log odds below which another scan must confirm a motion; and as a share of the usual ones."""
+TOGETHER = 5.0
+"""Log odds that both must have in sum."""
+VIEWS = 2
+"""Last scans whose beams judge a motion."""
+
+
+class ScanLinks:
+    """The motion from each scan to the next, where one is believed, and the submap of each scan.
+
+    Parameters
+    ----------
+    bridge_m : float, metres
+        How far off the way along walls may be where nothing measures it; there a submap ends.
+
+    Attributes
+    ----------
+    store : ObservationStore
+        What was observed so far.
+    beams : BeamStore
+        The beams of each scan, where they are told.
+    submap : int
+        Submap of the next scan, unless one begins with it.
+    same_walls : (k, 2) int64
+        Numbers of walls that are one wall each, as submaps were tied.
+    """
+
+    STATE = (
+        "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence beams same_walls"
+    )
+
+    def __init__(self, bridge_m: float) -> None:
+        self._bridge_m = bridge_m
+        self._n_submaps, self.submap = 0, -1
+        self.same_walls = np.empty((0, 2), dtype=np.int64)
+        self._unsure_m, self._unsure_each_m = 0.0, 0.0
+        self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
+        self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
+        self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self.store = ObservationStore()
+        self.beams = BeamStore()
+
+    def __len__(self) -> int:
+        """Return the number of scans."""
+        return len(self._motions)
+
+    @property
+    def motions(self) -> NDArray[np.float64]:
+        """From the robot frame before into that of each iteration: yaw, x, y; (i, 3), rough."""
+        return self._motions.values
+
+    @property
+    def submaps(self) -> NDArray[np.int64]:
+        """Submap of each iteration; (i,), -1 where nothing ties it to any."""
+        return self._submaps.values
+
+    @property
+    def usual(self) -> PlanarMotion:
+        """How the robot went last: the median of some scans, for one of them may be a jump."""
+        if not len(self._motions):
+            return STILL
+        last = np.sort(self.motions[-STEADY:], axis=0)
+        yaw, x, y = last[len(last) // 2].tolist()
+        return PlanarMotion(yaw, np.array([x, y]))
+
+    def begin_submap(self) -> None:
+        """Let a submap begin with the next scan."""
+        self.submap = self._n_submaps
+        self._n_submaps += 1
+
+    def append(self, seen: PlaneObservation, motion: PlanarMotion, is_tied: bool) -> None:
+        """Note the motion into a scan, and whether it belongs to the submap."""
+        self.beams.append(seen.beams)
+        self._motions.extend(np.array([[motion.yaw, *motion.t]]))
+        self._submaps.extend(np.array([self.submap if is_tied else -1]))
+
+    def into(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
+        """Return the motion into a scan that is believed, and who is who by it.
+
+        None also where nothing has measured the way along walls for too long.
+        """
+        found = self._placed(tracks, seen)
+        if found is None:
+            return None
+        self._evidence.extend(np.array([found.evidence]))
+        if found.measured:
+            self._unsure_m = 0.0
+            return found
+        if not self._unsure_m:
+            self._unsure_each_m = unsure_m(self._believed)
+        self._unsure_m += self._unsure_each_m
+        if self._unsure_m > self._bridge_m or self._unsure_each_m > VARYING_M:
+            self._unsure_m = 0.0
+            return None
+        return found
+
+    def _placed(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
+        """Return the motion into a scan that is believed, and who is who by it."""
+        told, reach_m = seen.beams, farthest_m(self._believed)
+        views = self._views() if told.in_order and len(told.points) else []
+        if views:
+            beams = Beams.of(told.points, told.origin, seen.ends)
+            judged = Search(tracks, seen, beams, views, self.usual).found(REACH_M)
+            return judged if judged and self._confirmed(judged, seen, beams, views) else None
+        found = place(tracks, seen, self.usual, reach_m)
+        if found is None or not believed(tracks, seen, found, self.usual):
+            return None
+        return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
+
+    def _confirmed(
+        self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
+    ) -> bool:
+        """Tell whether the scan before the last one confirms a motion, where that is in doubt."""
+        usual = np.median(np.append(self._evidence.values[-VARYING:], SURE))
+        if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
+            return True
+        now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])
+        expected = after(views[1].motion, motion[None])[0]
+        rows, _ = self.store.between(now - 2, now - 1)
+        earlier = seen_before(self.store, rows)
+        tracks = PlaneTracks.begun(self.store.column("wall")[rows], earlier)
+        tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
+        before = PlanarMotion(float(expected[0]), expected[1:])
+        view = [View(views[1].beams, np.zeros(3))]
+        again = Search(tracks, seen, beams, view, before).found(REACH_M)
+        if again is None or found.evidence + again.evidence < TOGETHER:
+            return False
+        return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]
+
+    @property
+    def _believed(self) -> NDArray[np.float64]:
+        """The last motions (k, 3) that tie scans of a submap to one another."""
+        last = slice(-USUAL, None)
+        motions, submaps = self.motions[last], self.submaps[last]
+        return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
+
+    def _views(self) -> list[View]:
+        """Return the beams of the last scans of the submap, the very last first."""
+        found, motion = [], np.zeros(3)
+        now = len(self._motions)
+        for i in reversed(range(max(now - VIEWS, 0), now)):
+            if self.submaps[i] != self.submaps[-1]:
+                break
+            rows, _ = self.store.between(i, i + 1)
+            beams = self.beams.of(i, self.store.column("location")[rows])
+            if len(beams):
+                found.append(View(beams, motion))
+            motion = after(self.motions[i], motion[None])[0]
+        return found
+
+    def tie(self) -> NDArray[np.int64]:
+        """Tie submaps that follow one another where their scans, compared anew, agree.
+
+        Returns
+        -------
+        (s,) int64
+            Which submap each one is now.
+        """
+        store, before, name = self.store, self.submaps.copy(), np.arange(self._n_submaps)
+        if not len(self.beams):
+            return name
+        rows, _ = store.between(0, len(self._motions))
+        first_row = np.searchsorted(store.iterations, np.arange(len(before) + 1))
+        seen, wall = seen_before(store, rows), store.column("wall")[rows]
+        scans = Scans(seen, wall, first_row, self.beams, self.motions)
+        found, walls = tied(scans, before)
+        self._submaps.values[:] = found
+        self.same_walls = np.concatenate([self.same_walls, walls])
+        name[before[before >= 0]] = found[before >= 0]
+        self.submap = int(name[self.submap])
+        return name
+
+
+def seen_before(store: ObservationStore, rows: slice) -> PlaneObservation:
+    """Return walls by their rows in the store."""
+    columns = ("location", "kind", "sd", "z_extent")
+    return PlaneObservation.of(*(store.column(name)[rows] for name in columns))

@@ -1,0 +1,282 @@
+"""Where the frame of the tracks lies in that of a laser scan: motions from walls, judged by beams.
+
+Pairs of walls and corners imply motions, many of them wrong.  Those that bring most points of one
+scan onto surfaces of the other are fitted to the walls that then match, and the one that the beams
+agree with best is believed, unless they contradict it or another comes near.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.beams import NEAR_M, Beams, compared
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.placement import STILL, Match, PlanarMotion, settled, worth
+from relmap.planes.tracks import PlaneTracks, wrapped
+
+REACH_M = 3.5
+REACH_RAD = np.deg2rad(120.0)
+"""How far apart two scans are at most that are tied to one another."""
+TURNS, EACH = 8, 25
+"""How many turns, and motions of each, are looked at roughly."""
+ROUGH_M, ROUGH_STEP = 0.3, 12
+"""What agrees roughly, and of how many beams one is looked at."""
+CLOSELY = 8
+"""Motions that are fitted to walls and judged by all beams."""
+AGREES = 0.25
+"""Least share of the points that must agree."""
+BELIEVED = 1.5
+"""Log odds from which a motion is believed."""
+MANY = 15.0
+"""Walls and corners of which more tell no more."""
+CLEARLY, HARDLY = 0.75, 0.01
+"""Shares that agree and contradict by which a usual motion is believed at once."""
+RIVAL = 1.7
+"""Log odds by which a motion must be better than any other."""
+JUDGES = 200
+"""Beams that judge a motion, about."""
+SLID, PEAKS, SLIDE_M = 2, 2, 0.1
+"""Motions that are slid along a wall, how many places of each are kept, and the step."""
+SLIDE_NEAR_M, SLIDE_STEP, SLIDE_CONTRADICTS = 0.15, 6, 4.0
+USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
+"""By how much a motion differs from those before."""
+FREE_REACH_M = 1.0
+FREE_M, FREE = 0.3, 0.01
+"""A way along a wall is free where beams agree hardly less so far off."""
+APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
+"""Motions that differ by more are others."""
+
+
+class View(NamedTuple):
+    """Beams of an earlier scan, and the motion (3,) from its frame into that of the tracks."""
+
+    beams: Beams
+    motion: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Motions that were fitted to walls, and what walls and beams say of them.
+
+    Attributes
+    ----------
+    motions : (k, 3) float64
+    matches : list of Match
+    agree, contradict : (k,) float64
+        Share of the points that agree, in the view that agrees best, and that contradict, in all.
+    match : (k,) float64
+        How well walls agree, as a share of what could.
+    surprise : (k,) float64
+        How unlikely each motion is beforehand: log odds.
+    """
+
+    motions: NDArray[np.float64]
+    matches: list[Match]
+    agree: NDArray[np.float64]
+    contradict: NDArray[np.float64]
+    match: NDArray[np.float64]
+    surprise: NDArray[np.float64]
+
+    def and_those(self, more: Judged) -> Judged:
+        """Return these motions and more."""
+        return Judged(
+            np.concatenate([self.motions, more.motions]),
+            self.matches + more.matches,
+            np.concatenate([self.agree, more.agree]),
+            np.concatenate([self.contradict, more.contradict]),
+            np.concatenate([self.match, more.match]),
+            np.concatenate([self.surprise, more.surprise]),
+        )
+
+    @property
+    def evidence(self) -> NDArray[np.float64]:
+        """How likely each motion is right, (k,): log odds."""
+        score = np.array([match.score for match in self.matches])
+        many = np.minimum(score, MANY) / MANY
+        evidence = 6.8 * self.match + 4.2 * many + 4.0 * self.agree - 57.0 * self.contradict
+        evidence -= 2.0 + self.surprise
+        return np.where(self.agree >= AGREES, evidence, -np.inf)
+
+
+class Found(NamedTuple):
+    """The motion that is believed, and who is who by it.
+
+    Attributes
+    ----------
+    motion : PlanarMotion
+    match : Match
+    measured : bool
+        Whether the way is known in all directions.
+    evidence : float
+        How likely it is right: log odds.
+    """
+
+    motion: PlanarMotion
+    match: Match
+    measured: bool
+    evidence: float
+
+
+class Search:
+    """The search for the motion of the tracks' frame into that of one scan.
+
+    Parameters
+    ----------
+    tracks : PlaneTracks
+    seen : PlaneObservation
+    beams : Beams
+        Of the same scan.
+    views : sequence of View
+        Earlier scans, the last one first.
+    before : PlanarMotion
+        How the robot went before.
+    """
+
+    def __init__(
+        self,
+        tracks: PlaneTracks,
+        seen: PlaneObservation,
+        beams: Beams,
+        views: Sequence[View],
+        before: PlanarMotion,
+    ) -> None:
+        self._tracks, self._seen, self._beams, self._views = tracks, seen, beams, views
+        self._before = before
+
+    def found(self, reach_m: float) -> Found | None:
+        """Find the motion that walls imply and beams support.
+
+        Parameters
+        ----------
+        reach_m : float
+            How far it may have gone.
+
+        Returns
+        -------
+        Found or None
+            None where beams contradict all motions, or another one comes near.
+        """
+        every = self._judged([self._before, STILL])
+        best = int(np.argmax(every.evidence))
+        clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
+        if not clear or not self._measured(every, best):
+            every = every.and_those(self._judged(self._guesses(min(reach_m, REACH_M))))
+            for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
+                every = every.and_those(self._judged(self._slid(every, k, reach_m)))
+            best = int(np.argmax(every.evidence))
+        if every.evidence[best] < BELIEVED:
+            return None
+        motion = every.motions[best]
+        rivals = others(every.motions, motion) & (every.evidence > every.evidence[best] - RIVAL)
+        measured = self._measured(every, best)
+        if not measured:
+            rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
+        if rivals.any():
+            return None
+        return Found(_planar(motion), every.matches[best], measured, float(every.evidence[best]))
+
+    def _guesses(self, reach_m: float) -> list[PlanarMotion]:
+        """Return the motions implied by walls that the beams agree with best, roughly."""
+        from relmap.planes.guess_kernels import implied
+
+        recent = self._tracks.kept(self._tracks.missed == self._tracks.missed.min(initial=0))
+        walls = recent.arrays, self._seen.arrays
+        motions = implied(*walls, self._before.yaw, reach_m, REACH_RAD, TURNS, EACH)
+        sums = self._compared(self._views[:1], motions, ROUGH_M, ROUGH_STEP)
+        order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")[:CLOSELY]
+        return [_planar(motion) for motion in motions[order]]
+
+    def _along(self, match: Match) -> NDArray[np.float64]:
+        """Return the direction of the longest wall that matches."""
+        sizes = self._seen.size[match.walls]
+        return np.asarray(self._seen.along[match.walls[np.argmax(sizes)]])
+
+    def _slides(
+        self, judged: Judged, k: int, way_m: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return a motion slid along the longest wall that matches, and how beams agree."""
+        motions = np.tile(judged.motions[k], (len(way_m), 1))
+        motions[:, 1:] += way_m[:, None] * self._along(judged.matches[k])
+        sums = self._compared(self._views[:1], motions, SLIDE_NEAR_M, SLIDE_STEP)
+        return motions, (sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / np.maximum(
+            sums.sum(axis=1), 1.0
+        )
+
+    def _slid(self, judged: Judged, k: int, reach_m: float) -> list[PlanarMotion]:
+        """Return a motion slid along the longest wall to where beams agree best."""
+        if not len(judged.matches[k].walls):
+            return []
+        n = int(min(reach_m, REACH_M) / SLIDE_M)
+        way_m = SLIDE_M * np.arange(-n, n + 1.0)
+        motions, value = self._slides(judged, k, way_m)
+        inner = value[1:-1]
+        peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))
+        peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
+        return [_planar(motions[peak]) for peak in peaks if abs(way_m[peak]) > SLIDE_M / 2]
+
+    def _measured(self, judged: Judged, k: int) -> bool:
+        """Tell whether beams agree less where a motion is slid along the longest wall."""
+        value = self._slides(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
+        return bool(max(value[0], value[2]) < value[1] - FREE)
+
+    def _judged(self, guesses: Sequence[PlanarMotion]) -> Judged:
+        """Fit guesses to the walls that match, and compare the beams."""
+        tracks, seen = self._tracks, self._seen
+        found = [settled(tracks, seen, guess) for guess in guesses]
+        motions = np.array([[motion.yaw, *motion.t] for motion, _ in found]).reshape(-1, 3)
+        step = 1 + len(self._beams) // JUDGES
+        sums = np.array([self._compared([view], motions, NEAR_M, step) for view in self._views])
+        possible = max(min(worth(tracks, seen, np.ones(len(tracks), dtype=np.bool_))), 1.0)
+        total = sums.sum(axis=2)
+        return Judged(
+            motions,
+            [match for _, match in found],
+            (sums[..., 0] / np.maximum(total, 1.0)).max(axis=0),
+            sums[..., 1].sum(axis=0) / np.maximum(total.sum(axis=0), 1.0),
+            np.array([match.score / possible for _, match in found]),
+            self._surprise(motions),
+        )
+
+    def _surprise(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how unlikely motions (k, 3) are, as the robot went before."""
+        way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
+        turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
+        return np.asarray((way**2 + turn**2) / 2)
+
+    def _compared(
+        self, views: Sequence[View], motions: NDArray[np.float64], near_m: float, step: int
+    ) -> NDArray[np.float64]:
+        """Return how many points of the scan and of views agree, contradict, are not told of."""
+        sums = np.zeros((len(motions), 3))
+        for view in views:
+            sums += compared(view.beams, self._beams, after(view.motion, motions), near_m, step)
+        return sums
+
+
+def others(motions: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which motions (k, 3) are others than one (3,)."""
+    off = np.hypot(*(motions[:, 1:] - motion[1:]).T)
+    return np.asarray((off > APART_M) | (np.abs(wrapped(motions[:, 0] - motion[0])) > APART_RAD))
+
+
+def after(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a motion (3,) followed by each of others (k, 3)."""
+    c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
+    x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
+    return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
+
+
+def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the motion (3,) back."""
+    c, s = np.cos(motion[0]), np.sin(motion[0])
+    x, y = motion[1:]
+    return np.array([-motion[0], -c * x - s * y, s * x - c * y])
+
+
+def _planar(motion: NDArray[np.float64]) -> PlanarMotion:
+    return PlanarMotion(float(motion[0]), motion[1:])

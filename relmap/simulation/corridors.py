@@ -1,0 +1,133 @@
+"""Corridors that are hard to map: alike, without features, with twin rooms, or curved."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.simulation.noise import Array
+from relmap.simulation.rooms import CORRIDOR_M
+from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded, turned
+
+NO_FLOORS: Array = np.empty((0, 4))
+WIDTH_M, DEPTH_M, DOOR_M = 4.0, 4.5, 1.1
+"""Of all twin rooms."""
+TWINS = 3
+"""Twin rooms on either side of their corridor."""
+ALIKE_M, DOORS, DOOR_STEP_M, LEAF_M, NICHE_M = 20.0, 6, 3.0, 0.9, 0.15
+"""Length of each of four corridors that are alike; closed doors on either side, and their depth."""
+LANE_M, ROUND_M = 0.5, 1.1
+"""The robot drives so far beside the middle of the corridor, and round in each room so wide."""
+BARE_M = 26.0
+"""Length of a featureless corridor: more than twice the range of the laser."""
+RADIUS_M, STRAIGHT_M, CHORD_M = 6.0, 4.0, 0.1
+"""Of the outer wall of a curved corridor, which is made of chords."""
+PILLAR_M, PILLARS = (0.3, 0.25), 5
+"""Width and depth of the pilasters on the outer wall, and how many there are in a half circle."""
+
+
+def twin_rooms(rng: np.random.Generator) -> FloorPlan:
+    """Draw a corridor between rooms that are all the same; the robot drives round in each."""
+    del rng
+    hall = np.array([0.0, -CORRIDOR_M / 2, TWINS * WIDTH_M, CORRIDOR_M / 2])
+    walls, doors = _rooms_below(hall, TWINS)
+    way = np.vstack([_way_round(x, hall[1]) for x in doors[:, :, 0].mean(axis=1)])
+    middle = (hall[:2] + hall[2:]) / 2
+    both, all_doors = (
+        np.concatenate([parts, turned(parts, 2, middle)])
+        for parts in (walls.reshape(-1, 2, 2), doors)
+    )
+    fronts = [cut(edge, all_doors) for edge in edges(hall)]
+    loop = np.vstack([way, turned(way, 2, middle)])
+    return FloorPlan(np.vstack([both.reshape(-1, 4), *fronts]), NO_FLOORS, loop, all_doors)
+
+
+def corridor(rng: np.random.Generator) -> FloorPlan:
+    """Draw a square corridor whose four sides are the same, with closed doors all alike."""
+    del rng
+    block = np.array([0.0, 0.0, ALIKE_M, ALIKE_M])
+    hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
+    sides = [*edges(hall), *edges(block)[:, ::-1]]
+    walls = np.vstack([_with_doors(side) for side in sides])
+    return FloorPlan(walls, ring(hall, block), rounded((hall + block) / 2))
+
+
+def bare_corridor(rng: np.random.Generator) -> FloorPlan:
+    """Draw a square corridor without doors: half way along a side no end is in range."""
+    del rng
+    block = np.array([0.0, 0.0, BARE_M, BARE_M])
+    hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
+    walls = np.concatenate([edges(hall), edges(block)[:, ::-1]]).reshape(-1, 4)
+    return FloorPlan(walls, ring(hall, block), rounded((hall + block) / 2))
+
+
+def curved(rng: np.random.Generator) -> FloorPlan:
+    """Draw a corridor between two walls that are half circles joined by straight lines."""
+    outer, inner = _stadium(RADIUS_M), _stadium(RADIUS_M - CORRIDOR_M)[::-1]
+    around = [np.hstack([line, np.roll(line, -1, axis=0)]) for line in (outer, inner)]
+    pillars = [
+        _pillar(end, (k + rng.uniform(0.2, 0.8)) * np.pi / PILLARS - np.pi / 2)
+        for end in range(2)
+        for k in range(PILLARS)
+    ]
+    return FloorPlan(np.vstack([*around, *pillars]), NO_FLOORS, _stadium(RADIUS_M - CORRIDOR_M / 2))
+
+
+def _rooms_below(hall: Array, count: int) -> tuple[Array, Array]:
+    """Return the walls (w, 4) and doors (count, 2, 2) of the same room so many times."""
+    walls, doors = [], []
+    for k in range(count):
+        low = hall[0] + k * WIDTH_M
+        room = np.array([low, hall[1] - DEPTH_M, low + WIDTH_M, hall[1]])
+        middle = low + WIDTH_M / 2
+        doors.append(np.array([[middle + DOOR_M / 2, hall[1]], [middle - DOOR_M / 2, hall[1]]]))
+        walls += [cut(edge, doors[-1][None]) for edge in edges(room)]
+    return np.vstack(walls), np.array(doors)
+
+
+def _with_doors(edge: Array) -> Array:
+    """Return a wall (2, 2) as the parts (w, 4) between doors, their jambs, and the doors."""
+    length = float(np.linalg.norm(edge[1] - edge[0]))
+    along = (edge[1] - edge[0]) / length
+    away = NICHE_M * np.array([along[1], -along[0]])
+    spots = [edge[0]]
+    for middle in (np.arange(DOORS) - (DOORS - 1) / 2) * DOOR_STEP_M + length / 2:
+        right, left = (edge[0] + (middle + half) * along for half in (-LEAF_M / 2, LEAF_M / 2))
+        spots += [right, right + away, left + away, left]
+    way = np.array([*spots, edge[1]])
+    return np.hstack([way[:-1], way[1:]])
+
+
+def _way_round(x: float, front: float) -> Array:
+    """Return the way (n, 2) from the corridor into the room below x, round, and out again."""
+    angle = np.linspace(np.pi / 2, 2.5 * np.pi, 60)
+    middle = np.array([x, front - DEPTH_M / 2])
+    around = middle + ROUND_M * np.column_stack([np.cos(angle), np.sin(angle)])
+    aside, lane = 0.15, front + CORRIDOR_M / 2 - LANE_M
+    into, out = np.array([[x - aside, lane]]), np.array([[x + aside, lane]])
+    return np.vstack([into, around, out])
+
+
+def _stadium(radius: float) -> Array:
+    """Return the points of two half circles, counter-clockwise; two straight lines join them."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, round(np.pi * radius / CHORD_M))
+    arc = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    right = arc + np.array([STRAIGHT_M / 2, 0.0])
+    return np.vstack([right, -right])
+
+
+def _pillar(end: int, angle: float) -> Array:
+    """Return the three sides (3, 4) of a pilaster at the outer wall of one of two half circles."""
+    outwards = np.array([np.cos(angle), np.sin(angle)])
+    along = np.array([-outwards[1], outwards[0]]) * PILLAR_M[0] / 2
+    foot = np.sqrt(RADIUS_M**2 - (PILLAR_M[0] / 2) ** 2) - CHORD_M / 10
+    top = foot - PILLAR_M[1]
+    corners = np.array(
+        [
+            outwards * foot - along,
+            outwards * top - along,
+            outwards * top + along,
+            outwards * foot + along,
+        ]
+    )
+    corners += [STRAIGHT_M / 2, 0.0]
+    return np.hstack([corners[:-1], corners[1:]]) * (1 - 2 * end)

@@ -1,0 +1,73 @@
+"""What a run has seen of each wall: how often it and its ends, and from where to where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.simulation.noise import Array
+from relmap.simulation.sensor import BuildingScan
+
+OFTEN, POINTS, CELL_M = 10, 5, 0.05
+"""A place of a wall counts as seen in so many scans, by so many points each; and how finely."""
+STRAIGHT, CHORD_M, SAME_M = np.cos(np.deg2rad(5.0)), 0.2, 1e-6
+"""Where one of two walls is so short, and they go on so straight (cosine), there is no corner."""
+
+
+def times_seen(walls: Array, scans: Sequence[BuildingScan]) -> NDArray[np.int64]:
+    """Count in how many scans each wall (w, 6) was seen, and its right and left end; (w, 3)."""
+    counts = np.zeros((len(walls), 3), dtype=np.int64)
+    for scan in scans:
+        corner = scan.seen.end_type == "corner"
+        counts[np.unique(scan.seen.wall), 0] += 1
+        # No two stretches of a wall have the same true end.
+        counts[scan.seen.wall[corner[:, 0]], 1] += 1
+        counts[scan.seen.wall[corner[:, 1]], 2] += 1
+    counts[:, 1:][_go_on(walls[:, :4].reshape(-1, 2, 2))] = 0
+    return counts
+
+
+def _go_on(ends: Array) -> NDArray[np.bool_]:
+    """Tell at which ends (w, 2) of walls (w, 2, 2) another goes on, as in a curve."""
+    along = ends[:, 1] - ends[:, 0]
+    length_m = np.linalg.norm(along, axis=1)
+    along /= length_m[:, None]
+    follows = np.linalg.norm(ends[:, None, 1] - ends[None, :, 0], axis=2) < SAME_M
+    follows &= np.minimum(length_m[:, None], length_m) < CHORD_M
+    follows &= along @ along.T > STRAIGHT
+    return np.column_stack([follows.any(axis=0), follows.any(axis=1)])
+
+
+def seen_extents(walls: Array, trajectory: Array, scans: Sequence[BuildingScan]) -> Array:
+    """Return from where to where each wall was seen, metres from its first end.
+
+    Parameters
+    ----------
+    walls : (w, 6) float64, map frame, metres
+        None of them moves.
+    trajectory : (k, 4, 4) float64
+    scans : sequence of k BuildingScan
+
+    Returns
+    -------
+    (w, 2) float64
+        NaN where it was not seen by `POINTS` points in each of `OFTEN` scans.
+    """
+    first, along = walls[:, :2], walls[:, 2:4] - walls[:, :2]
+    length_m = np.linalg.norm(along, axis=1)
+    covered = [np.zeros(int(np.ceil(length / CELL_M)) + 1, np.int64) for length in length_m]
+    for pose, scan in zip(trajectory, scans, strict=True):
+        wall = scan.wall
+        at = scan.points[:, :2] @ pose[:2, :2].T + pose[:2, 3] - first[wall]
+        t_m = np.clip((at * along[wall]).sum(axis=1) / length_m[wall], 0.0, length_m[wall])
+        for k in np.flatnonzero(np.bincount(wall[wall >= 0]) >= POINTS).tolist():
+            own = t_m[wall == k]
+            covered[k][round(own.min() / CELL_M) : round(own.max() / CELL_M) + 1] += 1
+    extents = np.full((len(walls), 2), np.nan)
+    for k, count in enumerate(covered):
+        often = np.flatnonzero(count >= OFTEN)
+        if len(often):
+            extents[k] = np.minimum(often[[0, -1]] * CELL_M, length_m[k])
+    return extents

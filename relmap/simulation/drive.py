@@ -1,0 +1,59 @@
+"""How a robot drives round a closed line: at a steady pace, slower where it turns, weaving."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from relmap.datasets.scans import planar_poses
+from relmap.simulation.noise import Array
+
+STEP_M = 0.22
+TURN_RAD = np.deg2rad(4.0)
+"""From one scan to the next the robot moves and turns by about this much, at most."""
+WEAVE_M = 0.15
+"""Amplitude with which it weaves about its line."""
+WEAVES = 5
+GRID_M = 0.01
+SMOOTH_M = 0.4
+
+
+def drive_round(
+    loop: Array, loops: int, iterations: int | None, step_m: float, rng: np.random.Generator
+) -> Array:
+    """Return the poses (k, 4, 4) of a robot on a closed line (l, 2), slower where it turns.
+
+    It starts somewhere on the line; without a number of iterations it drives round `loops` times.
+    Turns are as much smaller or larger as steps are.
+    """
+    line, yaw, turning = _fine_line(loop, rng)
+    effort = np.maximum(1 / step_m, turning / (TURN_RAD * step_m / STEP_M))
+    effort = gaussian_filter1d(effort, SMOOTH_M / GRID_M, mode="wrap")
+    done = np.concatenate([[0.0], np.cumsum(effort)])
+    around = int(np.ceil(done[-1] * GRID_M))
+    k = loops * around if iterations is None else iterations
+    at = np.arange(k) % around * (done[-1] / around)
+    grid = np.arange(len(line), dtype=np.float64)
+    cell = np.interp(at, done, grid)
+    x, y, angle = (np.interp(cell, grid, values) for values in (*line.T, yaw))
+    return planar_poses(x, y, angle)
+
+
+def _fine_line(loop: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return points (g + 1, 2), yaw (g + 1,) and turn per metre (g,) of the way, g cells long."""
+    closed = np.vstack([loop, loop[:1]])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    g = round(length[-1] / GRID_M)
+    s = np.arange(g) * (length[-1] / g) + rng.uniform(0, length[-1])
+    points = np.column_stack([np.interp(s % length[-1], length, axis) for axis in closed.T])
+    points = gaussian_filter1d(points, SMOOTH_M / GRID_M / 2, axis=0, mode="wrap")
+    ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    left = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    left /= np.linalg.norm(left, axis=1)[:, None]
+    weave = WEAVE_M * np.sin(2 * np.pi * WEAVES * np.arange(g) / g + rng.uniform(0, 2 * np.pi))
+    points += weave[:, None] * left
+    ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+    yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    yaw = np.append(yaw, yaw[0] + 2 * np.pi * np.rint((yaw[-1] - yaw[0]) / (2 * np.pi)))
+    turning = np.abs(np.diff(yaw)) / GRID_M
+    return np.vstack([points, points[:1]]), yaw, turning

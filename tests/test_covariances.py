@@ -1,0 +1,268 @@
+"""Covariances of observations: what is refused, what they are good for, and that they are kept."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from relmap import PointMapper, RelmapError, range_bearing_covariances
+from relmap.cli import main
+from relmap.core.state.weighed import WeighedObservations
+from relmap.datasets import ObservationLog, open_log, write_observation_csv
+from relmap.simulation.worlds import World, WorldSpec, simulate_world
+from tests.worlds import aligned_rmse, walk
+
+Array = NDArray[np.float64]
+
+
+@cache
+def world(noise: str, kind: str = "streets", space: bool = False) -> World:
+    return simulate_world(
+        WorldSpec(kind=kind, noise=noise, length_m=150, iterations=100, space=space, seed=3)
+    )
+
+
+def mapped(log: ObservationLog) -> PointMapper:
+    mapper = PointMapper()
+    for scan in log.scans():
+        mapper.update(scan.points_robot, scan.ids, scan.covariances)
+    mapper.finish()
+    mapper.refine()
+    return mapper
+
+
+def error(mapper: PointMapper, truth: World) -> float:
+    d = truth.log.points_robot.shape[1]
+    found = mapper.map
+    return aligned_rmse(found.positions[:, :d], truth.landmarks_map[found.landmark_ids, :d])
+
+
+@pytest.mark.parametrize(("noise", "gain"), [("bearing", 2.0), ("stereo", 2.0), ("growing", 1.1)])
+@pytest.mark.parametrize("space", [False, True])
+def test_a_map_gains_by_covariances(noise: str, gain: float, space: bool) -> None:
+    truth = world(noise, space=space)
+    plain = mapped(truth.log)
+    weighed = mapped(replace(truth.log, covariances=truth.covariances))
+    assert len(weighed.map.positions) == len(plain.map.positions)
+    assert error(weighed, truth) * gain < error(plain, truth)
+
+
+def test_equal_covariances_change_next_to_nothing() -> None:
+    truth = world("isotropic")
+    plain = mapped(truth.log)
+    weighed = mapped(replace(truth.log, covariances=truth.covariances))
+    assert aligned_rmse(weighed.map.positions, plain.map.positions) < 0.1 * error(plain, truth)
+    assert error(weighed, truth) == pytest.approx(error(plain, truth), rel=0.02)
+
+
+def weighed_least_squares(log: ObservationLog, start: Array) -> Array:
+    """Return the landmarks (m, 2), by a solver that knows nothing of relmap's."""
+    assert log.ids is not None
+    assert log.covariances is not None
+    roots = np.linalg.inv(np.linalg.cholesky(log.covariances))
+    k, m = len(log), len(start)
+
+    def residuals(unknown: Array) -> Array:
+        poses, landmarks = unknown[: 3 * k].reshape(k, 3), unknown[3 * k :].reshape(m, 2)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+        away = landmarks[log.ids] - poses[log.iteration, :2]
+        off = np.einsum("nji,nj->ni", R[log.iteration], away) - log.points_robot
+        return np.asarray(np.einsum("nij,nj->ni", roots, off).ravel())
+
+    found = least_squares(residuals, np.append(np.zeros(3 * k), start.ravel()), x_scale="jac")
+    return np.asarray(found.x[3 * k :].reshape(m, 2))
+
+
+def test_the_map_is_that_of_weighted_least_squares() -> None:
+    rng = np.random.default_rng(4)
+    landmarks = rng.uniform(-10, 10, (15, 2))
+    points = np.concatenate([landmarks - [0.1 * k, 0.0] for k in range(12)])
+    covariances = range_bearing_covariances(points, 0.01, 0.05)
+    noise = np.linalg.cholesky(covariances) @ rng.normal(size=(len(points), 2, 1))
+    ids, iteration = np.tile(np.arange(15), 12), np.repeat(np.arange(12), 15)
+    parts = points + noise[:, :, 0], iteration, np.arange(180), 0, 12, ids
+    log = ObservationLog(*parts, covariances=covariances)
+    expected = weighed_least_squares(log, landmarks)
+    mapper = mapped(log)
+    assert mapper.map.landmark_ids.tolist() == list(range(15))
+    assert aligned_rmse(mapper.map.positions[:, :2], expected) < 1e-4
+    plain = mapped(replace(log, covariances=None)).map
+    assert aligned_rmse(plain.positions[:, :2], expected[plain.landmark_ids]) > 0.01
+
+
+def test_what_the_map_says_of_its_errors_is_right() -> None:
+    truth = world("bearing")
+    mapper = mapped(replace(truth.log, covariances=truth.covariances))
+    assert len(mapper.refined) == 1
+    refined = mapper.refined[0]
+    anchor = truth.trajectory[refined.anchor_iteration]
+    ids = mapper.engine.association.labels_of(refined.landmarks)
+    there = (truth.landmarks_map[ids] - anchor[:3, 3]) @ anchor[:3, :3]
+    off = refined.positions - there[:, :2]
+    squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(refined.covariances), off)
+    # The errors of neighbours are nearly the same: their number is far from that of landmarks.
+    assert 0.2 < np.mean(squares) / 2 < 4
+    scaled = mapped(replace(truth.log, covariances=100 * truth.covariances))
+    np.testing.assert_allclose(scaled.refined[0].covariances, refined.covariances, rtol=1e-3)
+
+
+BAD = {
+    "shape": np.ones((4, 2)),
+    "a nan": np.full((4, 2, 2), np.nan),
+    "symmetric": np.tile([[1.0, 0.5], [0.0, 1.0]], (4, 1, 1)),
+    "positive definite": np.tile([[1.0, 2.0], [2.0, 1.0]], (4, 1, 1)),
+    "positive  definite": np.zeros((4, 2, 2)),
+    "array of numbers": np.full((4, 2, 2), "x"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_covariances_are_refused_and_change_nothing(what: str) -> None:
+    mapper, points = PointMapper(), np.arange(8.0).reshape(4, 2) ** 2
+    message = {"a nan": "finite", "positive  definite": "positive definite"}.get(what, what)
+    with pytest.raises(RelmapError, match=f"covariances .*{message}"):
+        mapper.update(points, covariances=BAD[what])
+    assert mapper.n_iterations == 0
+    mapper.update(points, covariances=np.tile(np.eye(2), (4, 1, 1)))
+
+
+def test_covariances_come_with_every_scan_or_none() -> None:
+    points, eye = np.arange(8.0).reshape(4, 2) ** 2, np.tile(np.eye(2), (4, 1, 1))
+    for first, then, message in ((eye, None, "came with"), (None, eye, "did not come with")):
+        mapper = PointMapper()
+        mapper.update(np.empty((0, 2)))
+        mapper.update(points, covariances=first)
+        mapper.update(np.empty((0, 2)))
+        with pytest.raises(RelmapError, match=f"covariances {message} the scans before"):
+            mapper.update(points, covariances=then)
+        assert mapper.n_iterations == 3
+        mapper.update(points, covariances=first)
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_journal_and_saved_state_keep_covariances(tmp_path: Path, dimension: int) -> None:
+    scans = walk(dimension, 1, sigma=0.05).scans
+    noise = [range_bearing_covariances(points, 0.05, 0.01) for _, points in scans]
+    mapper = PointMapper(journal=tmp_path / "journal")
+    mapper.update(np.empty((0, dimension)))
+    for (ids, points), covariances in zip(scans[:60], noise, strict=False):
+        mapper.update(points, ids, covariances)
+    mapper.save(tmp_path / "saved.npz")
+    mapper.close()
+    resumed = PointMapper.resume(tmp_path / "journal")
+    loaded = PointMapper.load(tmp_path / "saved.npz")
+    positions = []
+    for each in (mapper, resumed, loaded):
+        assert isinstance(each.engine.weighed, WeighedObservations)
+        for (ids, points), covariances in zip(scans[60:], noise[60:], strict=True):
+            each.update(points, ids, covariances)
+        each.finish()
+        each.refine()
+        positions.append(each.map.positions)
+    resumed.close()
+    np.testing.assert_array_equal(positions[1], positions[0])
+    np.testing.assert_array_equal(positions[2], positions[0])
+    again = PointMapper.resume(tmp_path / "journal")
+    np.testing.assert_array_equal(again.engine.weighed.covariance, mapper.engine.weighed.covariance)
+    again.close()
+
+
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_range_and_bearing_become_covariances(dimension: int) -> None:
+    rng = np.random.default_rng(0)
+    point, sigmas = np.array([3.0, 4.0, 2.0])[:dimension], (0.02, 0.003, 0.005)[:dimension]
+    r, yaw = np.linalg.norm(point), np.arctan2(4.0, 3.0)
+    pitch = np.arcsin(2 / r) if dimension == 3 else 0.0
+    drawn = np.array([r, yaw, pitch]) + rng.normal(size=(200_000, 3)) * [0.02, 0.003, 0.005]
+    drawn[:, 2] = 0.0 if dimension == 2 else drawn[:, 2]
+    turned = Rotation.from_euler("ZY", np.column_stack([drawn[:, 1], -drawn[:, 2]]))
+    points = drawn[:, :1] * turned.apply([1.0, 0.0, 0.0])
+    found = range_bearing_covariances(point[None], *sigmas)[0]
+    np.testing.assert_allclose(found, np.cov(points[:, :dimension].T), atol=3e-6)
+
+
+def test_sigmas_that_are_none_are_refused() -> None:
+    for sigmas in ((0.0, 1.0), (1.0, np.nan), (1.0, 1.0, -1.0)):
+        with pytest.raises(RelmapError, match="must be above 0"):
+            range_bearing_covariances(np.ones((1, 3)), *sigmas)
+    above = range_bearing_covariances(np.array([[0.0, 0.0, 2.0], [0.0, 0.0, 0.0]]), 0.1, 0.01)
+    assert (np.linalg.eigvalsh(above) > 0).all()
+
+
+def test_a_log_keeps_covariances(tmp_path: Path) -> None:
+    for space in (False, True):
+        truth = world("bearing", space=space)
+        log = replace(truth.log, covariances=truth.covariances)
+        path = tmp_path / f"{space}.csv"
+        write_observation_csv(path, log)
+        again = open_log(path)
+        assert again.covariances is not None
+        np.testing.assert_array_equal(again.points_robot, log.points_robot)
+        np.testing.assert_allclose(again.covariances, truth.covariances, rtol=1e-9)
+        part = again.between(5, 9)
+        assert part.covariances is not None
+        assert len(part.covariances) == len(part.points_robot)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("iteration,x,y,cxx,cyy\n0,1,2,1,1\n", "need the columns cxx, cxy, cyy"),
+        ("iteration,x,y,cxx,cxy,cyy\n0,1,2,1,2,1\n", "positive definite"),
+        ("iteration,x,y,cxx,cxy,cyy\n0,1,2,nan,0,1\n", "line 2, field cxx"),
+    ],
+)
+def test_bad_covariances_of_a_log_are_named(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "observations.csv").write_text(text)
+    with pytest.raises(RelmapError, match=message):
+        open_log(tmp_path)
+
+
+def test_the_command_line_weighs_observations(tmp_path: Path) -> None:
+    truth = world("bearing")
+    write_observation_csv(tmp_path / "observations.csv", truth.log)
+    command = ["map", str(tmp_path / "observations.csv"), "--association", "known", "-o"]
+    sigmas = ["--range-sigma", "0.05", "--bearing-sigma", "0.04"]
+    errors = []
+    for name, options in (("plain", []), ("weighed", sigmas)):
+        journal = str(tmp_path / f"{name}.journal")
+        assert main([*command, str(tmp_path / name), *options, "--journal", journal]) == 0
+        summary = json.loads((tmp_path / name / "summary.json").read_text())
+        assert summary["weighed"] == bool(options)
+        found = np.genfromtxt(tmp_path / name / "landmarks.csv", delimiter=",", names=True)
+        positions = np.column_stack([found["x"], found["y"]])
+        there = truth.landmarks_map[found["landmark"].astype(int), :2]
+        errors.append(aligned_rmse(positions, there))
+        assert main(["resume", journal, "-o", str(tmp_path / f"{name}-again")]) == 0
+        one, other = (tmp_path / f / "landmarks.csv" for f in (name, f"{name}-again"))
+        assert one.read_bytes() == other.read_bytes()
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--range-sigma", "0.1"], "go together"),
+        (["--bearing-sigma", "0.1"], "go together"),
+        (["--range-sigma", "0", "--bearing-sigma", "0.1"], "above 0"),
+        (["--range-sigma", "nan", "--bearing-sigma", "0.1"], "above 0"),
+        (["--range-sigma", "1", "--bearing-sigma", "1", "--elevation-sigma", "1"], "planar"),
+        (["--range-sigma", "1", "--bearing-sigma", "1", "--variant", "planes"], "walls"),
+    ],
+)
+def test_sigmas_that_cannot_be_used_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+) -> None:
+    write_observation_csv(tmp_path / "observations.csv", world("bearing").log)
+    source = str(tmp_path / "observations.csv")
+    assert main(["map", source, "-o", str(tmp_path / "r"), *options]) == 2
+    assert message in capsys.readouterr().err

@@ -1,0 +1,130 @@
+"""How much of the walls is found, right and doubled: closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap.evaluation.truth import Truth
+from relmap.evaluation.walls import doubled_length, judge_walls
+from relmap.planes.table import PlaneTable
+
+POSES = np.tile(np.eye(4), (3, 1, 1))
+POSES[:, :2, 3] = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]
+
+
+def segments(*rows: tuple[float, float, float, float]) -> NDArray[np.float64]:
+    return np.array(rows, dtype=np.float64).reshape(-1, 2, 2)
+
+
+def table(ends: NDArray[np.float64], status: str = "static") -> PlaneTable:
+    n = len(ends)
+    none = np.full((n, 2), -1)
+    count = np.full(n, 50)
+    return PlaneTable(
+        plane=np.arange(n),
+        ends=ends,
+        z_extent=np.zeros((n, 2)),
+        normal=np.zeros((n, 2)),
+        corner=none,
+        observations=count,
+        first_iteration=count,
+        last_iteration=count,
+        status=np.full(n, status),
+    )
+
+
+def judged(
+    mapped: NDArray[np.float64],
+    true: NDArray[np.float64],
+    seen_m: NDArray[np.float64] | None = None,
+) -> tuple[float | None, float | None]:
+    length = np.linalg.norm(true[:, 1] - true[:, 0], axis=1)
+    whole = np.column_stack([0 * length, length])
+    truth = Truth(ends=true, seen_m=whole if seen_m is None else seen_m)
+    told = judge_walls(table(mapped), truth, POSES, POSES)
+    return told["wall_recall"], told["wall_precision"]
+
+
+ROOM = segments((0, 0, 4, 0), (4, 0, 4, 3), (4, 3, 0, 3), (0, 3, 0, 0))
+
+
+def test_the_truth_itself_is_found_and_right() -> None:
+    assert judged(ROOM, ROOM) == (1.0, 1.0)
+
+
+def test_shares_are_of_the_length() -> None:
+    recall, precision = judged(segments((0, 0, 4, 0), (9, 0, 9, 2)), ROOM)
+    assert recall == pytest.approx(4 / 14, abs=0.02)  # neighbours count as far as 0.1 m
+    assert precision == pytest.approx(4 / 6)
+
+
+def test_half_of_a_wall_is_half_found() -> None:
+    recall, precision = judged(segments((1, 0.05, 3, 0.05)), ROOM[:1])
+    assert recall == pytest.approx(2.2 / 4, abs=0.02)
+    assert precision == 1.0
+
+
+@pytest.mark.parametrize(
+    ("mapped", "found"),
+    [
+        ((0, 0.09, 4, 0.09), True),
+        ((0, 0.11, 4, 0.11), False),
+        ((4, 0, 0, 0), False),  # the other side
+        ((0, -0.1, 2, 0.0875), False),  # turned by 5.4 degrees
+        ((0, -0.08, 2, 0.08), True),  # by 4.6
+    ],
+)
+def test_what_lies_on_a_wall(mapped: tuple[float, float, float, float], found: bool) -> None:
+    _, precision = judged(segments(mapped), ROOM[:1])
+    assert precision == (1.0 if found else 0.0)
+
+
+def test_only_what_was_seen_of_walls_over_half_a_metre_is_asked_for() -> None:
+    true = segments((0, 0, 4, 0), (9, 0, 9, 0.4), (20, 0, 24, 0), (30, 0, 34, 0))
+    seen_m = np.array([[0.0, 1.0], [0.0, 0.4], [np.nan, np.nan], [1.0, 1.3]])
+    assert judged(segments((0, 0, 1, 0)), true, seen_m) == (1.0, 1.0)
+    assert judged(segments((2, 0, 3, 0)), true, seen_m) == (0.0, 1.0)
+    assert judged(segments((0, 1, 0.4, 1)), true, seen_m) == (0.0, None)  # short: not judged
+
+
+def test_maps_are_aligned_first_and_moving_walls_left_out() -> None:
+    c, s = np.cos(1.0), np.sin(1.0)
+    R = np.array([[c, -s], [s, c]])
+    poses = POSES.copy()
+    poses[:, :2, 3] = POSES[:, :2, 3] @ R.T + [3.0, 4.0]
+    length = np.linalg.norm(ROOM[:, 1] - ROOM[:, 0], axis=1)
+    truth = Truth(ends=ROOM, seen_m=np.column_stack([0 * length, length]))
+    moved = ROOM @ R.T + [3.0, 4.0]
+    told = judge_walls(table(moved), truth, poses, POSES)
+    assert told == {"wall_recall": 1.0, "wall_precision": 1.0, "doubled_length": 0.0}
+    none = judge_walls(table(moved, "dynamic"), truth, poses, POSES)
+    assert none == {"wall_recall": 0.0, "wall_precision": None, "doubled_length": None}
+
+
+def test_without_a_truth_of_walls_only_doubles_are_told() -> None:
+    assert judge_walls(table(ROOM), Truth(), POSES, POSES) == {"doubled_length": 0.0}
+    unseen = judge_walls(table(ROOM), Truth(ends=ROOM), POSES, POSES)
+    assert unseen["wall_recall"] is None
+    assert unseen["wall_precision"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("second", "doubled"),
+    [
+        ((0, 0.05, 4, 0.05), 1.0),
+        ((1, 0.05, 3, 0.05), (2 + 2) / 6),
+        ((4, 0.05, 8, 0.05), 0.0),  # goes on
+        ((4, 0.05, 0, 0.05), 0.0),  # the other side of it
+        ((0, 0.15, 4, 0.15), 0.0),
+    ],
+)
+def test_what_stands_twice(second: tuple[float, float, float, float], doubled: float) -> None:
+    assert doubled_length(segments((0, 0, 4, 0), second)) == pytest.approx(doubled, abs=0.01)
+    assert doubled_length(segments(second)) == 0.0
+    assert doubled_length(segments()) is None
+
+
+def test_a_map_that_is_all_wrong_takes_no_more_memory() -> None:
+    assert judged(segments((0, 50, 1e9, 50), (0, 0, 4, 0)), ROOM)[1] == pytest.approx(0, abs=1e-6)

@@ -1,0 +1,115 @@
+"""With known ids all that the observations determine is in one map, wherever groups end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.datasets import ObservationLog
+from relmap.simulation import simulate_figure_eight
+from relmap.simulation.worlds import World, WorldSpec, simulate_world
+from tests.worlds import Scans, aligned_rmse, random_rotation
+
+Array = NDArray[np.float64]
+
+
+def driven(log: ObservationLog) -> PointMapper:
+    return mapped([(scan.ids, scan.points_robot) for scan in log.scans()])  # type: ignore[misc]
+
+
+def mapped(scans: Scans) -> PointMapper:
+    mapper = PointMapper()
+    for ids, points in scans:
+        mapper.update(points, ids)
+    mapper.finish()
+    mapper.refine()
+    return mapper
+
+
+def limit(world: World) -> tuple[NDArray[np.int64], Array]:
+    """Return what batch least squares with the true ids maps."""
+    log, d = world.log, world.log.points_robot.shape[1]
+    fixed = np.bincount(log.iteration)[log.iteration] >= d
+    ids, landmark = np.unique(world.true_ids[fixed], return_inverse=True)
+    pose = np.unique(log.iteration[fixed], return_inverse=True)[1]
+    start = world.landmarks_map[ids, :d]
+    return ids, batch_least_squares(Batch(log.points_robot[fixed], pose, landmark), start)
+
+
+def ratio(mapper: PointMapper, world: World) -> float:
+    """Return how many times as far from the truth as batch least squares a map is."""
+    d, (ids, best) = world.log.points_robot.shape[1], limit(world)
+    assert len(mapper.submaps) == 1
+    found = mapper.map
+    assert len(found.landmark_ids) >= 0.98 * len(ids)
+    at, truth = np.searchsorted(ids, found.landmark_ids), world.landmarks_map
+    there = truth[found.landmark_ids, :d]
+    return aligned_rmse(found.positions[:, :d], there) / aligned_rmse(best[at], there)
+
+
+@pytest.mark.parametrize("kind", ["streets", "corridor", "plane"])
+def test_missed_detections_leave_one_map_at_the_limit(kind: str) -> None:
+    spec = WorldSpec(kind=kind, missed=0.3, length_m=200, iterations=150, seed=11)
+    world = simulate_world(spec)
+    assert ratio(driven(world.log), world) < 1.05
+
+
+@pytest.mark.parametrize("share", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("kind", ["streets", "field"])
+def test_wrong_ids_cost_next_to_nothing(kind: str, share: float) -> None:
+    spec = WorldSpec(kind=kind, wrong_ids=share, length_m=200, iterations=150, seed=12)
+    world = simulate_world(spec)
+    mapper = driven(world.log)
+    assert ratio(mapper, world) < 1.1
+    iteration, row = mapper.rejected_observations.T
+    overruled = np.searchsorted(world.log.iteration, iteration) + row
+    wrong = np.flatnonzero(world.log.ids != world.true_ids)
+    assert len(np.intersect1d(overruled, wrong)) > 0.6 * len(wrong)
+    assert len(np.setdiff1d(overruled, wrong)) < 0.01 * len(world.log.ids)  # type: ignore[arg-type]
+
+
+def visits(shared: int, d: int) -> tuple[Array, Scans]:
+    """See two places one after the other; one scan between them sees some landmarks of both."""
+    rng = np.random.default_rng(d)
+    world = rng.uniform(-10, 10, (40, d))
+    world[20:, 0] += 30
+    bridge = np.concatenate([np.arange(shared), np.arange(20, 20 + shared)])
+    scans: Scans = []
+    for seen in [np.arange(20)] * 30 + [bridge] + [np.arange(20, 40)] * 30:
+        R, t = random_rotation(d, 0.5, rng), rng.uniform(-1, 1, d)
+        scans.append((seen, (world[seen] - t) @ R + 0.01 * rng.normal(size=(len(seen), d))))
+    return world, scans
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_submaps_are_tied_by_a_scan_that_shares_just_enough(d: int) -> None:
+    world, scans = visits(d, d)
+    mapper = mapped(scans)
+    assert [len(submap.landmark_ids) for submap in mapper.submaps] == [40]
+    assert aligned_rmse(mapper.map.positions[:, :d], world) < 0.5
+    _, apart = visits(d - 1, d)
+    assert [len(submap.landmark_ids) for submap in mapped(apart).submaps] == [20, 20]
+
+
+def test_a_landmark_that_is_noisier_than_others_is_at_rest() -> None:
+    world = simulate_world(WorldSpec(kind="streets", length_m=150, iterations=150, seed=2))
+    rng, log = np.random.default_rng(0), world.log
+    assert log.ids is not None
+    noisy = np.isin(log.ids, np.unique(log.ids)[::6])
+    points = log.points_robot + noisy[:, None] * rng.normal(0, 0.3, log.points_robot.shape)
+    mapper = driven(replace(log, points_robot=points))
+    assert (mapper.landmarks.status == "static").mean() > 0.98
+    assert len(mapper.submaps) == 1
+
+
+@pytest.mark.parametrize("seed", [6, 8])
+def test_what_moves_is_not_taken_for_noisy(seed: int) -> None:
+    world = simulate_figure_eight(density=25, iterations=300, dynamic=0.4, seed=seed)
+    table = driven(world.log).landmarks
+    often = table.observations >= 30
+    np.testing.assert_array_equal(table.status[often], world.status[table.landmark[often]])

@@ -1,0 +1,127 @@
+"""Places that a map shows twice are found, and the drift between is spread; look-alikes are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from relmap import PointMapper
+from relmap.core.association.loops import LoopFinder
+from relmap.core.association.merging import Evidence, chosen
+from relmap.core.association.search import search
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import LandmarkState
+from relmap.evaluation.metrics import majority_ids, purity
+from relmap.simulation import WorldSpec, simulate_world
+from tests.worlds import random_rotation
+
+SIGMA = 0.02
+
+
+def seen_twice(shift_m: float, seed: int = 0) -> tuple[LandmarkState, int]:
+    """Return a road of landmarks whose end is its beginning again, mapped elsewhere; and its size.
+
+    Each landmark is in view for ten iterations, one after the other.
+    """
+    rng = np.random.default_rng(seed)
+    n = 120
+    road = np.column_stack([np.arange(n) * 1.0, rng.uniform(-5, 5, n)])
+    again = road[:40] + [shift_m, 0.0] + SIGMA * rng.standard_normal((40, 2))
+    table = LandmarkState()
+    table.resize(n + 40, 0, 2)
+    everyone = np.arange(n + 40)
+    global_map = GlobalMap(table)
+    positions = np.vstack([road, again])
+    global_map.place(global_map.new_submap(), everyone, positions, np.full(n + 40, 10.0))
+    table.first[:] = table.since[:] = 2 * everyone
+    table.last[:] = 2 * everyone + 30
+    return table, n
+
+
+def test_a_place_seen_twice_is_found_where_the_map_has_drifted() -> None:
+    table, n = seen_twice(shift_m=0.35)
+    loop = LoopFinder(table, SIGMA).next()
+    assert loop is not None
+    assert len(loop.pairs) >= 10
+    np.testing.assert_array_equal(loop.pairs[:, 0] - n, loop.pairs[:, 1])
+
+
+def test_a_place_farther_off_than_a_map_drifts_is_another() -> None:
+    table, _ = seen_twice(shift_m=60.0)
+    assert LoopFinder(table, SIGMA).next() is None
+
+
+def test_a_map_without_loops_has_none() -> None:
+    table, n = seen_twice(shift_m=2.0)
+    table.submap[n:] = -1
+    assert LoopFinder(table, SIGMA).next() is None
+
+
+def test_a_ring_is_closed_over_a_drift_of_metres() -> None:
+    spec = WorldSpec(kind="ring", length_m=1000.0, iterations=600, seed=3)
+    world = simulate_world(spec)
+    mapper = PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper.finish()
+    mapper.refine()
+    now = mapper.landmarks_of(labels)
+    found = purity(now, world.true_ids)
+    assert found is not None
+    assert found >= 0.998
+    stands_for = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
+    true = [stands_for[label] for label in mapper.map.landmark_ids]
+    assert len(true) <= 1.02 * len(set(true))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("seed", range(5))
+def test_half_a_scan_is_found_after_any_turn(d: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-10, 10, (30, d))
+    R, t = random_rotation(d, 3.0, rng), rng.uniform(-5, 5, d)
+    there = rng.uniform(-10, 10, (30, d)) @ R.T + t
+    there[:15] = points[:15] @ R.T + t + SIGMA * rng.standard_normal((15, d))
+    found = search(points, rng.permutation(there), 0.1, 3)
+    assert found is not None
+    placement, rival = found
+    assert placement.n_agreeing >= 13
+    assert rival <= 8
+    assert np.abs(placement.apply(points[:15]) - there[:15]).max() <= 0.2
+
+
+def test_a_lattice_has_rivals() -> None:
+    lattice = np.stack(np.meshgrid(np.arange(5.0), np.arange(6.0)), axis=-1).reshape(-1, 2)
+    found = search(lattice, lattice + 0.3, 0.05, 3)
+    assert found is not None
+    assert found[1] >= 0.6 * found[0].n_agreeing
+
+
+def evidence(n_tied: int, n_new: int) -> Evidence:
+    """Return what is known where so many in view were seen when the older ones were, or not."""
+    first = np.repeat([0, 50], [n_tied, n_new])
+    return Evidence(first, 0.01, 0.35, np.full(40, 10.0), np.full(40, 20))
+
+
+def test_a_pair_that_lies_on_one_another_needs_support() -> None:
+    position = np.random.default_rng(0).uniform(0, 50, (40, 2))
+    position[20] = position[0] + 0.01
+    pair = np.array([[20, 0]])
+    assert len(chosen(position, pair, 0.15, evidence(0, 15))) == 0
+    assert chosen(position, pair, 0.15, evidence(5, 15)).tolist() == [[20, 0]]
+    position[21:25] = position[1:5] + 0.01
+    several = np.column_stack([np.arange(20, 25), np.arange(5)])
+    assert len(chosen(position, several, 0.15, evidence(0, 15))) == 5
+
+
+def test_the_share_of_tied_scans_falls_where_a_scan_fits_nothing() -> None:
+    scans = [scan.points_robot for scan in simulate_world(WorldSpec(iterations=400)).log.scans()]
+    whole, broken = PointMapper(), PointMapper()
+    rng = np.random.default_rng(0)
+    for k, points in enumerate(scans[100:130]):
+        whole.update(points)
+        broken.update(rng.uniform(-20, 20, (15, 2)) if k == 20 else points)
+    assert whole.tied_share == 1
+    assert broken.tied_share == pytest.approx(1 - 1 / 29)
+    with_ids = PointMapper()
+    with_ids.update(scans[0], np.arange(len(scans[0])))
+    assert with_ids.tied_share is None

@@ -1,0 +1,203 @@
+"""How laser scans are tied to those before: motions from walls, judged by beams."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper
+from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.evaluation.feeding import segment_scan, segmenter_for
+from relmap.evaluation.metrics import ate
+from relmap.planes.beams import NEAR_M, Beams, compared
+from relmap.planes.observation import PlaneObservation, checked_planes
+from relmap.planes.placement import STILL
+from relmap.planes.search import Search, View, inverse
+from relmap.planes.tracks import PlaneTracks
+from relmap.simulation import Building, simulate_building
+from relmap.simulation.floor_plan import World
+
+# A room with a bay, seen from inside; one wall after another, counter-clockwise.
+CORNERS = np.array([[4, -3], [4, 2], [1.5, 2], [1.5, 3.5], [-3, 3.5], [-3, -3]], dtype=np.float64)
+
+
+def cast(corners: NDArray[np.float64], pose: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Return where 361 beams over a half circle end, robot frame; x, y, yaw of the robot."""
+    x, y, yaw = pose
+    bearing = np.linspace(-np.pi / 2, np.pi / 2, 361)
+    u = np.column_stack([np.cos(bearing + yaw), np.sin(bearing + yaw)])
+    nearest = np.full(len(u), np.inf)
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        A = np.stack([u, np.broadcast_to(a - b, u.shape)], axis=2)
+        hit = np.abs(np.linalg.det(A)) > 1e-9
+        r, s = np.linalg.solve(A[hit], np.tile((a - [x, y])[:, None], (hit.sum(), 1, 1)))[..., 0].T
+        r = np.where((r > 0) & (s >= -1e-9) & (s <= 1 + 1e-9), r, np.inf)
+        nearest[hit] = np.minimum(nearest[hit], r)
+    return np.asarray(nearest[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)]))
+
+
+def motion_between(
+    first: tuple[float, float, float], second: tuple[float, float, float]
+) -> NDArray[np.float64]:
+    """Return the motion (3,) from the frame of one pose into that of another."""
+    c, s = np.cos(second[2]), np.sin(second[2])
+    dx, dy = first[0] - second[0], first[1] - second[1]
+    return np.array([first[2] - second[2], c * dx + s * dy, -s * dx + c * dy])
+
+
+def observed(points: NDArray[np.float64]) -> PlaneObservation:
+    from relmap.segmentation import PlaneSegmenter
+
+    return checked_planes(PlaneSegmenter(view_rad=np.pi, range_m=20.0).fit(points).planes_, points)
+
+
+def searched(
+    corners: NDArray[np.float64],
+    first: tuple[float, float, float],
+    second: tuple[float, float, float],
+) -> Any:
+    """Search for the motion between two scans of a room; reach 3.5 m."""
+    earlier, later = (observed(cast(corners, pose)) for pose in (first, second))
+    tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
+    tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
+    seen, before = (
+        Beams.of(scan.beams.points, scan.beams.origin, scan.ends) for scan in (later, earlier)
+    )
+    return Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found(3.5)
+
+
+def test_beams_agree_with_the_true_motion_alone() -> None:
+    poses = (0.0, 0.0, 0.1), (0.4, -0.3, -0.2)
+    scans = [cast(CORNERS, pose) for pose in poses]
+    ends = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)
+    every = [Beams.of(points, np.zeros(2), ends) for points in scans]
+    for beams in every:
+        beams.solid[:] = True
+    right = motion_between(*poses)
+    wrong = right + np.array([[0.0, 0.6, 0.0], [0.0, 0.0, -0.6], [0.3, 0.0, 0.0]])
+    sums = compared(every[0], every[1], np.concatenate([right[None], wrong]), NEAR_M)
+    assert sums.sum(axis=1) == pytest.approx(2 * 361, abs=2 * 361 / 2)
+    agree, contradict, _ = sums.T
+    assert contradict[0] == 0
+    assert agree[0] > 0.75 * 2 * 361
+    assert (contradict[1:] > 20).all()
+    assert (agree[1:] < agree[0]).all()
+
+
+def test_a_motion_back_undoes_it() -> None:
+    motion = np.array([0.7, -1.2, 0.4])
+    back = inverse(inverse(motion))
+    np.testing.assert_allclose(back, motion, atol=1e-12)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0, -60.0])
+@pytest.mark.parametrize("step_m", [0.1, 1.2])
+def test_wide_steps_and_turns_are_found(turn_deg: float, step_m: float) -> None:
+    first, second = (-0.6, 0.0, 0.2), (-0.6 + step_m, 0.3, 0.2 + np.deg2rad(turn_deg))
+    found = searched(CORNERS, first, second)
+    assert found is not None
+    motion = np.array([found.motion.yaw, *found.motion.t])
+    np.testing.assert_allclose(motion, motion_between(first, second), atol=0.03)
+
+
+def test_another_room_is_not_tied() -> None:
+    other = np.array([[2.2, -5], [2.2, 5], [-1.5, 5], [-1.5, -5]])
+    earlier, later = observed(cast(CORNERS, (0, 0, 0))), observed(cast(other, (0, 0, 0.4)))
+    tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
+    seen, before = (
+        Beams.of(scan.beams.points, scan.beams.origin, scan.ends) for scan in (later, earlier)
+    )
+    assert Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found(3.5) is None
+
+
+def driven(log: ScanLog, scans: list[NDArray[np.float64]]) -> PlaneMapper:
+    """Map scans with the sensor of a log, without refinement."""
+    mapper, segmenter = PlaneMapper(), segmenter_for(log.sensor)
+    for points in scans:
+        mapper.update(segment_scan(segmenter, points, log.sensor), beams=points)
+    mapper.finish()
+    return mapper
+
+
+def log_of(run: Building) -> ScanLog:
+    """Return the scans of a building as a log."""
+    points = [scan.points[:, :2] for scan in run.scans]
+    offsets = np.concatenate([[0], np.cumsum([len(each) for each in points])])
+    view = SensorView(run.sensor.view_rad, run.sensor.range_m)
+    return stored_scans(np.concatenate(points), offsets, run.stamps_s, run.trajectory, view)
+
+
+def scans_of(
+    seed: int, step_m: float = 0.2, world: World = "building"
+) -> tuple[ScanLog, list[NDArray[np.float64]]]:
+    """Return a laser log of a building, and its scans."""
+    run = simulate_building(
+        361, 0.01, sampling="laser", seed=seed, iterations=60, step_m=step_m, world=world
+    )
+    log = log_of(run)
+    return log, [scan.points_robot for scan in log.scans()]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_scans_of_another_world_begin_a_submap(seed: int) -> None:
+    """Corridors of two buildings may look alike; those among panels look like no other."""
+    (log, first), (_, second) = scans_of(seed), scans_of(seed, world="panels")
+    mapper = driven(log, first[:25] + second[:25])
+    assert sorted(submap.span for submap in mapper.submaps) == [(0, 25), (25, 50)]
+
+
+def test_a_scan_that_fits_nothing_stays_alone() -> None:
+    (log, scans), (_, foreign) = scans_of(3), scans_of(3, world="panels")
+    scans[30] = foreign[50]
+    mapper = driven(log, scans)
+    largest, alone = mapper.submaps
+    assert (largest.n_scans, alone.n_scans) == (59, 1)
+    assert alone.span == (30, 31)
+    assert np.isnan(mapper.trajectory[30]).all()
+    known = np.delete(np.arange(60), 30)
+    assert log.poses is not None
+    off = np.linalg.inv(log.poses[known[:-1]]) @ log.poses[known[1:]]
+    found = np.linalg.inv(mapper.trajectory[known[:-1]]) @ mapper.trajectory[known[1:]]
+    np.testing.assert_allclose(found[:, :2, 3], off[:, :2, 3], atol=0.1)
+    mapper.refine()
+    assert np.isnan(mapper.trajectory[30]).all()
+    np.testing.assert_allclose(mapper.submaps[0].poses[31, :2, 3], mapper.trajectory[31, :2, 3])
+
+
+def test_ties_last_in_saved_states_and_journals(tmp_path: Path) -> None:
+    (log, scans), (_, foreign) = scans_of(3), scans_of(3, world="panels")
+    scans[30] = foreign[50]
+    mapper = driven(log, scans)
+    mapper.save(tmp_path / "mapper.npz")
+    again = PlaneMapper.load(tmp_path / "mapper.npz")
+    for each in (mapper, again):
+        each.refine()
+    np.testing.assert_array_equal(again.trajectory, mapper.trajectory)
+    np.testing.assert_array_equal(again.planes.ends, mapper.planes.ends)
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_long_steps_through_a_building(seed: int) -> None:
+    """Steps of 1 m: every submap is right, and the largest holds most of the scans."""
+    run = simulate_building(361, 0.01, sampling="laser", seed=seed, step_m=1.0)
+    log = log_of(run)
+    mapper = driven(log, [scan.points_robot for scan in log.scans()])
+    assert log.poses is not None
+    assert mapper.submaps[0].n_scans > 0.6 * len(log)
+    for submap in mapper.submaps:
+        if submap.n_scans > 2:
+            known = np.isfinite(submap.poses[:, 0, 0])
+            truth = log.poses[slice(*submap.span)][known]
+            error_m = ate(submap.poses[known], truth, planar=True)
+            assert error_m is not None
+            assert error_m < 0.3
+
+
+def test_a_run_with_beams_is_the_same_again() -> None:
+    log, scans = scans_of(6, 0.6)
+    first, second = (driven(log, scans[:40]) for _ in range(2))
+    np.testing.assert_array_equal(first.trajectory, second.trajectory)
