@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 DISTINCT = 0.8
 """Share of the matches of the best placement that a rival may have."""
-TRIMMING_ROUNDS = 8
 MOST_STEPS = 2000
 """Steps of the search for a largest set of matches: a tenth of a second at 900 candidates."""
 
@@ -62,7 +61,7 @@ def trimmed_fit(
     """
     from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 
-    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, TRIMMING_ROUNDS)
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
     return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 
 

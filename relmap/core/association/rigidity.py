@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.association.base import UNIDENTIFIED, middle
-from relmap.core.association.placement import Placement
+from relmap.core.association.base import UNIDENTIFIED
 
 PLENTY = 6
 """Landmarks in common that a scan is judged by at least."""
@@ -71,14 +70,24 @@ class _Places:
         return self.ids, self.points, self.missed, self.times
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Fit:
-    """Places laid on a scan: rows of both (k,), the placement, and misfits (k,), metres."""
+    """Places laid on a scan: rows of both (k,), R and t, misfits (k,), the middle, the largest one.
+
+    Metres; where too few agree there are no misfits, and these two are infinite.
+    """
 
     rows: NDArray[np.int64]
     shared: NDArray[np.int64]
-    placement: Placement
+    R: NDArray[np.float64]
+    t: NDArray[np.float64]
     misfit_m: NDArray[np.float64]
+    usual_m: float
+    largest_m: float
+
+    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Bring points (n, d) to where the scan has them."""
+        return points @ self.R.T + self.t
 
 
 class Rigidity:
@@ -119,19 +128,19 @@ class Rigidity:
         self._extent_m = extent_of(points_robot)
         order = np.argsort(ids)
         scan = _Places.begun(ids[order], points_robot[order])
-        if self._is_steady(scan):
-            return ids
         fit = self._fit(self._last, scan)
         if fit is None:
             if self._last is None or len(ids) >= PLENTY:
                 self._begin_with(scan)
             return ids
-        usual_m = middle(fit.misfit_m) if len(fit.misfit_m) else np.inf
-        if usual_m > self._limit_m():
+        if fit.usual_m > self._limit_m():
             return ids if self._fits_the_doubted(scan) else None
-        self._learn(usual_m)
+        self._learn(fit.usual_m)
         far = self._far(fit, scan)
         self._wary = min(max(self._wary - 1, 0) + WARY * len(far), MOST_WARY)
+        if not len(far) and not self._wary:
+            self._carry(fit, scan.ids, scan.points)
+            return ids
         named = self._named(fit, scan, far)
         self._go_on(fit, scan, far, named)
         believed = np.empty_like(ids)
@@ -154,7 +163,7 @@ class Rigidity:
         rows, candidates = np.flatnonzero(doubtful), np.flatnonzero(free)
         if not len(rows) or not len(candidates):
             return named
-        expected = fit.placement.apply(last.points[candidates])
+        expected = fit.apply(last.points[candidates])
         apart = np.linalg.norm(scan.points[rows][:, None] - expected, axis=2)
         reach_m = NEAR * self._usual() * (1 + last.missed[candidates])
         for row, distances in zip(rows.tolist(), apart, strict=True):
@@ -165,27 +174,6 @@ class Rigidity:
                 named[row] = last.ids[candidates[nearest]]
         return named
 
-    def _is_steady(self, scan: _Places) -> bool:
-        """Go on with a scan in which nothing is amiss, as most are; tell whether it is one.
-
-        It does what follows where something is, at a third of the cost.
-        """
-        from relmap.core.association.rigidity_kernels import steady
-
-        last = self._last
-        if last is None or self._usual_m is None or self._wary:
-            return False
-        # The usual misfit is learnt first, which lowers the gate by so much at most.
-        strict_m = (1 - SLOWNESS) * self._gate_m()
-        limits = (self._tolerance_m(), SAMPLE, PLENTY, self._limit_m(), strict_m)
-        usual_m, ids, points, missed, times = steady(
-            last.parts, scan.ids, scan.points, limits, CARRIED
-        )
-        if usual_m >= 0:
-            self._learn(usual_m)
-            self._last, self._strayed = _Places(ids, points, missed, times), None
-        return bool(usual_m >= 0)
-
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
         """Lay places on a scan; None where they have too few landmarks in common."""
         from relmap.core.association.rigidity_kernels import lay_on
@@ -193,10 +181,8 @@ class Rigidity:
         if places is None or len(scan.ids) < PLENTY:
             return None
         limits = (self._tolerance_m(), SAMPLE, PLENTY)
-        rows, shared, R, t, misfit_m = lay_on(
-            places.ids, places.points, scan.ids, scan.points, limits
-        )
-        return _Fit(rows, shared, Placement(R, t, 0), misfit_m) if len(rows) >= PLENTY else None
+        fit = _Fit(*lay_on(places.ids, places.points, scan.ids, scan.points, limits))
+        return fit if len(fit.rows) >= PLENTY else None
 
     def _usual(self) -> float:
         """Return the usual middle misfit, metres."""
@@ -218,7 +204,7 @@ class Rigidity:
     def _fits_the_doubted(self, scan: _Places) -> bool:
         """Tell whether a scan fits the one rejected just now: then the scans before were wrong."""
         fit = self._fit(self._doubted, scan)
-        if fit is not None and len(fit.misfit_m) and middle(fit.misfit_m) <= self._limit_m():
+        if fit is not None and fit.usual_m <= self._limit_m():
             self._begin_with(scan)
             return True
         self._doubted = scan
@@ -241,14 +227,14 @@ class Rigidity:
         """
         assert self._last is not None
         gate_m = self._gate_m()
-        if fit.misfit_m.max() <= gate_m:
+        if fit.largest_m <= gate_m:
             return np.empty(0, dtype=np.int64)
         far = np.flatnonzero(fit.misfit_m > gate_m * (1 + self._last.missed[fit.rows]))
         if self._strayed is None:
             return far
         ids = scan.ids[fit.shared[far]]
         at = np.searchsorted(self._strayed.ids, ids).clip(0, len(self._strayed.ids) - 1)
-        there = fit.placement.apply(self._strayed.points[at]) - scan.points[fit.shared[far]]
+        there = fit.apply(self._strayed.points[at]) - scan.points[fit.shared[far]]
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
         return np.asarray(far[~gone])
 
@@ -256,16 +242,21 @@ class Rigidity:
         self, fit: _Fit, scan: _Places, far: NDArray[np.int64], named: NDArray[np.int64]
     ) -> None:
         """Make this the last scan, as it is named now; the rest is carried along into its frame."""
-        from relmap.core.association.rigidity_kernels import carry
-
-        last, rows = self._last, fit.shared[far]
-        assert last is not None
-        self._strayed, rows = None, rows[named[rows] == UNIDENTIFIED]
-        if len(rows):
-            self._strayed = _Places.begun(scan.ids[rows], scan.points[rows])
+        rows = fit.shared[far]
+        rows = rows[named[rows] == UNIDENTIFIED]
         good = np.flatnonzero(named != UNIDENTIFIED)
         good = good[np.argsort(named[good])]
-        placement = fit.placement.R, fit.placement.t
-        self._last = _Places(*carry(last.parts, named[good], scan.points[good], placement, CARRIED))
+        self._carry(fit, named[good], scan.points[good])
+        if len(rows):
+            self._strayed = _Places.begun(scan.ids[rows], scan.points[rows])
         renamed = named[good][named[good] != scan.ids[good]]
+        assert self._last is not None
         self._last.times[np.searchsorted(self._last.ids, renamed)] -= 1
+
+    def _carry(self, fit: _Fit, ids: NDArray[np.int64], points: NDArray[np.float64]) -> None:
+        """Make landmarks of a scan, ids ascending, the last; others are carried into its frame."""
+        from relmap.core.association.rigidity_kernels import carry
+
+        assert self._last is not None
+        self._last = _Places(*carry(self._last.parts, ids, points, fit.R, fit.t, CARRIED))
+        self._strayed = None

@@ -6,10 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
-
-ROUNDS = 8
 
 
 @compiled
@@ -22,6 +20,25 @@ def extent_of(points: NDArray[np.float64]) -> float:
             low, high = min(low, points[i, a]), max(high, points[i, a])
         longest = max(longest, high - low)
     return longest
+
+
+@helper
+def _in_both(
+    ids: NDArray[np.int64], scan_ids: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where the ids that are in both of two lists, which ascend, stand in each."""
+    n, m = len(ids), len(scan_ids)
+    rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
+    k, i, j = 0, 0, 0
+    while i < n and j < m:
+        if ids[i] == scan_ids[j]:
+            rows[k], shared[k] = i, j
+            k, i, j = k + 1, i + 1, j + 1
+        elif ids[i] < scan_ids[j]:
+            i += 1
+        else:
+            j += 1
+    return rows[:k], shared[:k]
 
 
 @compiled
@@ -37,40 +54,41 @@ def lay_on(
     NDArray[np.float64],
     NDArray[np.float64],
     NDArray[np.float64],
+    float,
+    float,
 ]:
     """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
 
     The limits are the tolerance, the most pairs to fit and the fewest.  Returns the rows of both,
-    R, t and the misfits; these are none where there are too few pairs or none agree.
+    R, t, the misfits, their upper median and the largest; there are no misfits, and these are
+    infinite, where there are too few pairs or too few agree.
     """
-    (n, d), m = points.shape, len(scan_ids)
     tolerance_m, sample, fewest = limits
-    rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
-    k, i, j = 0, 0, 0
-    while i < n and j < m:
-        if ids[i] == scan_ids[j]:
-            rows[k], shared[k] = i, j
-            k, i, j = k + 1, i + 1, j + 1
-        elif ids[i] < scan_ids[j]:
-            i += 1
-        else:
-            j += 1
-    rows, shared = rows[:k], shared[:k]
+    rows, shared = _in_both(ids, scan_ids)
+    k, d = len(rows), points.shape[1]
     if k < fewest:
-        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0)
+        return rows, shared, np.empty((d, d)), np.empty(d), np.empty(0), np.inf, np.inf
     every = -(-k // sample)
-    source, target = points[rows[::every]], scan_points[shared[::every]]
-    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m, ROUNDS)
-    misfit = np.empty(k if n_agreeing >= 0 else 0)
-    for pair in range(len(misfit)):
+    n_fitted = (k - 1) // every + 1
+    source, target = np.empty((n_fitted, d)), np.empty((n_fitted, d))
+    for pair in range(n_fitted):
+        for a in range(d):
+            source[pair, a] = points[rows[pair * every], a]
+            target[pair, a] = scan_points[shared[pair * every], a]
+    R, t, n_agreeing = trimmed_fit_rows(source, target, tolerance_m)
+    if n_agreeing < 0:
+        return rows, shared, R, t, np.empty(0), np.inf, np.inf
+    misfit, listed, largest = np.empty(k), np.empty(k), 0.0
+    for pair in range(k):
         square = 0.0
         for a in range(d):
             apart = t[a] - scan_points[shared[pair], a]
             for b in range(d):
                 apart += R[a, b] * points[rows[pair], b]
             square += apart * apart
-        misfit[pair] = np.sqrt(square)
-    return rows, shared, R, t, misfit
+        misfit[pair] = listed[pair] = np.sqrt(square)
+        largest = max(largest, misfit[pair])
+    return rows, shared, R, t, misfit, smallest(listed, k // 2), largest
 
 
 @compiled
@@ -78,7 +96,8 @@ def carry(
     last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
     scan_ids: NDArray[np.int64],
     scan_points: NDArray[np.float64],
-    placement: tuple[NDArray[np.float64], NDArray[np.float64]],
+    R: NDArray[np.float64],
+    t: NDArray[np.float64],
     longest: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Return the landmarks of a scan, and those not in it carried along into its frame.
@@ -87,14 +106,15 @@ def carry(
     those returned.  Who was missed in more than the longest number of scans is left behind.
     """
     ids, points, missed, times = last
-    R, t = placement
     (n, d), m = points.shape, len(scan_ids)
     all_ids, all_points = np.empty(n + m, dtype=np.int64), np.empty((n + m, d))
     all_missed, all_times = np.zeros(n + m, dtype=np.int64), np.ones(n + m, dtype=np.int64)
     k, i, j = 0, 0, 0
     while i < n or j < m:
         if i == n or (j < m and scan_ids[j] <= ids[i]):
-            all_ids[k], all_points[k] = scan_ids[j], scan_points[j]
+            all_ids[k] = scan_ids[j]
+            for a in range(d):
+                all_points[k, a] = scan_points[j, a]
             if i < n and scan_ids[j] == ids[i]:
                 all_times[k] += times[i]
                 i += 1
@@ -109,26 +129,3 @@ def carry(
             k += 1
         i += 1
     return all_ids[:k], all_points[:k], all_missed[:k], all_times[:k]
-
-
-@compiled
-def steady(
-    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
-    scan_ids: NDArray[np.int64],
-    scan_points: NDArray[np.float64],
-    limits: tuple[float, int, int, float, float],
-    longest: int,
-) -> tuple[float, NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Lay the last landmarks on a scan; where nothing is amiss, carry them along.
-
-    `last` is as for `carry`; the limits those of `lay_on`, the largest middle misfit and the
-    largest misfit of all.  Returns the middle misfit, and what `carry` does; -1 and what came in
-    where a look is needed at what is amiss.
-    """
-    _, _, R, t, misfit = lay_on(last[0], last[1], scan_ids, scan_points, limits[:3])
-    if len(misfit) < limits[2] or np.max(misfit) > limits[4]:
-        return -1.0, *last
-    middle = smallest(misfit.copy(), len(misfit) // 2)
-    if middle > limits[3]:
-        return -1.0, *last
-    return middle, *carry(last, scan_ids, scan_points, (R, t), longest)

@@ -6,12 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import identity, inverse3
 
+TRIMMING_ROUNDS = 8
 
-@compiled
+
+@helper
 def centre_of(
     points: NDArray[np.float64], rows: NDArray[np.bool_]
 ) -> tuple[float, float, float, int]:
@@ -28,7 +30,7 @@ def centre_of(
     return x * share, y * share, z * share, count
 
 
-@compiled
+@helper
 def _moments(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
@@ -87,12 +89,13 @@ def swings(points: NDArray[np.float64], rows: NDArray[np.bool_]) -> NDArray[np.f
     """
     means, swing = np.empty((2, 3)), np.zeros(len(points))
     means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
-    means[1] = means[0]
+    for a in range(3):
+        means[1, a] = means[0, a]
     add_swings(points, rows, _moments(points, points, rows, means)[1], swing)
     return swing
 
 
-@compiled
+@helper
 def add_swings(
     points: NDArray[np.float64],
     rows: NDArray[np.bool_],
@@ -121,7 +124,7 @@ def add_swings(
             swing[i] += 1 / count + turned
 
 
-@compiled
+@helper
 def set_placement(
     R: NDArray[np.float64],
     t: NDArray[np.float64],
@@ -136,7 +139,7 @@ def set_placement(
             R[i, a, b] = turn[a, b]
 
 
-@compiled
+@helper
 def _misfits(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
@@ -161,7 +164,6 @@ def trimmed_fit_rows(
     source: NDArray[np.float64],
     target: NDArray[np.float64],
     tolerance_m: float,
-    rounds: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     """Fit matches (n, d), leaving out those that disagree; see `trimmed_fit`.
 
@@ -170,7 +172,7 @@ def trimmed_fit_rows(
     n, d = source.shape
     kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)
     R, t, limit, n_agreeing = identity(d), np.zeros(d), np.inf, 0
-    for _ in range(rounds):
+    for _ in range(TRIMMING_ROUNDS):
         n_kept, same, last = 0, True, limit == tolerance_m
         for i in range(n):
             same &= kept[i] == (misfit[i] <= limit)

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.fitting_kernels import add_swings, fit_rows, set_placement
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median, smallest
 from relmap.core.linalg.small_kernels import identity
 
 
-@compiled
+@helper
 def place(
     points: NDArray[np.float64],
     R: NDArray[np.float64],
@@ -29,7 +29,7 @@ def place(
             placed[k, i, a] = at
 
 
-@compiled
+@helper
 def _averages(
     placed: NDArray[np.float64], amplified: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -101,7 +101,7 @@ def place_iterations(
     return R, t, fixed, mean, squares, amplified
 
 
-@compiled
+@helper
 def _radial_variances(
     block: NDArray[np.float64], inner: NDArray[np.bool_], variance: NDArray[np.float64]
 ) -> None:
