@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from relmap.planes.stitching import FEW, STRAY_M, without_strays
+from relmap.planes.links import TORN_M
+from relmap.planes.stitching import FEW, without_strays
 
 
 def straight(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -17,12 +18,12 @@ def straight(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("n_off", [1, FEW, FEW + 1])
-@pytest.mark.parametrize("off_m", [0.9 * STRAY_M, 1.5 * STRAY_M])
+@pytest.mark.parametrize("off_m", [0.9 * TORN_M, 1.5 * TORN_M])
 def test_few_poses_far_from_both_their_neighbours_are_left_out(n_off: int, off_m: float) -> None:
     poses, motions = straight(40)
     poses[20 : 20 + n_off, 1, 3] += off_m
     left = np.isnan(without_strays(poses, motions)[:, 0, 0])
-    strays = range(20, 20 + n_off) if n_off <= FEW and off_m > STRAY_M else range(0)
+    strays = range(20, 20 + n_off) if n_off <= FEW and off_m > TORN_M else range(0)
     assert np.flatnonzero(left).tolist() == list(strays)
 
 

@@ -60,14 +60,14 @@ def searched(
     first: tuple[float, float, float],
     second: tuple[float, float, float],
 ) -> Any:
-    """Search for the motion between two scans of a room; reach 3.5 m."""
+    """Search for the motion between two scans of a room."""
     earlier, later = (observed(cast(corners, pose)) for pose in (first, second))
     tracks = PlaneTracks.begun(np.arange(len(earlier)), earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
     seen, before = (
         Beams.of(scan.beams.points, scan.beams.origin, scan.ends) for scan in (later, earlier)
     )
-    return Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found(3.5)
+    return Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found()
 
 
 def test_beams_agree_with_the_true_motion_alone() -> None:
@@ -104,6 +104,17 @@ def test_wide_steps_and_turns_are_found(turn_deg: float, step_m: float) -> None:
     np.testing.assert_allclose(motion, motion_between(first, second), atol=0.03)
 
 
+def test_walls_that_do_not_match_tie_nothing() -> None:
+    """Beams alone do not, be it that all of them agree."""
+    points = cast(CORNERS, (0.0, 0.0, 0.1))
+    scan = observed(points)
+    tracks = PlaneTracks.begun(
+        np.arange(1), observed(points + np.array([40.0, 0.0])).only(slice(0, 1))
+    )
+    beams = Beams.of(scan.beams.points, scan.beams.origin, scan.ends)
+    assert Search(tracks, scan, beams, [View(beams, np.zeros(3))], STILL).found() is None
+
+
 def test_another_room_is_not_tied() -> None:
     other = np.array([[2.2, -5], [2.2, 5], [-1.5, 5], [-1.5, -5]])
     earlier, later = observed(cast(CORNERS, (0, 0, 0))), observed(cast(other, (0, 0, 0.4)))
@@ -111,7 +122,7 @@ def test_another_room_is_not_tied() -> None:
     seen, before = (
         Beams.of(scan.beams.points, scan.beams.origin, scan.ends) for scan in (later, earlier)
     )
-    assert Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found(3.5) is None
+    assert Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found() is None
 
 
 def driven(log: ScanLog, scans: list[NDArray[np.float64]]) -> PlaneMapper:

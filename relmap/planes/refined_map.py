@@ -17,7 +17,7 @@ from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.links import TORN_M, disagreement, stretched_m
 from relmap.planes.solving import refined, refined_to_the_noise
-from relmap.planes.stitching import stitched, weak_links, without_strays
+from relmap.planes.stitching import FEW, stitched, weak_links, without_strays
 from relmap.planes.submaps import WallSubmap, among_all
 
 _LOG = logging.getLogger(__name__)
@@ -125,4 +125,10 @@ def poses_of(
     rows = slice(*span)
     poses, motion = assembled.poses(history.n_iterations)[rows], history.motion[rows]
     own = history.own(span)[:, None, None]
-    return np.where(own, stitched([without_strays(poses, motion)], motion), np.nan)
+    whole = stitched([poses], motion)
+    for _ in range(FEW):  # strays beside one another show one after the other
+        kept = without_strays(whole, motion)
+        if np.isfinite(kept).all():
+            break
+        whole = stitched([kept], motion)
+    return np.where(own, whole, np.nan)

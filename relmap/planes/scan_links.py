@@ -23,7 +23,7 @@ from relmap.planes.links import (
 )
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion, place
-from relmap.planes.search import REACH_M, Found, Search, View, after, others
+from relmap.planes.search import Found, Search, View, after, others
 from relmap.planes.tracks import PlaneTracks
 from relmap.planes.tying import Scans, tied
 
@@ -132,7 +132,7 @@ class ScanLinks:
         views = self._views() if told.in_order and len(told.points) else []
         if views:
             beams = Beams.of(told.points, told.origin, seen.ends)
-            judged = Search(tracks, seen, beams, views, self.usual).found(REACH_M)
+            judged = Search(tracks, seen, beams, views, self.usual).found()
             return judged if judged and self._confirmed(judged, seen, beams, views) else None
         found = place(tracks, seen, self.usual, reach_m)
         if found is None or not believed(tracks, seen, found, self.usual):
@@ -154,7 +154,7 @@ class ScanLinks:
         tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
         before = PlanarMotion(float(expected[0]), expected[1:])
         view = [View(views[1].beams, np.zeros(3))]
-        again = Search(tracks, seen, beams, view, before).found(REACH_M)
+        again = Search(tracks, seen, beams, view, before).found()
         if again is None or found.evidence + again.evidence < TOGETHER:
             return False
         return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]

@@ -30,6 +30,9 @@ CLOSELY = 8
 """Motions that are fitted to walls and judged by all beams."""
 AGREES = 0.25
 """Least share of the points that must agree."""
+MATCHED, MATCHES, AGREEING, CONTRADICTING, NONE = 6.8, 4.2, 4.0, -57.0, -2.0
+"""Log odds of a motion by the share of the walls that match, by how many do, by the points that
+agree and that contradict, and without any: of a logistic regression on pairs of scans."""
 BELIEVED = 1.5
 """Log odds from which a motion is believed."""
 MANY = 15.0
@@ -43,11 +46,13 @@ JUDGES = 200
 SLID, PEAKS, SLIDE_M = 2, 2, 0.1
 """Motions that are slid along a wall, how many places of each are kept, and the step."""
 SLIDE_NEAR_M, SLIDE_STEP, SLIDE_CONTRADICTS = 0.15, 6, 4.0
+"""What agrees there, of how many beams one is looked at, and what one that contradicts weighs."""
 USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 """By how much a motion differs from those before."""
-FREE_REACH_M = 1.0
 FREE_M, FREE = 0.3, 0.01
 """A way along a wall is free where beams agree hardly less so far off."""
+FREE_REACH_M = 1.0
+"""Motions nearer than this are no rivals where the way is free: the motion before decides."""
 APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
 """Motions that differ by more are others."""
 
@@ -98,9 +103,9 @@ class Judged:
         """How likely each motion is right, (k,): log odds."""
         score = np.array([match.score for match in self.matches])
         many = np.minimum(score, MANY) / MANY
-        evidence = 6.8 * self.match + 4.2 * many + 4.0 * self.agree - 57.0 * self.contradict
-        evidence -= 2.0 + self.surprise
-        return np.where(self.agree >= AGREES, evidence, -np.inf)
+        evidence = NONE + MATCHED * self.match + MATCHES * many - self.surprise
+        evidence += AGREEING * self.agree + CONTRADICTING * self.contradict
+        return np.where((self.agree >= AGREES) & (score > 0), evidence, -np.inf)
 
 
 class Found(NamedTuple):
@@ -148,13 +153,8 @@ class Search:
         self._tracks, self._seen, self._beams, self._views = tracks, seen, beams, views
         self._before = before
 
-    def found(self, reach_m: float) -> Found | None:
+    def found(self) -> Found | None:
         """Find the motion that walls imply and beams support.
-
-        Parameters
-        ----------
-        reach_m : float
-            How far it may have gone.
 
         Returns
         -------
@@ -165,9 +165,9 @@ class Search:
         best = int(np.argmax(every.evidence))
         clear = every.agree[best] > CLEARLY and every.contradict[best] < HARDLY
         if not clear or not self._measured(every, best):
-            every = every.and_those(self._judged(self._guesses(min(reach_m, REACH_M))))
+            every = every.and_those(self._judged(self._guesses()))
             for k in np.argsort(-every.evidence, kind="stable")[:SLID]:
-                every = every.and_those(self._judged(self._slid(every, k, reach_m)))
+                every = every.and_those(self._judged(self._slid(every, k)))
             best = int(np.argmax(every.evidence))
         if every.evidence[best] < BELIEVED:
             return None
@@ -180,13 +180,13 @@ class Search:
             return None
         return Found(_planar(motion), every.matches[best], measured, float(every.evidence[best]))
 
-    def _guesses(self, reach_m: float) -> list[PlanarMotion]:
+    def _guesses(self) -> list[PlanarMotion]:
         """Return the motions implied by walls that the beams agree with best, roughly."""
         from relmap.planes.guess_kernels import implied
 
         recent = self._tracks.kept(self._tracks.missed == self._tracks.missed.min(initial=0))
         walls = recent.arrays, self._seen.arrays
-        motions = implied(*walls, self._before.yaw, reach_m, REACH_RAD, TURNS, EACH)
+        motions = implied(*walls, self._before.yaw, REACH_M, REACH_RAD, TURNS, EACH)
         sums = self._compared(self._views[:1], motions, ROUGH_M, ROUGH_STEP)
         order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")[:CLOSELY]
         return [_planar(motion) for motion in motions[order]]
@@ -207,11 +207,11 @@ class Search:
             sums.sum(axis=1), 1.0
         )
 
-    def _slid(self, judged: Judged, k: int, reach_m: float) -> list[PlanarMotion]:
+    def _slid(self, judged: Judged, k: int) -> list[PlanarMotion]:
         """Return a motion slid along the longest wall to where beams agree best."""
         if not len(judged.matches[k].walls):
             return []
-        n = int(min(reach_m, REACH_M) / SLIDE_M)
+        n = int(REACH_M / SLIDE_M)
         way_m = SLIDE_M * np.arange(-n, n + 1.0)
         motions, value = self._slides(judged, k, way_m)
         inner = value[1:-1]
@@ -221,6 +221,8 @@ class Search:
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Tell whether beams agree less where a motion is slid along the longest wall."""
+        if not len(judged.matches[k].walls):
+            return False
         value = self._slides(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
         return bool(max(value[0], value[2]) < value[1] - FREE)
 

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import CROSSING, spread
+from relmap.planes.links import CROSSING, TORN_M, spread
+from relmap.planes.placement import LEVER_M
 
-STRAY_M, STRAY_RAD = 1.0, np.deg2rad(30.0)
 FEW = 5
 """So few scans in a row, so far off the others, are misplaced."""
 
@@ -91,7 +91,7 @@ def without_strays(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> 
     """
     off = np.linalg.inv(poses[:-1]) @ poses[1:] @ _matrices(motions[1:])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
-    broken = (np.hypot(off[:, 0, 3], off[:, 1, 3]) > STRAY_M) | (turn > STRAY_RAD)
+    broken = np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > TORN_M
     run = np.concatenate([[0], np.cumsum(broken)])
     size = np.bincount(run)
     beside = np.concatenate([[0], size, [0]])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL
-from relmap.planes.search import REACH_M, Search, View, after, inverse, others
+from relmap.planes.search import Search, View, after, inverse, others
 from relmap.planes.tracks import PlaneTracks
 
 NEAR = 4
@@ -166,7 +166,7 @@ def _matched(
         views.append(View(scans.beams_of(i - 1), scans.motions[i]))
     tracks = PlaneTracks.begun(scans.plane[scans.rows(i)], earlier)
     tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
-    found = Search(tracks, later, beams, views, STILL).found(REACH_M)
+    found = Search(tracks, later, beams, views, STILL).found()
     if found is None or not found.measured:
         return None
     rows = found.match.tracks, found.match.walls
