@@ -101,13 +101,23 @@ def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tu
     motions : (k, 3) float64
         yaw, x, y from the robot frame before into that of each iteration.
     """
-    relative = np.linalg.inv(poses[1:]) @ poses[:-1]
-    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
-    off_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
-    off_m += LEVER_M * np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
+    off_m = _off_m(poses, motions)
     off_m = off_m[np.isfinite(off_m)]
     torn = off_m > TORN_M
     return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
+
+
+def torn_links(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return before which scans (t,) a path is torn; see `disagreement`."""
+    return 1 + np.flatnonzero(_off_m(poses, motions) > TORN_M)
+
+
+def _off_m(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return by how much a path disagrees with each of its links, NaN where it is not known."""
+    relative = np.linalg.inv(poses[1:]) @ poses[:-1]
+    turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
+    off_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
+    return np.asarray(off_m + LEVER_M * np.abs((turn + np.pi) % (2 * np.pi) - np.pi))
 
 
 def stretched_m(

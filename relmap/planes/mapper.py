@@ -21,6 +21,7 @@ from relmap.planes.beams import ToldBeams
 from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
+from relmap.planes.links import torn_links
 from relmap.planes.model import WallModel
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.refined_map import refined_map
@@ -32,6 +33,10 @@ from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_tab
 
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
+
+
+CUTS = 2
+"""How often submaps are cut where they are torn, and refined again."""
 
 
 class Segmenter(Protocol):
@@ -148,9 +153,22 @@ class PlaneMapper(Mapper):
     def refine(self) -> None:
         """Bring walls, corners and poses to where all observations agree best.
 
-        Walls that come to lie on one another are joined, which closes loops.
+        Walls that come to lie on one another are joined, which closes loops.  Where a submap
+        disagrees with a link by more than 1 m, one of the two is wrong: it is cut there.
         """
         self._note_call("refine")
+        for _ in range(CUTS):
+            submaps = self._refine()
+            motions = self.history.motion
+            torn = [s.span[0] + torn_links(s.poses, motions[slice(*s.span)]) for s in submaps]
+            if not sum(map(len, torn)):
+                break
+            self._planes.links.cut(np.concatenate(torn))
+        else:
+            self._refine()
+
+    def _refine(self) -> list[WallSubmap]:
+        """Refine each submap by itself, and return them."""
         # From where the groups place the scans, and without who moves.  Who is who is found anew,
         # where the walls come to lie: merged by places that have drifted, some are wrong.
         self._moved = np.empty(0, dtype=np.int64)
@@ -171,6 +189,7 @@ class PlaneMapper(Mapper):
             self._moved = np.concatenate([self._moved, moved])
         self._spread = None
         self._refined_walls = submaps, numbers
+        return submaps
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now.

@@ -180,6 +180,15 @@ class ScanLinks:
             motion = after(self.motions[i], motion[None])[0]
         return found
 
+    def cut(self, scans: NDArray[np.int64]) -> None:
+        """Let submaps begin with scans (t,) that the map disagrees with the links before."""
+        for scan in scans.tolist():
+            old = self.submaps[scan]
+            later = np.flatnonzero(self.submaps == old)
+            self._submaps.values[later[later >= scan]] = self._n_submaps
+            self.submap = self._n_submaps if self.submap == old else self.submap
+            self._n_submaps += 1
+
     def tie(self) -> NDArray[np.int64]:
         """Tie submaps that follow one another where their scans, compared anew, agree.
 
