@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core import afterwards, readout
 from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.guard import ChangeGuard
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
@@ -62,7 +63,8 @@ class Mapper(ABC):
     ) -> None:
         self.config = config or MapperConfig()
         self.config.refuse(self._unused)
-        self.engine = RelativeMapper(self._model(), self.config)
+        self._guard = ChangeGuard()
+        self._engine = RelativeMapper(self._model(), self.config)
         self._journal: Journal | None = None
         if journal is not None:
             from relmap.io.journal import Journal
@@ -76,9 +78,25 @@ class Mapper(ABC):
             }
             self._journal = Journal.create(Path(journal), LAYOUTS[self._variant], meta)
 
+    @property
+    def engine(self) -> RelativeMapper:
+        """What maps, see above.
+
+        Raises
+        ------
+        RelmapError
+            Where an update was interrupted half way, or another thread is in one.
+        """
+        self._guard.check()
+        return self._engine
+
     def finish(self) -> None:
         """Group what is still in view and not mapped yet, and what has left for the last time."""
-        self._note_call("finish")
+        with self._guard.change():
+            self._note_call("finish")
+            self._finish()
+
+    def _finish(self) -> None:
         afterwards.finish(self.engine)
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
@@ -185,8 +203,7 @@ class Mapper(ABC):
                 )
             mapper = cls(MapperConfig.from_mapping(reader.meta["configuration"]))
             mapper._replay(reader)
-            layout = reader.layout
-        mapper._journal = Journal(Path(journal), layout, mapper.n_iterations)
+            mapper._journal = Journal.go_on(reader)
         return mapper
 
     def save(self, path: PathLike[str] | str) -> None:
@@ -249,7 +266,8 @@ class Mapper(ABC):
             Where it cannot be written.
         """
         if self._journal is not None:
-            self._journal.flush()
+            with self._guard.change():
+                self._journal.flush()
 
     def close(self) -> None:
         """Flush and end the journal; where none is kept, do nothing.

@@ -14,6 +14,7 @@ import pytest
 from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
 from relmap.io.journal import JournalReader, salvage, writing
 from relmap.simulation import simulate_building
+from tests.journals import changed
 from tests.worlds import walk
 
 
@@ -191,23 +192,17 @@ def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
     begun(path)
     one, other = PointMapper.resume(path), PointMapper.resume(path)
     run(one, scans[60:65]).flush()
-    with pytest.raises(RelmapError, match="UNIQUE constraint failed"):
+    with pytest.raises(RelmapError, match="another program has gone on with it; the 60 "):
         run(other, scans[60:65]).flush()
     one.close()
     assert PointMapper.resume(path).n_iterations == 65
 
 
-def changed(path: Path, statement: str) -> None:
-    connection = sqlite3.connect(path)
-    with connection:
-        connection.execute(statement)
-    connection.close()
-
-
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
-        ("PRAGMA user_version = 3", "is of version 3, and this relmap reads up to 2"),
+        ("PRAGMA user_version = 4", "is of version 4, and this relmap reads 3: a newer relmap"),
+        ("PRAGMA user_version = 2", "is of version 2, and this relmap reads 3: map its log again"),
         ("PRAGMA application_id = 7", "not a journal of relmap"),
         ("DROP TABLE scans", "table scans is not as it should be"),
         ("DELETE FROM meta WHERE key = 'variant'", "lacks variant or configuration"),
@@ -225,6 +220,18 @@ def changed(path: Path, statement: str) -> None:
         ("DELETE FROM observations WHERE iteration = 33 AND row = 2", "at iteration 33"),
         ("DELETE FROM scans WHERE iteration = 12", "at iteration 12"),
         ("DELETE FROM scans WHERE iteration = 59", "observations without a scan"),
+        ("UPDATE scans SET known = 1 WHERE iteration = 2", "at iteration 2: ids are missing"),
+        ("UPDATE observations SET id = 7 WHERE iteration = 20", "at iteration 20: ids are"),
+        (
+            "UPDATE meta SET value = '{\"group_after\": 9}' WHERE key = 'configuration'",
+            "at iteration 0",
+        ),
+        ("UPDATE meta SET value = 'null' WHERE key = 'versions'", "at iteration 0"),
+        ("INSERT INTO meta VALUES ('more', '1')", "at iteration 0"),
+        ("DELETE FROM meta WHERE key = 'end'", "at iteration 60: it should end"),
+        ("INSERT INTO calls VALUES (30, 'finish')", "30 scans before can be recovered"),
+        ("INSERT INTO calls VALUES (60, 'finish')", "60: it should end there"),
+        ("INSERT INTO calls VALUES (90, 'finish')", "60: it should end there"),
     ],
 )
 def test_a_journal_that_is_not_what_it_should_be(
@@ -237,6 +244,62 @@ def test_a_journal_that_is_not_what_it_should_be(
         return
     with pytest.raises(RelmapError, match=message):
         PointMapper.resume(tmp_path / "run.journal")
+
+
+def test_scans_that_are_left_out_at_the_end_are_missed(tmp_path: Path) -> None:
+    path = tmp_path / "run.journal"
+    begun(path)
+    for name in ("scans", "observations"):
+        changed(path, f"DELETE FROM {name} WHERE iteration >= 50")
+    with pytest.raises(RelmapError, match="at iteration 50: it should end there, after 60 scans"):
+        PointMapper.resume(path)
+    assert salvage(path) == 50
+
+
+def kept_with_covariances(path: Path) -> PointMapper:
+    mapper = PointMapper(journal=path)
+    for points, _ in scans_of(2, False)[:12]:
+        noise = np.broadcast_to(np.diag([1e-4, 2e-4]), (len(points), 2, 2))
+        mapper.update(points, covariances=noise)
+    mapper.refine()
+    return mapper
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [
+        ("UPDATE covariances SET xx = xx * 2 WHERE iteration = 7 AND row = 1", "at iteration 7"),
+        ("UPDATE covariances SET zz = 1.0 WHERE iteration = 7 AND row = 1", "at iteration 7"),
+        ("UPDATE observations SET z = 1.0 WHERE iteration = 7 AND row = 1", "at iteration 7"),
+        ("INSERT INTO covariances VALUES (99, 0, 1, 0, 0, 1, 0, 1)", "without a scan"),
+        ("DELETE FROM calls", "at iteration 12: it should end there"),
+        ("UPDATE calls SET call = 'finish'", "at iteration 12: it should end there"),
+    ],
+)
+def test_what_stands_beside_the_observations_is_checked_too(
+    tmp_path: Path, statement: str, message: str
+) -> None:
+    path = tmp_path / "run.journal"
+    kept_with_covariances(path).close()
+    assert PointMapper.resume(path).n_iterations == 12
+    kept_with_covariances(tmp_path / "again").close()
+    changed(tmp_path / "again", statement)
+    with pytest.raises(RelmapError, match=message):
+        PointMapper.resume(tmp_path / "again")
+
+
+def test_what_could_not_be_noted_was_not_asked(tmp_path: Path) -> None:
+    scans, path = scans_of(3, False), tmp_path / "run.journal"
+    mapper = run(PointMapper(journal=path), scans[:60])
+    connection = mapper._journal._connection  # type: ignore[union-attr]
+    assert connection is not None
+    connection.execute("PRAGMA query_only = 1")
+    for ask in (mapper.finish, mapper.refine):
+        with pytest.raises(RelmapError, match="cannot be written"):
+            ask()
+    connection.execute("PRAGMA query_only = 0")
+    run(mapper, scans[60:]).close()
+    assert finished(PointMapper.resume(path)) == finished(run(PointMapper(), scans))
 
 
 def test_other_files_and_other_variants(tmp_path: Path) -> None:

@@ -15,10 +15,11 @@ import pytest
 
 from relmap.cli import main
 from relmap.datasets import write_observation_csv, write_scans_npz
-from relmap.io.journal import writing
+from relmap.io.journal.file import create_file
 from relmap.io.journal.layout import POINTS
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
+from tests.journals import end_after
 
 SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
 
@@ -101,11 +102,7 @@ def test_relmap_resume_with_ids_and_an_interval(eight: Path, tmp_path: Path) -> 
     log, journal = str(eight / "log.csv"), str(tmp_path / "run.journal")
     asked = ["map", log, "--association", "known", "--scans", "20:90", "--no-refine", "-o"]
     assert main([*asked, str(tmp_path / "out"), "--journal", journal]) == 0
-    connection = sqlite3.connect(journal)
-    with connection:
-        connection.execute("DELETE FROM scans WHERE iteration >= 30")
-        connection.execute("DELETE FROM observations WHERE iteration >= 30")
-    connection.close()
+    end_after(Path(journal), 30)
     assert main(["resume", journal, "-o", str(tmp_path / "again")]) == 0
     assert same(tmp_path / "again", tmp_path / "out")
     summaries = [load(tmp_path / name / "summary.json") for name in ("out", "again")]
@@ -122,11 +119,7 @@ def test_relmap_resume_of_walls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     asked = ["map", "scans.npz", "--variant", "planes", "-o"]
     assert main([*asked, "whole"]) == 0
     assert main([*asked, "out", "--journal", "run.journal"]) == 0
-    connection = sqlite3.connect("run.journal")
-    with connection:
-        connection.execute("DELETE FROM scans WHERE iteration >= 25")
-        connection.execute("DELETE FROM observations WHERE iteration >= 25")
-    connection.close()
+    end_after(Path("run.journal"), 25)
     assert main(["resume", "run.journal", "-o", "again"]) == 0
     for name in ("planes.csv", *SAME):
         assert Path("again", name).read_bytes() == Path("whole", name).read_bytes()
@@ -165,7 +158,7 @@ def test_relmap_resume_says_what_is_wrong(
     assert "recovered " in capsys.readouterr().out
     assert same(tmp_path / "out", eight / "whole")
     meta = {"variant": "points", "configuration": {}}
-    writing.create_file(tmp_path / "own.journal", POINTS, meta)
+    create_file(tmp_path / "own.journal", POINTS, meta)
     assert "PointMapper.resume" in refused("resume", str(tmp_path / "own.journal"))
 
 

@@ -86,9 +86,10 @@ class RelativeMapper:
         RelmapError
             Where ids come with some scans and not with others.
         """
-        self.refined, iteration = [], self.store.n_iterations
+        iteration = self.store.n_iterations
         # Register: match what is seen to the scans before, untransformed (section II).
         found = self.association.match(seen, ids, iteration)
+        self.refined = []
         rows = self.model.rows(seen, found)
         landmarks = self.table.enter(*self.model.points(rows)[:2], iteration)
         # Store every observation as it was made (Fig. 3).

@@ -131,7 +131,8 @@ class PlaneMapper(Mapper):
         if not hasattr(points, "ends"):
             beams = points if beams is None else beams
             points = self._segmented(points)
-        return self._take_in(checked_planes(points, beams))
+        with self._guard.change():
+            return self._take_in(checked_planes(points, beams))
 
     def _take_in(self, seen: PlaneObservation) -> NDArray[np.int64]:
         if self._journal is not None:
@@ -145,8 +146,11 @@ class PlaneMapper(Mapper):
 
     def finish(self) -> None:
         """Map what is left: what is in view, and submaps too short for a group on the way."""
-        self._planes.tie()
         super().finish()
+
+    def _finish(self) -> None:
+        self._planes.tie()
+        super()._finish()
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
 
@@ -156,7 +160,11 @@ class PlaneMapper(Mapper):
         Walls that come to lie on one another are joined, which closes loops.  Where a submap
         disagrees with a link by more than 1 m, one of the two is wrong: it is cut there.
         """
-        self._note_call("refine")
+        with self._guard.change():
+            self._note_call("refine")
+            self._refine_and_cut()
+
+    def _refine_and_cut(self) -> None:
         for _ in range(CUTS):
             submaps = self._refine()
             motions = self.history.motion
@@ -334,12 +342,15 @@ class PlaneMapper(Mapper):
             from relmap.segmentation import PlaneSegmenter
 
             self._segmenter = PlaneSegmenter()
-        self._segmenter.fit(points)
-        return self._segmenter.planes_
+        # Its outcome is kept in it: two threads would mix theirs.
+        with self._guard.change(spoils=False):
+            self._segmenter.fit(points)
+            return self._segmenter.planes_
 
     @property
     def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
         """What the map is now, and who is who in it."""
+        self._guard.check()
         if self._refined_walls is not None:
             return self._refined_walls
         grouped = self._grouped
@@ -349,6 +360,7 @@ class PlaneMapper(Mapper):
     @property
     def _own_numbers(self) -> WallNumbers:
         """Who is who in the map as it is."""
+        self._guard.check()
         return self._refined_walls[1] if self._refined_walls else self._grouped.numbers
 
     @property

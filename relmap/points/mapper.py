@@ -91,10 +91,18 @@ class PointMapper(Mapper):
         RelmapError
             Where the scan cannot be used; the mapper is then as it was.
         """
-        self._finder = None
-        points_robot = checked_points(points, self.engine.store.dimension)
-        known = None if ids is None else checked_ids(ids, len(points_robot))
-        noise = None if covariances is None else checked_covariances(covariances, points_robot)
+        with self._guard.change():
+            points_robot = checked_points(points, self.engine.store.dimension)
+            known = None if ids is None else checked_ids(ids, len(points_robot))
+            noise = None if covariances is None else checked_covariances(covariances, points_robot)
+            return self._take_in(points_robot, known, noise)
+
+    def _take_in(
+        self,
+        points_robot: NDArray[np.float64],
+        known: NDArray[np.int64] | None,
+        noise: NDArray[np.float64] | None,
+    ) -> NDArray[np.int64]:
         if len(points_robot) and self._has_covariances not in (None, noise is not None):
             given = "came with" if noise is None else "did not come with"
             raise RelmapError(
@@ -102,6 +110,7 @@ class PointMapper(Mapper):
             )
         if self._journal is not None:
             self._journal.ready()
+        self._finder = None
         labels = self.engine.update(points_robot, known, noise)
         seen = labels >= 0
         numbers = self.engine.table.now(labels[seen])
@@ -134,9 +143,10 @@ class PointMapper(Mapper):
         may be are merged (see `landmarks_of`).  From then on until the next update it is also known
         how sure each position is.  With `keep_observations`, bounded noise is made use of.
         """
-        self._note_call("refine")
-        self._finder = None
-        afterwards.refine(self.engine)
+        with self._guard.change():
+            self._note_call("refine")
+            self._finder = None
+            afterwards.refine(self.engine)
 
     def finish(self) -> None:
         """Map what is left, spread what has drifted since, and without ids tie submaps.
@@ -144,8 +154,11 @@ class PointMapper(Mapper):
         Those that show the same place become one.  Landmarks that turn out to be the same are
         merged on the way: see `landmarks_of`.
         """
-        self._finder = None
         super().finish()
+
+    def _finish(self) -> None:
+        self._finder = None
+        super()._finish()
         if self.config.refine_live:
             self.engine.live.complete()
             self.engine.merger.look_again()
@@ -209,7 +222,8 @@ class PointMapper(Mapper):
         landmarks = np.flatnonzero(np.isfinite(positions[:, 0]))
         around = (positions[landmarks] - placement.t) @ placement.R
         near = np.linalg.norm(around, axis=1) <= AROUND * np.linalg.norm(seen, axis=1).max()
-        registration.expect(landmarks[near], around[near])
+        with self._guard.change():
+            registration.expect(landmarks[near], around[near])
         return True
 
     def _placed(self, points_robot: NDArray[np.float64]) -> Placement | None:

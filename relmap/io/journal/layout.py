@@ -6,11 +6,11 @@ version of what follows.
 ``meta``
     ``key`` and ``value``, a text in JSON: ``variant`` ("points" or "planes"), ``configuration`` of
     the mapper, ``versions`` of relmap and what it is built on, and ``run``: what the command line
-    was asked for, null where a program of its own keeps the journal.
+    was asked for, null where a program of its own keeps the journal.  ``end`` tells how many
+    ``scans`` there are, and the ``checksum`` at the end; it changes with each transaction.
 ``scans``
     One row for each update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 where
-    ids came with it), ``checksum`` (CRC-32, see `checksum`); of planes ``beams``, see
-    `relmap.planes.beams`, in bytes.
+    ids came with it), ``checksum``; of planes ``beams``, see `relmap.planes.beams`, in bytes.
 ``observations``
     One row for each observation in the order of ``iteration`` and ``row``, as given to the mapper.
     Of points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id``
@@ -24,21 +24,29 @@ version of what follows.
 ``calls``
     What else was asked of the mapper, "finish" or "refine", when it had taken in the scans before
     ``iteration``.
+
+A checksum is the CRC-32 of everything from the beginning, in the order in which it came: of
+``meta`` (see `meta_checksum`), and of each scan and call that followed (see `checksum`).  So
+nothing can be changed, left out, added or moved without being told, but by who means to.
 """
 
 from __future__ import annotations
 
+import json
 import zlib
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 
-SCHEMA = 2
-"""Version of the tables; since 2 journals of planes keep beams."""
+SCHEMA = 3
+"""Version of the tables; since 3 each checksum is of everything before it."""
 APPLICATION = 0x726C6D70
 """What SQLite's ``application_id`` says: relmap."""
+END = "end"
+"""The key of ``meta`` that tells where the journal ends."""
 META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)"
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 """The entries of a covariance: those of its upper triangle."""
@@ -102,6 +110,38 @@ PLANES = Layout("planes", (*_WALL, "end0 INTEGER", "end1 INTEGER"), has_ids=Fals
 LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 
 
+@dataclass(frozen=True)
+class End:
+    """Where a journal ends.
+
+    Attributes
+    ----------
+    scans : int
+        How many it holds.
+    checksum : int
+        Of everything in it.
+    """
+
+    scans: int
+    checksum: int
+
+    @property
+    def text(self) -> str:
+        """What ``meta`` holds of it."""
+        return json.dumps(asdict(self))
+
+
+def meta_checksum(rows: Iterable[tuple[str, str]]) -> int:
+    """Return the CRC-32 of keys and values of ``meta``, by key, each with a zero byte behind it."""
+    told = (text for row in sorted(rows) if row[0] != END for text in row)
+    return zlib.crc32("".join(f"{text}\0" for text in told).encode())
+
+
+def call_checksum(name: str, before: int) -> int:
+    """Return the CRC-32 with a call, after that of everything before."""
+    return zlib.crc32(name.encode(), before)
+
+
 def checksum(
     iteration: int,
     values: Floats,
@@ -109,16 +149,18 @@ def checksum(
     labels: Ints,
     covariances: Floats | None = None,
     beams: bytes = b"",
+    before: int = 0,
 ) -> int:
-    """Return the CRC-32 of one scan.
+    """Return the CRC-32 with a scan, after that of everything before.
 
-    It is that of the iteration number, the values (n, c) row by row, the ids where they came, the
-    landmarks (n,), and where they came the covariances (n, d, d) row by row; all as little-endian
-    numbers of 8 bytes; and of the beams.
+    It is that of the iteration number, n, n c, and 1 or 0 for whether ids came, the values (n, c)
+    row by row, the ids where they came, the landmarks (n,), and where they came the covariances
+    (n, d, d) row by row; all as little-endian numbers of 8 bytes; and of the beams.
     """
+    head = np.array([iteration, len(labels), values.size, ids is not None])
     came = [part for part in (ids, labels, covariances) if part is not None]
-    total = 0
-    for part in (np.array([iteration]), values, *came):
+    total = before
+    for part in (head, values, *came):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"
         total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
     return zlib.crc32(beams, total)

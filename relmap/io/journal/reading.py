@@ -16,16 +16,22 @@ from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.layout import (
     APPLICATION,
     COVARIANCES,
+    END,
     LAYOUTS,
     META,
     PAIRS,
     SCHEMA,
+    End,
     Layout,
+    call_checksum,
     checksum,
+    meta_checksum,
 )
 
 MOST_ROWS = 10_000_000
 """Observations in one scan above which the number is damage."""
+NOWHERE = End(-1, 0)
+"""Where a journal ends that does not tell."""
 _WRONG = (sqlite3.Error, TypeError, ValueError, OverflowError, UnicodeError, RecursionError)
 
 
@@ -64,11 +70,17 @@ class JournalReader:
     layout : Layout
     meta : dict
         See `relmap.io.journal.layout`.
+    calls : dict
+        What was asked of the mapper before each iteration.
+    end : End
+        Where it ends, by what it says.
+    read : End
+        The last scan that `scans` has yielded.
 
     Raises
     ------
     RelmapError
-        Where it is not a journal, or one of a newer relmap, or nothing of it can be recovered.
+        Where it is not a journal, or one of another version, or nothing of it can be recovered.
     """
 
     def __init__(self, path: Path) -> None:
@@ -83,14 +95,12 @@ class JournalReader:
             raise RelmapError(f"journal {path} cannot be opened: {reason(error)}") from error
         try:
             self._check_version()
+            # All is read as it is now, whoever writes meanwhile.
+            self._connection.execute("BEGIN")
             self._require({"meta": META})
-            self.meta = self._read_meta()
+            self.meta, self.end, begin = self._read_meta()
+            self.read = self._before = End(0, begin)
             self.layout: Layout = LAYOUTS[self.meta["variant"]]
-            if self.layout.has_beams and self._version < SCHEMA:
-                raise RelmapError(
-                    f"journal {path} is of version {self._version}, which kept no beams: map its "
-                    "log again"
-                )
             self._require(self.layout.tables)
             self._has_covariances = self._holds("covariances")
             if self._has_covariances:
@@ -130,7 +140,7 @@ class JournalReader:
         RelmapError
             Where the journal is damaged; all scans before that were yielded.
         """
-        k = -1
+        self.read = self._before
         try:
             scans = self._connection.execute(
                 f"SELECT {self.layout.scans} FROM scans ORDER BY iteration"
@@ -140,21 +150,33 @@ class JournalReader:
             )
             covariances = self._covariances()
             for k, (iteration, n, known, check, *beams) in enumerate(scans):
-                scan = replace(self._scan(rows, k, n, bool(known)), beams=bytes(*beams))
+                if iteration != k:
+                    raise ValueError("a scan is missing")
+                scan = self._scan(rows, k, n, known, beams)
                 if covariances is not None and n:
                     scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
-                if iteration != k or check != checksum(k, **vars(scan)):
+                if check != checksum(k, **vars(scan), before=self._called(k)):
                     raise ValueError("its checksum does not match")
+                self.read = End(k + 1, check)
                 yield scan
-                k += 1
-            if rows.fetchone() is not None:
+            if rows.fetchone() or (covariances is not None and covariances.fetchone()):
                 raise ValueError("there are observations without a scan")
+            last = self.read.scans
+            if self.end != End(last, self._called(last)) or max(self.calls, default=0) > last:
+                raise ValueError(f"it should end there, after {self.end.scans} scans")
         except _WRONG as error:
-            k = max(k, 0)
+            k = self.read.scans
             raise RelmapError(
                 f"journal {self.path} is damaged at iteration {k}: {reason(error)}; the {k} scans "
                 "before can be recovered: relmap resume --salvage does it"
             ) from error
+
+    def _called(self, k: int) -> int:
+        """Return the checksum with the calls after the last scan read."""
+        check = self.read.checksum
+        for call in self.calls.get(k, []):
+            check = call_checksum(call, check)
+        return check
 
     def _covariances(self) -> sqlite3.Cursor | None:
         """Return a cursor at the first covariance; None where none came."""
@@ -163,42 +185,50 @@ class JournalReader:
         names = ", ".join(("iteration", "row", *PAIRS))
         return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
 
-    def _scan(self, cursor: sqlite3.Cursor, k: int, n: int, known: bool) -> RecordedScan:
-        if not 0 <= n <= MOST_ROWS:
-            raise ValueError(f"a scan of {n} rows")
-        rows = cursor.fetchmany(n) if n else []
-        if [row[:2] for row in rows] != [(k, i) for i in range(n)]:
-            raise ValueError("observations are missing")
-        ids = self.layout.has_ids
-        columns = list(zip(*rows, strict=True))[2:] if n else []
-        labels = np.array(columns[-1] if n else [], dtype=np.int64)
-        seen = np.array(columns[: len(self.layout.values)], dtype=np.float64)
-        values = np.ascontiguousarray(seen.T).reshape(n, len(self.layout.values))
-        if ids and n and columns[2][0] is None:
-            values = np.ascontiguousarray(values[:, :2])
-        of = np.array(columns[-2] if n else [], dtype=np.int64) if ids and known else None
-        return RecordedScan(values, of, labels)
+    def _scan(
+        self, cursor: sqlite3.Cursor, k: int, n: int, known: int, beams: list[bytes]
+    ) -> RecordedScan:
+        """Return scan k, whose observations are next; what should be empty must be."""
+        if not 0 <= n <= MOST_ROWS or known not in (0, 1):
+            raise ValueError(f"a scan of {n!r:.20} rows, with ids: {known!r:.20}")
+        if any(type(part) is not bytes for part in beams):
+            raise ValueError("its beams are no bytes")
+        rows = _next(cursor, k, n, "observations")
+        has_ids, width = self.layout.has_ids, len(self.layout.values)
+        labels = np.array([row[-1] for row in rows], dtype=np.int64)
+        if has_ids and any((row[-2] is None) == bool(known) for row in rows):
+            raise ValueError("ids are missing, or too many")
+        planar = has_ids and n and rows[0][width - 1] is None
+        if planar and any(row[width - 1] is not None for row in rows):
+            raise ValueError("a planar scan has a height")
+        values = np.array([row[: width - bool(planar)] for row in rows], dtype=np.float64)
+        of = np.array([row[-2] for row in rows], dtype=np.int64) if has_ids and known else None
+        return RecordedScan(
+            values.reshape(n, -1 if n else width), of, labels, beams=b"".join(beams)
+        )
 
     def _check_version(self) -> None:
         (application,) = self._connection.execute("PRAGMA application_id").fetchone()
-        (self._version,) = self._connection.execute("PRAGMA user_version").fetchone()
+        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if application != APPLICATION:
             raise RelmapError(f"{self.path} is an SQLite file, but not a journal of relmap")
-        if self._version > SCHEMA:
+        if version != SCHEMA:
+            advice = "a newer relmap can resume it" if version > SCHEMA else "map its log again"
             raise RelmapError(
-                f"journal {self.path} is of version {self._version}, and this relmap reads up to "
-                f"{SCHEMA}: a newer relmap can resume it"
+                f"journal {self.path} is of version {version}, and this relmap reads {SCHEMA}: "
+                f"{advice}"
             )
         self._connection.execute("PRAGMA trusted_schema = OFF")
 
-    def _read_meta(self) -> dict[str, Any]:
-        meta = {
-            key: json.loads(value)
-            for key, value in self._connection.execute("SELECT key, value FROM meta")
-        }
+    def _read_meta(self) -> tuple[dict[str, Any], End, int]:
+        """Return what the journal says of itself, where it ends, and the checksum of all that."""
+        rows = self._connection.execute("SELECT key, value FROM meta").fetchall()
+        meta = {key: json.loads(value) for key, value in rows}
         if not isinstance(meta.get("configuration"), dict) or meta.get("variant") not in LAYOUTS:
             raise ValueError("its table meta lacks variant or configuration")
-        return meta
+        told = meta.pop(END, None)
+        whole = isinstance(told, dict) and told.keys() == {"scans", "checksum"}
+        return meta, End(**told) if whole else NOWHERE, meta_checksum(rows)
 
     def _holds(self, table: str) -> bool:
         sql = "SELECT count(*) FROM sqlite_master WHERE name = ?"
@@ -226,15 +256,23 @@ class JournalReader:
         return calls
 
 
+def _next(cursor: sqlite3.Cursor, k: int, n: int, what: str) -> list[tuple[Any, ...]]:
+    """Return the next n rows of scan k, without its number and theirs."""
+    rows = cursor.fetchmany(n) if n else []
+    if len(rows) != n or [row[:2] for row in rows] != [(k, i) for i in range(n)]:
+        raise ValueError(f"{what} are missing")
+    return [row[2:] for row in rows]
+
+
 def _matrices(cursor: sqlite3.Cursor, k: int, n: int, d: int) -> Floats:
     """Return the covariances (n, d, d) of scan k, which are next."""
-    rows = cursor.fetchmany(n)
-    if [row[:2] for row in rows] != [(k, i) for i in range(n)]:
-        raise ValueError("covariances are missing")
-    entries = np.array([row[2:] for row in rows], dtype=np.float64)
+    rows = np.array(_next(cursor, k, n, "covariances"), dtype=np.float64)
+    entries = dict(zip(PAIRS, rows.T, strict=True))
     found = np.empty((n, d, d))
     for a, b in zip(*np.triu_indices(d), strict=True):
-        found[:, a, b] = found[:, b, a] = entries[:, PAIRS.index("xyz"[a] + "xyz"[b])]
+        found[:, a, b] = found[:, b, a] = entries.pop("xyz"[a] + "xyz"[b])
+    if not np.isnan(list(entries.values())).all():
+        raise ValueError("covariances of a planar scan have a height")
     return found
 
 

@@ -7,8 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from relmap.core.errors import RelmapError
+from relmap.io.journal.file import create_file
 from relmap.io.journal.reading import JournalReader, stated_size
-from relmap.io.journal.writing import Journal, create_file
+from relmap.io.journal.writing import Journal
 
 MOST_MISSING = 1 << 40
 """Bytes beyond which the size that a file states is damage."""
@@ -75,8 +76,7 @@ def _recover(damaged: Path, whole: Path) -> int:
     """Write the scans before the damage to a journal; return how many they are."""
     with JournalReader(damaged) as reader:
         whole.unlink(missing_ok=True)
-        create_file(whole, reader.layout, reader.meta)
-        journal = Journal(whole, reader.layout)
+        journal = Journal(whole, reader.layout, create_file(whole, reader.layout, reader.meta))
         try:
             with suppress(RelmapError):
                 for scan in reader.scans():

@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import json
-import os
 import sqlite3
 from contextlib import suppress
-from itertools import chain, repeat
 from pathlib import Path
 from time import monotonic
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
-from relmap.io.journal.layout import (
-    APPLICATION,
-    COVARIANCES,
-    PAIRS,
-    SCHEMA,
-    Layout,
-    checksum,
-)
+from relmap.io.journal.file import connected, create_file
+from relmap.io.journal.layout import END, End, Layout, call_checksum, checksum
+from relmap.io.journal.rows import Statements, covariance_rows, observation_rows
 
+if TYPE_CHECKING:
+    from relmap.io.journal.reading import JournalReader
+
+GET_END = f"SELECT value FROM meta WHERE key = '{END}'"
+SET_END = f"UPDATE meta SET value = ? WHERE key = '{END}'"
 INTERVAL_S = 1.0
 """How often what was written is made sure of."""
-CACHE_KIB = 16384
-"""Pages that wait in memory until then: a second of the mapping makes some 3 MB."""
-BLOCK = 32
-"""Rows that one statement writes."""
-CHECKPOINT_PAGES = 4000
-"""Pages in the write-ahead log at which it is worked into the file."""
+
+
+class Entry(NamedTuple):
+    """A scan or a call that waits to be written, and where the journal ends with it."""
+
+    statements: Statements
+    end: End
 
 
 class Journal:
@@ -43,26 +39,23 @@ class Journal:
     Parameters
     ----------
     path : Path
-        A journal that exists; see `create`.
+        A journal that exists; see `create` and `go_on`.
     layout : Layout
-    n_scans : int
-        Scans in it.
+    end : End
+        Where it ends.
     """
 
-    def __init__(self, path: Path, layout: Layout, n_scans: int = 0) -> None:
+    def __init__(self, path: Path, layout: Layout, end: End) -> None:
         self.path = path
-        self.n_scans = n_scans
         self._layout = layout
-        self._waiting: list[tuple[str, list[tuple[Any, ...]]]] = []
+        self._sure = end
+        self._waiting: list[Entry] = []
         self._written = 0
-        self._has_covariances = False
         self._sure_at = monotonic()
         self._failure: sqlite3.Error | None = None
         self._connection: sqlite3.Connection | None = None
         try:
             self._connection = connected(path)
-            # Calls after the last scan are repeated by the program that resumes.
-            self._connection.execute("DELETE FROM calls WHERE iteration >= ?", (n_scans,))
         except sqlite3.Error as error:
             raise self._error(error) from error
 
@@ -79,8 +72,33 @@ class Journal:
             raise RelmapError(
                 f"journal {path} is there already: resume the run that it is of, or name another"
             )
-        create_file(path, layout, meta)
-        return cls(path, layout)
+        return cls(path, layout, create_file(path, layout, meta))
+
+    @classmethod
+    def go_on(cls, reader: JournalReader) -> Journal:
+        """Go on with a journal after its last scan, which a reader has read.
+
+        Calls after that are left out: the program that goes on repeats them.
+
+        Raises
+        ------
+        RelmapError
+            Where it cannot be written.
+        """
+        journal, last = cls(reader.path, reader.layout, reader.end), reader.read
+        without = "DELETE FROM calls WHERE iteration >= ?"
+        journal._waiting.append(Entry([(without, [(last.scans,)])], last))
+        journal.flush()
+        return journal
+
+    @property
+    def n_scans(self) -> int:
+        """How many scans were taken in."""
+        return self._end.scans
+
+    @property
+    def _end(self) -> End:
+        return self._waiting[-1].end if self._waiting else self._sure
 
     def ready(self) -> None:
         """Make sure that there is room for more.
@@ -115,53 +133,35 @@ class Journal:
             Where the layout has beams.
         """
         k, n = self.n_scans, len(labels)
-        columns = values.T.tolist() if n else []
-        slots = ["?"] * (2 + len(columns)) + ["NULL"] * (len(self._layout.values) - len(columns))
-        if self._layout.has_ids:
-            slots.append("NULL" if ids is None else "?")
-            columns += [] if ids is None else [ids.tolist()]
-        rows = zip(repeat(k, n), range(n), *columns, labels.tolist(), strict=True)
-        self._insert(f"({', '.join(slots)}, ?)", list(chain.from_iterable(rows)), n)
+        statements = observation_rows(self._layout, k, values, ids, labels)
         if covariances is not None and n:
-            self._append_covariances(covariances)
+            statements += covariance_rows(k, covariances)
         kept = (beams,) * self._layout.has_beams
-        check = checksum(k, values, ids, labels, covariances, beams)
+        check = checksum(k, values, ids, labels, covariances, beams, self._end.checksum)
         scan = (k, n, int(ids is not None), check, *kept)
-        slots = ["?"] * len(scan)
-        self._waiting.append((f"INSERT INTO scans VALUES ({', '.join(slots)})", [scan]))
-        self.n_scans += 1
+        slots = ", ".join("?" * len(scan))
+        statements.append((f"INSERT INTO scans VALUES ({slots})", [scan]))
+        # All of it or nothing, whenever an interrupt comes.
+        self._waiting.append(Entry(statements, End(k + 1, check)))
         self._try(sure=monotonic() - self._sure_at >= INTERVAL_S)
 
-    def _append_covariances(self, covariances: Floats) -> None:
-        """Let the covariances (n, d, d) of a scan wait to be written, in a table of their own."""
-        n, d = covariances.shape[:2]
-        entries = {
-            "xyz"[a] + "xyz"[b]: covariances[:, a, b].tolist()
-            for a, b in zip(*np.triu_indices(d), strict=True)
-        }
-        columns = [entries.get(pair, [None] * n) for pair in PAIRS]
-        rows = list(zip(repeat(self.n_scans, n), range(n), *columns, strict=True))
-        if not self._has_covariances:
-            made = COVARIANCES.replace("TABLE", "TABLE IF NOT EXISTS", 1)
-            self._waiting.append((made, [()]))
-            self._has_covariances = True
-        slots = ", ".join("?" * (2 + len(PAIRS)))
-        self._waiting.append((f"INSERT INTO covariances VALUES ({slots})", rows))
-
-    def _insert(self, slots: str, numbers: list[float], n: int) -> None:
-        """Let n rows of numbers wait to be written, many with one statement: that takes half."""
-        width, end = slots.count("?"), n - n % BLOCK
-        for begin, stop, k in ((0, end, BLOCK), (end, n, 1)):
-            size = k * width
-            rows = [tuple(numbers[i : i + size]) for i in range(begin * width, stop * width, size)]
-            if rows:
-                statement = f"INSERT INTO observations VALUES {', '.join([slots] * k)}"
-                self._waiting.append((statement, rows))
-
     def call(self, name: str) -> None:
-        """Note that something else was asked of the mapper, and make sure of all before it."""
-        self._waiting.append(("INSERT INTO calls VALUES (?, ?)", [(self.n_scans, name)]))
-        self.flush()
+        """Note that something else is asked of the mapper, and make sure of all before it.
+
+        Raises
+        ------
+        RelmapError
+            Where it cannot be written; it is then not noted.
+        """
+        k, check = self.n_scans, call_checksum(name, self._end.checksum)
+        self._waiting.append(
+            Entry([("INSERT INTO calls VALUES (?, ?)", [(k, name)])], End(k, check))
+        )
+        try:
+            self.flush()
+        except RelmapError:
+            self._waiting.pop()
+            raise
 
     def flush(self) -> None:
         """Make sure of everything taken in: whatever happens now, it is on disk.
@@ -199,28 +199,49 @@ class Journal:
 
     def _try(self, sure: bool) -> None:
         """Write what waits, and make sure of it where that is asked; note a failure."""
+        done = False
         try:
             self._write(sure)
-            self._failure = None
+            self._failure, done = None, True
         except sqlite3.Error as error:
             self._failure = error
         finally:
-            if self._failure is not None or self._written < len(self._waiting):
+            if not done:
                 self._roll_back()
 
     def _write(self, sure: bool) -> None:
-        if self._connection is None:
+        connection = self._connection
+        if connection is None:
             raise sqlite3.ProgrammingError("it was closed")
-        if not self._connection.in_transaction and self._waiting:
-            self._connection.execute("BEGIN IMMEDIATE")
-        for statement, rows in self._waiting[self._written :]:
-            self._connection.executemany(statement, rows)
+        if self._waiting and not connection.in_transaction:
+            self._begin(connection)
+        for entry in self._waiting[self._written :]:
+            for statement, rows in entry.statements:
+                connection.executemany(statement, rows)
             self._written += 1
-        if sure:
-            if self._connection.in_transaction:
-                self._connection.execute("COMMIT")
-            self._waiting, self._written = [], 0
-            self._sure_at = monotonic()
+        if not sure:
+            return
+        if connection.in_transaction:
+            connection.execute(SET_END, (self._end.text,))
+            connection.execute("COMMIT")
+            self._sure, self._waiting, self._written = self._end, [], 0
+        self._sure_at = monotonic()
+
+    def _begin(self, connection: sqlite3.Connection) -> None:
+        """Begin a transaction, and leave out what the file holds: an interrupt may leave that open.
+
+        Raises
+        ------
+        sqlite3.IntegrityError
+            Where the file ends where this journal never did.
+        """
+        connection.execute("BEGIN IMMEDIATE")
+        (text,) = connection.execute(GET_END).fetchone() or (None,)
+        ends = [self._sure, *(entry.end for entry in self._waiting)]
+        there = [k for k, end in enumerate(ends) if end.text == text]
+        if not there:
+            raise sqlite3.IntegrityError("another program has gone on with it")
+        self._sure, self._waiting = ends[there[-1]], self._waiting[there[-1] :]
 
     def _roll_back(self) -> None:
         """Take back what was written in part; it waits in memory."""
@@ -230,56 +251,7 @@ class Journal:
                 self._connection.execute("ROLLBACK")
 
     def _error(self, error: sqlite3.Error) -> RelmapError:
-        safe = self.n_scans - sum("scans" in statement for statement, _ in self._waiting)
         return RelmapError(
-            f"journal {self.path} cannot be written: {reason(error)}; the {safe} scans before are "
-            "in it"
+            f"journal {self.path} cannot be written: {reason(error)}; the {self._sure.scans} scans "
+            "before are in it"
         )
-
-
-def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> None:
-    """Make an empty journal, whole or not at all.
-
-    Raises
-    ------
-    RelmapError
-        Where it cannot be written.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        connection = connected(part, new=True)
-        try:
-            connection.execute("BEGIN")
-            for statement in layout.tables.values():
-                connection.execute(statement)
-            rows = [(key, json.dumps(value)) for key, value in meta.items()]
-            connection.executemany("INSERT INTO meta VALUES (?, ?)", rows)
-            connection.execute(f"PRAGMA application_id = {APPLICATION}")
-            connection.execute(f"PRAGMA user_version = {SCHEMA}")
-            connection.execute("COMMIT")
-        finally:
-            connection.close()
-        part.replace(path)
-    except (sqlite3.Error, OSError) as error:
-        raise RelmapError(f"journal {path} cannot be written: {reason(error)}") from error
-    finally:
-        for name in (part.name, f"{part.name}-wal", f"{part.name}-shm"):
-            with suppress(OSError):
-                part.with_name(name).unlink(missing_ok=True)
-
-
-def connected(path: Path, new: bool = False) -> sqlite3.Connection:
-    """Open an SQLite file for writing; what a transaction commits is on disk."""
-    mode = "rwc" if new else "rw"
-    connection = sqlite3.connect(
-        f"{path.absolute().as_uri()}?mode={mode}",
-        uri=True,
-        isolation_level=None,
-        check_same_thread=False,
-    )
-    connection.execute("PRAGMA trusted_schema = OFF")
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = FULL")
-    connection.execute(f"PRAGMA cache_size = -{CACHE_KIB}")
-    connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_PAGES}")
-    return connection
