@@ -1,0 +1,158 @@
+"""Updates that are cut off half way, and threads that share a mapper."""
+
+from __future__ import annotations
+
+import copy
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
+from relmap.io.journal import writing
+from relmap.simulation import simulate_building
+from tests.worlds import walk
+
+AnyMapper = PointMapper | PlaneMapper
+Kind = type[PointMapper] | type[PlaneMapper]
+
+POINTS = [points for _, points in walk(3, 5, 0.02, iterations=30).scans]
+WALLS = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:25]
+KINDS = [(PointMapper, POINTS), (PlaneMapper, WALLS)]
+
+
+def told(mapper: AnyMapper) -> bytes:
+    mapper.finish()
+    return mapper.map.positions.tobytes() + mapper.trajectory.tobytes()
+
+
+def go_on(mapper: Any, scans: Sequence[Any]) -> Any:
+    for scan in scans[mapper.n_iterations :]:
+        mapper.update(scan)
+    return mapper
+
+
+def is_whole(mapper: AnyMapper) -> bool:
+    """Tell whether a mapper does not say that it was interrupted."""
+    try:
+        mapper.flush()
+    except RelmapError:
+        return False
+    return True
+
+
+def interrupted(work: Callable[[], object], at: int) -> int:
+    """Do something, with Ctrl-C at some bytecode of relmap; return how many it has, up to there."""
+    count = 0
+
+    def step(frame: FrameType, event: str, argument: object) -> Any:
+        nonlocal count
+        if "relmap" not in frame.f_globals.get("__name__", ""):
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            count += 1
+            if count == at:
+                raise KeyboardInterrupt
+        return step
+
+    before = sys.gettrace()
+    sys.settrace(step)
+    try:
+        work()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        sys.settrace(before)
+    return count
+
+
+@pytest.mark.parametrize(("kind", "scans"), KINDS)
+def test_an_interrupted_update_was_not_or_was_or_is_told(
+    kind: Kind, scans: Sequence[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "INTERVAL_S", 0.0)
+    whole, k = told(go_on(kind(), scans)), len(scans) - 8
+    twin = go_on(kind(journal=tmp_path / "twin"), scans[:k])
+    length = interrupted(lambda: twin.update(scans[k]), -1)
+    was_told = False
+    for trial, at in enumerate(np.linspace(1, 1.1 * length, 8).astype(int).tolist()):
+        path = tmp_path / f"{trial}.journal"
+        mapper = go_on(kind(journal=path), scans[:k])
+        interrupted(lambda m=mapper: m.update(scans[k]), at)  # type: ignore[misc]
+        if is_whole(mapper):
+            assert told(go_on(mapper, scans)) == whole
+            continue
+        was_told = True
+        for look in ("map", "landmarks", "trajectory", "n_iterations"):
+            with pytest.raises(RelmapError, match="interrupted half way"):
+                getattr(mapper, look)
+        with pytest.raises(RelmapError, match="interrupted half way"):
+            mapper.save(tmp_path / "mapper.npz")
+        mapper.close()
+        resumed = kind.resume(path)
+        assert resumed.n_iterations in (k, k + 1)
+        assert told(go_on(resumed, scans)) == whole
+    assert was_told
+
+
+def test_whatever_cuts_an_update_off_is_told_and_a_refusal_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    mapper = go_on(PointMapper(), POINTS[:20])
+    mapper.refine()
+    refined = len(mapper.refined)
+    assert refined
+    with pytest.raises(RelmapError, match="ids did not come with"):
+        mapper.update(POINTS[20], ids=np.arange(len(POINTS[20])))
+    assert len(mapper.refined) == refined
+    monkeypatch.setattr(type(mapper.engine.schedule), "see", None)
+    with pytest.raises(TypeError):
+        mapper.update(POINTS[20])
+    monkeypatch.undo()
+    for each in (mapper, copy.deepcopy(mapper)):
+        with pytest.raises(RelmapError, match="interrupted half way"):
+            each.update(POINTS[20])
+        with pytest.raises(RelmapError, match="interrupted half way"):
+            each.finish()
+
+
+def test_a_flush_that_is_interrupted_loses_nothing(tmp_path: Path) -> None:
+    length = interrupted(go_on(PointMapper(journal=tmp_path / "x"), POINTS[:4]).flush, -1)
+    for at in range(length // 2, length, length // 25):
+        path = tmp_path / f"{at}.journal"
+        mapper = go_on(PointMapper(journal=path), POINTS[:4])
+        interrupted(mapper.flush, at)
+        mapper.close()
+        assert PointMapper.resume(path).n_iterations == 4
+
+
+class Waiting:
+    """A segmenter that waits in the midst of a scan until it is told to go on."""
+
+    def __init__(self) -> None:
+        self.begun, self.may_end = threading.Event(), threading.Event()
+
+    def fit(self, points: Any) -> None:
+        self.begun.set()
+        self.may_end.wait()
+        self.planes_ = WALLS[0]
+
+
+def test_two_threads_that_share_a_mapper_are_refused() -> None:
+    segmenter = Waiting()
+    mapper = PlaneMapper(MapperConfig(), segmenter)
+    other = threading.Thread(target=mapper.update, args=([[1.0, 2.0]],))
+    other.start()
+    segmenter.begun.wait()
+    for use in (lambda: mapper.update(WALLS[0]), mapper.finish, lambda: mapper.n_iterations):
+        with pytest.raises(RelmapError, match="another thread is in the middle of an update"):
+            use()
+    segmenter.may_end.set()
+    other.join()
+    assert mapper.n_iterations == 1
