@@ -113,6 +113,7 @@ def test_bad_scans(refused: Check, scans: str) -> None:
         ('group_after = "many"\n', "group_after"),
         ("group_after = nan\n", "group_after"),
         ("group_after 3\n", "not TOML"),
+        (f"group_after = 0x{'f' * 9000}\n", "thousands of digits"),
         ("\0", "mapper.toml"),
     ],
 )

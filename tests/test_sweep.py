@@ -128,7 +128,11 @@ def test_damaged_and_old_cells_are_run_again(tmp_path: Path) -> None:
     assert store.load(Cell(seed=1)) is None
     (path,) = (tmp_path / "cells").iterdir()
     told = json.loads(path.read_text())
-    for text in ("", "{", "[]", json.dumps(told | {"version": "0.0.1"})):
+    other = told["figures"] | {"total_s": 1e9}
+    changed: tuple[dict[str, object], ...]
+    changed = ({"version": "0.0.1"}, {"figures": {}}, {"figures": other}, {"note": "failed"})
+    damaged = ("", "{", "[]", "[" * 100_000, "9" * 5000)
+    for text in (*damaged, *(json.dumps(told | change) for change in changed)):
         path.write_text(text)
         assert store.load(cell) is None
 
@@ -179,6 +183,9 @@ def test_grid() -> None:
         ({"method": "relmap-planes", "world": "building"}, "association = 'nearest'"),
         ({"method": "relmap-planes", "world": "building", "density": 5}, "of the figure eight"),
         ({"method": "relmap-planes"}, "cannot map a log of landmarks"),
+        ({"method": "ekf", "sigma": 10**400}, "sigma is 1000.*; it must be 0 to 1000 metres"),
+        ({"method": "ekf", "seed": 10**5000}, "seed is a number of thousands of digits"),
+        ({"method": "ekf", "noise": [[10**5000]]}, "noise is .* thousands of digits"),
     ],
 )
 def test_refused(given: dict[str, object], said: str) -> None:
@@ -190,6 +197,9 @@ def test_refused_in_one_line(refused: Check, place: Path) -> None:
     assert "nowhere.toml" in refused("sweep", "nowhere.toml", "-o", "s")
     (place / "bad.toml").write_text("method = [")
     assert "bad.toml: not TOML" in refused("sweep", "bad.toml", "-o", "s")
+    for text in (f"seed = {'9' * 5000}", f"seed = 0x{'f' * 5000}", f"seed = {'[' * 5000}"):
+        (place / "bad.toml").write_text(f"method = 'ekf'\n{text}")
+        assert "bad.toml: " in refused("sweep", "bad.toml", "-o", "s")
     (place / "good.toml").write_text(SPEC)
     assert "--workers is 0" in refused("sweep", "good.toml", "-o", "s", "--workers", "0")
     both = ["--workers", "2", "--dask", "tcp://127.0.0.1:1"]

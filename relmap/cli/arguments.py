@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
 
-_LONGEST = 300
 """Characters that a message takes from a file of settings."""
 
 
@@ -121,22 +120,15 @@ def read_config(
         Where the file cannot be read, is not TOML, or holds a setting that is unknown or would be
         ignored.
     """
-    import tomllib
-
     from relmap.core import config
-    from relmap.io.files import read_text
+    from relmap.io.files import read_toml
 
     given = {} if registration is None else {"registration": registration}
     if path is None:
         return config.MapperConfig.from_mapping(given)
     try:
-        settings = tomllib.loads(read_text(path))
+        settings = read_toml(path)
         config.refuse(settings, unused or {})
         return config.MapperConfig.from_mapping(settings | given)
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
-        raise RelmapError(f"{path}: not TOML: {str(error)[:_LONGEST]}") from error
     except RelmapError as error:
-        problem = str(error)
-        if str(path) not in problem:
-            problem = f"{path}: {problem[:_LONGEST]}"
-        raise RelmapError(problem) from error
+        raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error

@@ -82,11 +82,11 @@ class CellStore:
         """Return a finished cell; None where it is not there, damaged or of another version."""
         try:
             told = json.loads(self._path(cell).read_text())
-            if told["cell"] == asdict(cell) and told["version"] == __version__:
-                return Finished(told["figures"], told["note"])
-        except (OSError, ValueError, KeyError, TypeError):
-            pass
-        return None
+            figures, note = told["figures"], told["note"]
+            whole = told == _told(cell, figures, note)
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            return None
+        return Finished(figures, note) if whole else None
 
     def save(self, cell: Cell, finished: Finished) -> None:
         """Keep a finished cell.
@@ -98,12 +98,18 @@ class CellStore:
         """
         if finished.again:
             return
-        told = {"version": __version__, "cell": asdict(cell), "figures": finished.figures}
-        atomic_write(self._path(cell), json.dumps(told | {"note": finished.note}))
+        atomic_write(self._path(cell), json.dumps(_told(cell, finished.figures, finished.note)))
 
     def _path(self, cell: Cell) -> Path:
         text = json.dumps(asdict(cell), sort_keys=True)
         return self._folder / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+
+
+def _told(cell: Cell, figures: Any, note: Any) -> dict[str, Any]:
+    """Return what the file of a cell holds, with a checksum of it."""
+    told = {"version": __version__, "cell": asdict(cell), "figures": figures, "note": note}
+    text = json.dumps(told, sort_keys=True)
+    return told | {"checksum": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def run_cells(

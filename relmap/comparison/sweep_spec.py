@@ -5,16 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from relmap.comparison.methods.registry import check_method, find_method
-from relmap.core.errors import RelmapError, known_name
+from relmap.core.errors import RelmapError, known_name, told
 from relmap.evaluation.sources import BuildingSource, EightSource, Source
-from relmap.io.files import read_text
+from relmap.io.files import read_toml
 
 MOST_CELLS = 1_000_000
 _LIMITS: dict[str, tuple[float, float, str]] = {
@@ -85,9 +85,7 @@ def read_spec(path: Path) -> list[Cell]:
         Where it cannot be read, is not TOML or means no grid.
     """
     try:
-        return cells_of(tomllib.loads(read_text(path)))
-    except tomllib.TOMLDecodeError as error:
-        raise RelmapError(f"{path}: not TOML: {error}") from error
+        return cells_of(read_toml(path))
     except RelmapError as error:
         raise RelmapError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
@@ -137,7 +135,7 @@ def _choices(key: str, given: Any) -> list[Any]:
         given = _span(key, given)
     values = [_value(key, kind, value) for value in (given if isinstance(given, list) else [given])]
     if not values or len(set(values)) < len(values):
-        raise RelmapError(f"{key} is {given!r}; it must list different values, one at least")
+        raise RelmapError(f"{key} is {told(given)}; it must list different values, one at least")
     return values
 
 
@@ -145,21 +143,23 @@ def _value(key: str, kind: type, value: Any) -> Any:
     """Return one value of a key as it must be."""
     right = (int, float) if kind is float else kind
     if isinstance(value, bool) or not isinstance(value, right):
-        raise RelmapError(f"{key} is {value!r}; it must be {_KINDS[kind]} or a list of such")
-    value, said = kind(value), ""
+        raise RelmapError(f"{key} is {told(value)}; it must be {_KINDS[kind]} or a list of such")
+    said = ""
+    with suppress(OverflowError):  # where it is beyond any limit
+        value = kind(value)
     if key in _CHOICES and value not in _CHOICES[key]:
         said = " or ".join(_CHOICES[key])
     if key in _LIMITS and not _LIMITS[key][0] <= value <= _LIMITS[key][1]:
         said = _LIMITS[key][2]
     if said:
-        raise RelmapError(f"{key} is {value!r}; it must be {said}")
+        raise RelmapError(f"{key} is {told(value)}; it must be {said}")
     return value
 
 
 def _span(key: str, text: str) -> list[int]:
     numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
     if not numbers:
-        raise RelmapError(f"{key} is {text!r}; it must be whole numbers or A:B, for A to B - 1")
+        raise RelmapError(f"{key} is {told(text)}; it must be whole numbers or A:B, for A to B - 1")
     begin, end = int(numbers[1]), int(numbers[2])
     return list(range(begin, min(end, begin + MOST_CELLS + 1)))
 

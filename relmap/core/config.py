@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from relmap.core.errors import RelmapError, known_name
+from relmap.core.errors import RelmapError, known_name, told
 
+MOST = 10**9
+"""Whole numbers and lengths beyond this are a mistake; products of two are no problem below."""
 REGISTRATIONS = ("constellation", "nearest-previous")
 WITH_POINTS = {"bridge_m": "only walls can leave a way along themselves open"}
 WITH_IDS = WITH_POINTS | dict.fromkeys(("registration", "gate_m"), "with ids nothing is matched")
@@ -79,9 +80,10 @@ class MapperConfig:
         second, third = ("second_pass", 2), ("third_pass", 3)
         for key, lowest in (("group_after", 1), second, third, ("max_missed", 0)):
             value = getattr(self, key)
-            if type(value) is not int or value < lowest:
+            if type(value) is not int or not lowest <= value <= MOST:
                 raise RelmapError(
-                    f"setting {key} is {value!r}; it must be a whole number, {lowest} or more"
+                    f"setting {key} is {told(value)}; it must be a whole number, {lowest} or more, "
+                    f"up to {MOST}"
                 )
         if self.third_pass <= self.second_pass:
             raise RelmapError(
@@ -90,18 +92,19 @@ class MapperConfig:
             )
         if self.registration not in REGISTRATIONS:
             raise RelmapError(
-                f"setting registration is {self.registration!r}; "
+                f"setting registration is {told(self.registration)}; "
                 f"it must be {' or '.join(REGISTRATIONS)}"
             )
         for key in ("keep_observations", "refine_live"):
             if type(getattr(self, key)) is not bool:
                 raise RelmapError(
-                    f"setting {key} is {getattr(self, key)!r}; it must be true or false"
+                    f"setting {key} is {told(getattr(self, key))}; it must be true or false"
                 )
         for key, length in (("gate_m", self.gate_m), ("bridge_m", self.bridge_m)):
             if not ((key == "gate_m" and length is None) or _is_length(length)):
                 raise RelmapError(
-                    f"setting {key} is {length!r}; it must be a length above 0, in metres"
+                    f"setting {key} is {told(length)}; it must be a length above 0, in metres, "
+                    f"up to {MOST}"
                 )
         if self.gate_m is not None and self.registration != "nearest-previous":
             raise RelmapError(
@@ -169,4 +172,4 @@ def refuse(given: Iterable[str], unused: Mapping[str, str]) -> None:
 def _is_length(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return 0 < value < math.inf
+    return 0 < value <= MOST

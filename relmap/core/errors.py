@@ -21,6 +21,15 @@ def reason(error: Exception) -> str:
     return plain if len(plain) <= 200 else f"{plain[:200]}..."
 
 
+def told(value: object) -> str:
+    """Return a value as part of a line: not too long, whatever it is."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):
+        return "a number of thousands of digits, or nested deep"
+    return text if len(text) <= 200 else f"{text[:200]}..."
+
+
 def known_name(name: str, known: Collection[str], what: str) -> str:
     """Return a name if it is known.
 
@@ -33,4 +42,4 @@ def known_name(name: str, known: Collection[str], what: str) -> str:
         return name
     near = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
-    raise RelmapError(f"unknown {what} {name!r}; {hint}")
+    raise RelmapError(f"unknown {what} {told(name)}; {hint}")

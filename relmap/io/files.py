@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats
-from relmap.core.errors import RelmapError
+from relmap.core.errors import RelmapError, reason
 from relmap.datasets.number_rows import NumberRows
 from relmap.datasets.scans import poses_of
 from relmap.datasets.textfile import (
@@ -128,6 +130,20 @@ def read_text(path: Path) -> str:
         for number, line in enumerate(text.split("\n"), 1):
             require_utf8(path, number, line)
     return text
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Read a small TOML file.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be read or is not TOML.
+    """
+    try:
+        return tomllib.loads(read_text(path))
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
+        raise RelmapError(f"{shown(path)}: not TOML: {reason(error)}") from error
 
 
 def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
