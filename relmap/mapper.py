@@ -203,7 +203,7 @@ class Mapper(ABC):
                 )
             mapper = cls(MapperConfig.from_mapping(reader.meta["configuration"]))
             mapper._replay(reader)
-            mapper._journal = Journal.go_on(reader)
+        mapper._journal = Journal.go_on(reader)
         return mapper
 
     def save(self, path: PathLike[str] | str) -> None:

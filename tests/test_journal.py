@@ -187,6 +187,20 @@ def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
         PointMapper(journal=tmp_path / "missing" / "run.journal")
 
 
+def test_what_a_killed_run_left_beside_its_journal_is_not_taken_for_the_next_one_s(
+    tmp_path: Path,
+) -> None:
+    path, wal = tmp_path / "run.journal", tmp_path / "run.journal-wal"
+    mapper = begun(path, 30, close=False)
+    mapper.flush()
+    left = wal.read_bytes()
+    mapper.close()
+    path.unlink()
+    wal.write_bytes(left)
+    begun(path, 10)
+    assert PointMapper.resume(path).n_iterations == 10
+
+
 def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
     path, scans = tmp_path / "run.journal", scans_of(3, False)
     begun(path)
@@ -221,6 +235,7 @@ def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
         ("DELETE FROM scans WHERE iteration = 12", "at iteration 12"),
         ("DELETE FROM scans WHERE iteration = 59", "observations without a scan"),
         ("UPDATE scans SET known = 1 WHERE iteration = 2", "at iteration 2: ids are missing"),
+        ("UPDATE observations SET landmark = landmark + 0.5 WHERE iteration = 20", "float64 where"),
         ("UPDATE observations SET id = 7 WHERE iteration = 20", "at iteration 20: ids are"),
         (
             "UPDATE meta SET value = '{\"group_after\": 9}' WHERE key = 'configuration'",
@@ -348,6 +363,27 @@ def test_salvage_recovers_what_is_before_the_damage(tmp_path: Path) -> None:
     assert finished(run(resumed, scans[n:])) == whole
     with pytest.raises(RelmapError, match=r"damaged is there already"):
         salvage(path)
+
+
+def test_salvage_that_was_killed_before_its_last_step_is_ended(tmp_path: Path) -> None:
+    path = tmp_path / "run.journal"
+    begun(path)
+    changed(path, "UPDATE scans SET checksum = 0 WHERE iteration = 30")
+    assert salvage(path) == 30
+    path.rename(tmp_path / "run.journal.whole")
+    assert salvage(path) == 30
+    assert PointMapper.resume(path).n_iterations == 30
+
+
+def test_of_a_journal_with_another_configuration_nothing_is_salvaged(tmp_path: Path) -> None:
+    path = tmp_path / "run.journal"
+    begun(path)
+    changed(path, "UPDATE meta SET value = '{\"group_after\": 9}' WHERE key = 'configuration'")
+    before = path.read_bytes()
+    with pytest.raises(RelmapError, match="nothing of it can be recovered: map its log again"):
+        salvage(path)
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["run.journal"]
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])

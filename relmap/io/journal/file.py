@@ -17,6 +17,10 @@ CACHE_KIB = 16384
 CHECKPOINT_PAGES = 4000
 """Pages in the write-ahead log at which it is worked into the file."""
 
+BESIDE = ("-wal", "-shm")
+"""How names of the files end that SQLite keeps beside its own."""
+THERE = "journal {} is there already: resume the run that it is of, or name another"
+
 
 def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     """Make an empty journal, whole or not at all, and return where it ends.
@@ -24,8 +28,12 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     Raises
     ------
     RelmapError
-        Where it cannot be written.
+        Where there is a file of that name, or it cannot be written.
     """
+    if path.exists():
+        raise RelmapError(THERE.format(path))
+    # What a run that was killed left beside a file that is gone would be taken for this one's.
+    remove(path, BESIDE)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         connection = connected(part, new=True)
@@ -42,14 +50,31 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
             connection.execute("COMMIT")
         finally:
             connection.close()
-        part.replace(path)
+        _name(part, path)
+    except FileExistsError as error:
+        raise RelmapError(THERE.format(path)) from error
     except (sqlite3.Error, OSError) as error:
         raise RelmapError(f"journal {path} cannot be written: {reason(error)}") from error
     finally:
-        for name in (part.name, f"{part.name}-wal", f"{part.name}-shm"):
-            with suppress(OSError):
-                part.with_name(name).unlink(missing_ok=True)
+        remove(part)
     return end
+
+
+def _name(part: Path, path: Path) -> None:
+    """Let a file be found under its name, if no other has it."""
+    try:
+        path.hardlink_to(part)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        part.replace(path)
+
+
+def remove(path: Path, endings: tuple[str, ...] = ("", *BESIDE)) -> None:
+    """Remove an SQLite file and what stands beside it, as far as they are there."""
+    for ending in endings:
+        with suppress(OSError):
+            path.with_name(path.name + ending).unlink()
 
 
 def connected(path: Path, new: bool = False) -> sqlite3.Connection:

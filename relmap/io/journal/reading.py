@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.core.errors import RelmapError, reason
+from relmap.core.config import MapperConfig
+from relmap.core.errors import RelmapError, reason, told
 from relmap.io.journal.layout import (
     APPLICATION,
     COVARIANCES,
@@ -166,9 +167,10 @@ class JournalReader:
                 raise ValueError(f"it should end there, after {self.end.scans} scans")
         except _WRONG as error:
             k = self.read.scans
+            some = f"the {k} scans before can be recovered: relmap resume --salvage does it"
             raise RelmapError(
-                f"journal {self.path} is damaged at iteration {k}: {reason(error)}; the {k} scans "
-                "before can be recovered: relmap resume --salvage does it"
+                f"journal {self.path} is damaged at iteration {k}: {reason(error)}; "
+                f"{some if k else 'nothing of it can be recovered: map its log again'}"
             ) from error
 
     def _called(self, k: int) -> int:
@@ -189,20 +191,20 @@ class JournalReader:
         self, cursor: sqlite3.Cursor, k: int, n: int, known: int, beams: list[bytes]
     ) -> RecordedScan:
         """Return scan k, whose observations are next; what should be empty must be."""
-        if not 0 <= n <= MOST_ROWS or known not in (0, 1):
-            raise ValueError(f"a scan of {n!r:.20} rows, with ids: {known!r:.20}")
+        if not 0 <= n <= MOST_ROWS or known not in (0, int(self.layout.has_ids)):
+            raise ValueError(f"a scan of {told(n)} rows, with ids: {told(known)}")
         if any(type(part) is not bytes for part in beams):
             raise ValueError("its beams are no bytes")
         rows = _next(cursor, k, n, "observations")
         has_ids, width = self.layout.has_ids, len(self.layout.values)
-        labels = np.array([row[-1] for row in rows], dtype=np.int64)
+        labels = _whole([row[-1] for row in rows])
         if has_ids and any((row[-2] is None) == bool(known) for row in rows):
             raise ValueError("ids are missing, or too many")
         planar = has_ids and n and rows[0][width - 1] is None
         if planar and any(row[width - 1] is not None for row in rows):
             raise ValueError("a planar scan has a height")
         values = np.array([row[: width - bool(planar)] for row in rows], dtype=np.float64)
-        of = np.array([row[-2] for row in rows], dtype=np.int64) if has_ids and known else None
+        of = _whole([row[-2] for row in rows]) if has_ids and known else None
         return RecordedScan(
             values.reshape(n, -1 if n else width), of, labels, beams=b"".join(beams)
         )
@@ -226,6 +228,10 @@ class JournalReader:
         meta = {key: json.loads(value) for key, value in rows}
         if not isinstance(meta.get("configuration"), dict) or meta.get("variant") not in LAYOUTS:
             raise ValueError("its table meta lacks variant or configuration")
+        try:
+            MapperConfig.from_mapping(meta["configuration"])
+        except RelmapError as error:
+            raise ValueError(str(error)) from error
         told = meta.pop(END, None)
         whole = isinstance(told, dict) and told.keys() == {"scans", "checksum"}
         return meta, End(**told) if whole else NOWHERE, meta_checksum(rows)
@@ -250,9 +256,9 @@ class JournalReader:
         for iteration, call in self._connection.execute(
             "SELECT iteration, call FROM calls ORDER BY rowid"
         ):
-            if call not in ("finish", "refine"):
-                raise ValueError(f"its table calls holds {call!r}")
-            calls.setdefault(int(iteration), []).append(call)
+            if call not in ("finish", "refine") or type(iteration) is not int:
+                raise ValueError(f"its table calls holds {told(call)} at {told(iteration)}")
+            calls.setdefault(iteration, []).append(call)
         return calls
 
 
@@ -262,6 +268,13 @@ def _next(cursor: sqlite3.Cursor, k: int, n: int, what: str) -> list[tuple[Any, 
     if len(rows) != n or [row[:2] for row in rows] != [(k, i) for i in range(n)]:
         raise ValueError(f"{what} are missing")
     return [row[2:] for row in rows]
+
+
+def _whole(numbers: list[Any]) -> Ints:
+    found = np.array(numbers)
+    if len(found) and found.dtype != np.int64:
+        raise ValueError(f"{found.dtype} where whole numbers should be")
+    return found.astype(np.int64)
 
 
 def _matrices(cursor: sqlite3.Cursor, k: int, n: int, d: int) -> Floats:

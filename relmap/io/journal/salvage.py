@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from relmap.core.errors import RelmapError
-from relmap.io.journal.file import create_file
+from relmap.io.journal.file import BESIDE, create_file, remove
 from relmap.io.journal.reading import JournalReader, stated_size
 from relmap.io.journal.writing import Journal
 
@@ -35,6 +35,10 @@ def salvage(path: Path) -> int:
         Where nothing can be recovered, or a file cannot be written.
     """
     damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
+    if damaged.exists() and whole.exists() and not path.exists():  # killed before the last step
+        whole.replace(path)
+        with JournalReader(path) as reader:
+            return sum(1 for _ in reader.scans())
     if damaged.exists():
         raise RelmapError(f"{damaged} is there already: move it away first")
     if not path.is_file():
@@ -42,7 +46,7 @@ def salvage(path: Path) -> int:
     try:
         _copy(path, rest)
         n_scans = _recover(rest, whole)
-        for ending in ("-wal", "-shm", ""):
+        for ending in (*BESIDE, ""):
             with suppress(FileNotFoundError):
                 _beside(path, ending).replace(_beside(damaged, ending))
         whole.replace(path)
@@ -51,9 +55,8 @@ def salvage(path: Path) -> int:
     except OSError as error:
         raise RelmapError(f"cannot recover {path}: {error.strerror}: {error.filename}") from error
     finally:
-        for ending in ("-wal", "-shm", ""):
-            with suppress(OSError):
-                _beside(rest, ending).unlink(missing_ok=True)
+        for file in (rest, whole):
+            remove(file)
     return n_scans
 
 
@@ -75,14 +78,16 @@ def _copy(path: Path, copy: Path) -> None:
 def _recover(damaged: Path, whole: Path) -> int:
     """Write the scans before the damage to a journal; return how many they are."""
     with JournalReader(damaged) as reader:
-        whole.unlink(missing_ok=True)
+        remove(whole)
         journal = Journal(whole, reader.layout, create_file(whole, reader.layout, reader.meta))
         try:
-            with suppress(RelmapError):
-                for scan in reader.scans():
-                    for call in reader.calls.get(journal.n_scans, []):
-                        journal.call(call)
-                    journal.append(**vars(scan))
+            for scan in reader.scans():
+                for call in reader.calls.get(journal.n_scans, []):
+                    journal.call(call)
+                journal.append(**vars(scan))
+        except RelmapError:
+            if not reader.read.scans:
+                raise
         finally:
             journal.close()
     return journal.n_scans

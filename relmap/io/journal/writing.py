@@ -68,10 +68,6 @@ class Journal:
         RelmapError
             Where there is a file of that name, or it cannot be written.
         """
-        if path.exists():
-            raise RelmapError(
-                f"journal {path} is there already: resume the run that it is of, or name another"
-            )
         return cls(path, layout, create_file(path, layout, meta))
 
     @classmethod
