@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
@@ -177,7 +177,9 @@ class Mapper(ABC):
         return float(self.engine.averaging.noise.sigma_m)
 
     @classmethod
-    def resume(cls, journal: PathLike[str] | str) -> Self:
+    def resume(
+        cls, journal: PathLike[str] | str, after: Callable[[Self], object] | None = None
+    ) -> Self:
         """Return the mapper that kept a journal, as it was after the last scan in it.
 
         It is made by mapping the scans of the journal again, which gives the same to the last bit,
@@ -186,6 +188,8 @@ class Mapper(ABC):
         Parameters
         ----------
         journal : path
+        after : callable, optional
+            Is given the mapper after each scan, to look at it.
 
         Raises
         ------
@@ -202,7 +206,9 @@ class Mapper(ABC):
                     f"{cls._variant}"
                 )
             mapper = cls(MapperConfig.from_mapping(reader.meta["configuration"]))
-            mapper._replay(reader)
+            for _ in mapper._replayed(reader):
+                if after is not None:
+                    after(mapper)
         mapper._journal = Journal.go_on(reader)
         return mapper
 
@@ -289,7 +295,8 @@ class Mapper(ABC):
         if self._journal is not None:
             self._journal.call(name)
 
-    def _replay(self, reader: JournalReader) -> None:
+    def _replayed(self, reader: JournalReader) -> Iterator[None]:
+        """Take in the scans of a journal, one at a time."""
         for k, scan in enumerate(reader.scans()):
             for call in reader.calls.get(k, []):
                 getattr(self, call)()
@@ -299,6 +306,7 @@ class Mapper(ABC):
                     f"were noted; it was written by {_told(reader.meta.get('versions'))}, "
                     f"and this is {_told(_versions())}"
                 )
+            yield
 
     @property
     def _parts(self) -> list[Any]:

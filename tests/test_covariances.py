@@ -121,6 +121,8 @@ BAD = {
     "symmetric": np.tile([[1.0, 0.5], [0.0, 1.0]], (4, 1, 1)),
     "positive definite": np.tile([[1.0, 2.0], [2.0, 1.0]], (4, 1, 1)),
     "positive  definite": np.zeros((4, 2, 2)),
+    "between 1e-30 and": np.tile(1e-300 * np.eye(2), (4, 1, 1)),
+    "and 1e.30": np.tile(1e31 * np.eye(2), (4, 1, 1)),
     "array of numbers": np.full((4, 2, 2), "x"),
 }
 

@@ -17,6 +17,8 @@ from relmap.cli import main
 from relmap.datasets import write_observation_csv, write_scans_npz
 from relmap.io.journal.file import create_file
 from relmap.io.journal.layout import POINTS
+from relmap.plots import bench as plots_bench
+from relmap.plots.bench_recorder import BenchFrame
 from relmap.simulation import simulate_building, simulate_figure_eight
 from tests.commands import load, names, table
 from tests.journals import end_after
@@ -121,10 +123,32 @@ def test_relmap_resume_of_walls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert main([*asked, "out", "--journal", "run.journal"]) == 0
     end_after(Path("run.journal"), 25)
     assert main(["resume", "run.journal", "-o", "again"]) == 0
-    for name in ("planes.csv", *SAME):
+    for name in ("planes.csv", "bench.png", "map.png", *SAME):
         assert Path("again", name).read_bytes() == Path("whole", name).read_bytes()
     write_scans_npz(tmp_path / "scans.npz", points[:20], stamps_s[:20])
     assert main(["resume", "run.journal"]) == 2
+
+
+def test_the_animation_of_a_resumed_run_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[list[object]] = []
+
+    def show(path: Path, frames: list[BenchFrame], *_: object) -> None:
+        shown.append([row for frame in frames for row in frame.rows()])
+
+    monkeypatch.setattr(plots_bench, "write_bench_gif", show)
+    monkeypatch.setattr(plots_bench, "write_bench_png", lambda *_: None)
+    monkeypatch.chdir(tmp_path)
+    points = [scan.points for scan in simulate_building(seed=0, points=100).scans[:12]]
+    write_scans_npz(tmp_path / "scans.npz", points, np.arange(12.0))
+    asked = ["map", "scans.npz", "--variant", "planes", "--animate", "-o", "out"]
+    assert main([*asked, "--journal", "run.journal"]) == 0
+    for held in (12, 7):
+        end_after(Path("run.journal"), held)
+        assert main(["resume", "run.journal"]) == 0
+        assert shown[-1] == shown[0]
+    assert len(shown[0]) > 12 * 100
 
 
 def test_relmap_resume_says_what_is_wrong(

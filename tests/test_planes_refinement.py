@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from relmap.core.linalg.cholesky import Pattern
+from relmap.planes.assembly import WallNumbers, assemble
 from relmap.planes.closing import Loop, votes
 from relmap.planes.equations import WallEquations, Walls
+from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
 
 Cliques = tuple[Pattern, list[NDArray[np.int64]]]
@@ -173,3 +175,26 @@ def test_each_scan_of_the_later_visit_has_one_vote() -> None:
     others = [loop(504, 60, 0.5), loop(700, 60), loop(508, 300)]
     assert votes(deceptive[0], deceptive + others) == 2
     assert votes(deceptive[0], [*deceptive, loop(504, 60, 0.1)]) == 3
+
+
+def test_walls_are_assembled_without_any_corner() -> None:
+    n = 8
+    ends = np.tile([[2.0, -1.0], [2.0, 1.0]], (n, 1, 1)) - np.arange(n)[:, None, None] * [0.1, 0.0]
+    history = PlaneHistory(
+        iteration=np.arange(n),
+        plane=np.zeros(n, dtype=np.int64),
+        ends=ends,
+        sd=np.full(n, 0.01),
+        z_extent=np.zeros((n, 2)),
+        corner=np.full((n, 2), -1),
+        motion=np.tile([0.0, -0.1, 0.0], (n, 1)),
+        submap=np.zeros(n, dtype=np.int64),
+    )
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    poses[:, 0, 3] = 0.1 * np.arange(n)
+    none = np.empty(0, dtype=np.int64)
+    numbers = WallNumbers(np.zeros(1, dtype=np.int64), none)
+    assembled = assemble(history, numbers, poses, np.zeros(1, dtype=np.bool_))
+    assert assembled is not None
+    np.testing.assert_allclose(assembled.state.centre, [[2.0, 0.0]], atol=1e-12)
+    assert len(assembled.corners) == len(assembled.given.corner) == 0

@@ -115,14 +115,14 @@ class Job:
         """Return where a path of the job is."""
         return self.folder / path if self.resumed else path
 
-    def mapper(self) -> AnyMapper:
-        """Return the mapper to begin or to go on with."""
+    def mapper(self, after: Callable[[Any], object] | None = None) -> AnyMapper:
+        """Return the mapper to begin or to go on with; `after` as `Mapper.resume` takes it."""
         from relmap.planes import PlaneMapper
         from relmap.points import PointMapper
 
         kind: type[AnyMapper] = PlaneMapper if self.variant == "planes" else PointMapper
         if self.resumed and self.journal is not None:
-            return kind.resume(self.journal)
+            return kind.resume(self.journal, after)
         if self.onto is not None:
             return kind.load(self.onto / MAPPER)
         return kind(self.settings, journal=self.journal, run=self.noted)

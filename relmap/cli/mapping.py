@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from relmap.evaluation.feeding import AnyMapper, Log
     from relmap.evaluation.run import Run
     from relmap.evaluation.truth import Truth
+    from relmap.planes import PlaneMapper
     from relmap.plots.bench_recorder import BenchRecorder
 
 BENCH_PNG = "bench.png"
@@ -87,14 +89,15 @@ def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
 
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     """Map a log, and write result and pictures into an existing folder."""
-    from relmap.datasets.scans import ScanLog
     from relmap.evaluation.run import run_mapper
 
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
-        mapper = job.mapper()
+        bench, see_again = _bench(job, log, len(seen))
+        mapper = job.mapper(see_again)
         afterwards.callback(mapper.close)
-        bench = _bench(job, log, mapper, len(seen))
+        if bench is not None:
+            bench.mapper = cast("PlaneMapper", mapper)
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
             followed = _taken_up(job, mapper, job.scans(scans, len(log)), about)
@@ -106,8 +109,6 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         _write(folder, run)
         mapper.save(folder / MAPPER)
     if bench is not None:
-        if isinstance(log, ScanLog) and len(seen) == len(log):
-            bench.see_again(log)
         _draw_bench(folder, bench, job.animate)
     return run
 
@@ -165,19 +166,21 @@ def _write(folder: Path, run: Run) -> None:
     write_submaps_png(picture, result.drawn, len(result.summary["submaps"]))
 
 
-def _bench(job: Job, log: Log, mapper: AnyMapper, n_seen: int) -> BenchRecorder | None:
-    """Return what looks at walls while they are mapped; None of points."""
+def _bench(
+    job: Job, log: Log, n_seen: int
+) -> tuple[BenchRecorder | None, Callable[[PlaneMapper], None] | None]:
+    """Return what looks at walls while they are mapped, and mapped again; None of points."""
     from relmap.datasets.scans import ScanLog
-    from relmap.planes import PlaneMapper
 
-    if not (isinstance(log, ScanLog) and isinstance(mapper, PlaneMapper)):
-        return None
+    if not isinstance(log, ScanLog):
+        return None, None
     from relmap.evaluation.feeding import segmenter_for
     from relmap.plots.bench_recorder import BenchRecorder, frame_step
 
     every = frame_step(len(log)) if job.animate else 0
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
-    return BenchRecorder(mapper, segmenter_for(log.sensor), truth, every, log.sensor, before_s)
+    bench = BenchRecorder(None, segmenter_for(log.sensor), truth, every, log.sensor, before_s)
+    return bench, partial(bench.see_again, log)
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:

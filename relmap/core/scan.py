@@ -10,6 +10,8 @@ from relmap.core.errors import RelmapError
 FARTHEST_M = 1e9
 """No sensor sees farther: beyond this a coordinate is damage."""
 
+SMALLEST_M2, LARGEST_M2 = 1e-30, 1e30
+"""Beyond these no variance is one of a sensor, and squares of what is weighed by it overflow."""
 ASYMMETRY = 1e-6
 """How far a covariance may be from symmetric, as a share of its largest entry: rounding."""
 SINGULAR = 1e-12
@@ -117,8 +119,8 @@ def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> 
     Raises
     ------
     RelmapError
-        Where the shape is another, or one of them is not finite, not symmetric, or not positive
-        definite.
+        Where the shape is another, or one of them is not finite, not symmetric, not positive
+        definite, or of no sensor.
     """
     n, d = points.shape
     shape = f"({n}, {d}, {d})"
@@ -137,6 +139,8 @@ def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> 
     array = (array + across) / 2
     eigenvalues = np.linalg.eigvalsh(array)
     _require(eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1], array, "positive definite")
+    within = (eigenvalues[:, 0] >= SMALLEST_M2) & (eigenvalues[:, -1] <= LARGEST_M2)
+    _require(within, array, f"between {SMALLEST_M2:g} and {LARGEST_M2:g}")
     return array
 
 

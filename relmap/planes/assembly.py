@@ -214,10 +214,12 @@ def _corners(
     corner: NDArray[np.int64], corner_of: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Return row and end of each sight of a corner seen often; those corners, and which it is."""
-    corner = np.where(corner >= 0, corner_of[corner], -1)
-    times = np.bincount(corner[corner >= 0], minlength=len(corner_of))
-    row, end = np.nonzero((corner >= 0) & (times[corner] >= OFTEN))
-    corners, compact = np.unique(corner[row, end], return_inverse=True)
+    row, end = np.nonzero(corner >= 0)
+    which = corner_of[corner[row, end]]
+    row, end, which = (each[which >= 0] for each in (row, end, which))
+    often = np.bincount(which, minlength=1)[which] >= OFTEN
+    corners, compact = np.unique(which[often], return_inverse=True)
+    row, end = row[often], end[often]
     return row, end, corners, compact
 
 

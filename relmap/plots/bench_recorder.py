@@ -86,9 +86,10 @@ class BenchRecorder:
 
     Parameters
     ----------
-    mapper : PlaneMapper
+    mapper : PlaneMapper, optional
+        That of the run; see `see_again` where it is to be resumed first.
     segmenter : PlaneSegmenter
-        Those of the run.
+        That of the run.
     truth : Truth, optional
     every : int
         Scans from one frame to the next; 0: none is kept but the last, when asked for.
@@ -99,20 +100,21 @@ class BenchRecorder:
 
     Attributes
     ----------
+    mapper : PlaneMapper
     segmenter : PlaneSegmenter
     frames : list of BenchFrame
     """
 
     def __init__(
         self,
-        mapper: PlaneMapper,
+        mapper: PlaneMapper | None,
         segmenter: PlaneSegmenter,
         truth: Truth | None = None,
         every: int = 0,
         view: SensorView | None = None,
         before_s: Iterable[float] = (),
     ) -> None:
-        self._mapper, self.segmenter = mapper, segmenter
+        self.mapper, self.segmenter = mapper, segmenter
         self._truth, self._every = truth, every
         self._view = view or SensorView()
         self._stamps_s = list(before_s)
@@ -128,19 +130,26 @@ class BenchRecorder:
             if self._every and len(self._stamps_s) % self._every == 0:
                 self.frames.append(self._frame(scan))
 
-    def see_again(self, log: ScanLog) -> None:
-        """Segment the last scan of a log whose scans the mapper had all taken in already."""
-        last = log.first_iteration + len(log) - 1
-        for scan in log.between(last, last + 1).scans():
+    def see_again(self, log: ScanLog, mapper: PlaneMapper) -> None:
+        """Look at a mapper that has taken in the next scan of a log again, out of its journal."""
+        self.mapper, n = mapper, mapper.n_iterations
+        wanted = bool(self._every) and n % self._every == 0
+        if not wanted and n < len(self._stamps_s):
+            return
+        k = log.first_iteration + n - 1
+        for scan in log.between(k, k + 1).scans():
             segment_scan(self.segmenter, scan.points_robot, self._view)
             self._scan = scan
+            if wanted:
+                self.frames.append(self._frame(scan))
 
     def last(self) -> BenchFrame | None:
         """Return the last scan with the map as it is now; None where there was no scan."""
         return None if self._scan is None else self._frame(self._scan)
 
     def _frame(self, scan: PointScan) -> BenchFrame:
-        poses, planes = self._mapper.trajectory, self._mapper.planes
+        assert self.mapper is not None
+        poses, planes = self.mapper.trajectory, self.mapper.planes
         mapped = planes.status == "static"
         R, t = self._world(poses)
         walls = planes.ends[mapped] @ R.T + t
@@ -157,7 +166,7 @@ class BenchRecorder:
             seen.end_type == "corner",
             walls,
             walls[planes.corner[mapped] >= 0],
-            self._links(planes.plane[mapped], walls.mean(axis=1)),
+            _links(self.mapper.group_walls, planes.plane[mapped], walls.mean(axis=1)),
             poses[:, :2, 3] @ R.T + t,
             T @ poses[-1],
             np.empty((0, 2, 2)) if self._truth is None else self._truth.ends,
@@ -170,14 +179,17 @@ class BenchRecorder:
         found = self._truth and fit_to_truth(stamps_s, poses[placed], self._truth)
         return found or (np.eye(2), np.zeros(2))
 
-    def _links(self, walls: NDArray[np.int64], middles: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return lines (l, 2, 2) from the middle of each group to its walls' middles."""
-        links = [np.empty((0, 2, 2))]
-        for members in self._mapper.group_walls:
-            at = middles[np.isin(walls, members)]
-            if len(at) > 1:
-                links.append(np.stack([np.broadcast_to(at.mean(axis=0), at.shape), at], axis=1))
-        return np.concatenate(links)
+
+def _links(
+    groups: list[NDArray[np.int64]], walls: NDArray[np.int64], middles: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return lines (l, 2, 2) from the middle of each group to its walls' middles."""
+    links = [np.empty((0, 2, 2))]
+    for members in groups:
+        at = middles[np.isin(walls, members)]
+        if len(at) > 1:
+            links.append(np.stack([np.broadcast_to(at.mean(axis=0), at.shape), at], axis=1))
+    return np.concatenate(links)
 
 
 def frame_step(n_scans: int, frames: int = FRAMES) -> int:

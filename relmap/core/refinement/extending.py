@@ -143,7 +143,7 @@ def _variances(rows: SegmentRows, fitted: NDArray[np.int64], n: int) -> NDArray[
     trace = np.trace(scatter, axis1=1, axis2=2)
     square = np.sum(away**2, axis=1)
     if d == 2:
-        turned = square / (2 * np.maximum(trace, 1e-300))[rows.segment]
+        turned = square / (2 * np.maximum(trace, 1e-280))[rows.segment]
     else:
         spread = np.linalg.pinv(trace[:, None, None] * np.eye(3) - scatter)[rows.segment]
         along = np.einsum("ni,nij,nj->n", away, spread, away)
