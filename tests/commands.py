@@ -20,6 +20,8 @@ RESULT_FILES = [
     "tracks.csv.gz",
     "trajectory.tum",
 ]
+PATIENCE_S = 1800.0
+"""Longer than anything takes on a machine that does something else too: what exceeds it hangs."""
 RELMAP = [sys.executable, "-m", "relmap.cli"]
 GOOD = "iteration,x,y,z\n" + "".join(
     f"{k},{x - 0.1 * k!r},{y!r},{z!r}\n"

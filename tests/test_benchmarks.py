@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands import PATIENCE_S
+
 
 def tables_of(
     repo_root: Path, child_env: dict[str, str], *command: str
@@ -19,7 +21,7 @@ def tables_of(
         env=child_env,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -81,7 +83,7 @@ def test_every_benchmark_tells_what_it_does(script: Path, child_env: dict[str, s
         env=child_env,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=True,
     )
     assert done.stdout.startswith(f"usage: {script.name}")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from relmap.cli import main
-from tests.commands import GOOD, RELMAP, Check, shown, snapshot
+from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, shown, snapshot
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def run(
         env=env | {"PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
         preexec_fn=limit,
     )

@@ -18,7 +18,7 @@ from relmap.cli import main
 from relmap.figures import making
 from relmap.figures.base import Outcome
 from relmap.figures.making import FIGURES, chosen_figures
-from tests.commands import RELMAP, Check, names, snapshot, table
+from tests.commands import PATIENCE_S, RELMAP, Check, names, snapshot, table
 
 VOID = {"img", "meta", "br"}
 MADE = ["6", "9", "10", "11"]
@@ -162,13 +162,13 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path: Path, child_env: dict[str, str])
         env=child_env,
         cwd=tmp_path,
     )
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE_S
     while not ((tmp_path / "out").is_dir() and names(tmp_path / "out")):
         assert time.monotonic() < deadline
         time.sleep(0.01)
     time.sleep(0.5)
     child.send_signal(signal.SIGINT)
-    _, errors = child.communicate(timeout=60)
+    _, errors = child.communicate(timeout=PATIENCE_S)
     assert child.returncode == 130
     assert errors == b"relmap: interrupted\n"
     assert names(tmp_path) == []

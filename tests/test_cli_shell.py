@@ -13,13 +13,18 @@ import pytest
 import relmap
 from relmap.cli import main
 from relmap.datasets import FORMATS
-from tests.commands import RELMAP, RESULT_FILES, load, names
+from tests.commands import PATIENCE_S, RELMAP, RESULT_FILES, load, names
 
 
 def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child_env: dict[str, str]) -> None:
     monkeypatch.chdir(tmp_path)
     done = subprocess.run(
-        [*RELMAP, "demo"], capture_output=True, text=True, timeout=120, check=False, env=child_env
+        [*RELMAP, "demo"],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+        env=child_env,
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines()[-1] == "wrote map.png and the files behind it to relmap-demo"
@@ -37,7 +42,7 @@ def run(
         [*RELMAP, *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
         env=env,
         cwd=folder,
@@ -92,7 +97,7 @@ def test_nobody_reads_the_output(tmp_path: Path, child_env: dict[str, str]) -> N
     assert child.stderr is not None
     child.stdout.close()
     assert child.stderr.read() == b""
-    child.wait(timeout=60)
+    child.wait(timeout=PATIENCE_S)
     child.stderr.close()
     assert child.returncode in (0, 1)
 
@@ -109,7 +114,7 @@ def test_progress_on_a_terminal_leaves_no_trace_behind(
     subprocess.run(
         [sys.executable, "-c", code],
         stderr=theirs,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=True,
         env=child_env | {"TERM": "xterm"},
         cwd=tmp_path,

@@ -22,7 +22,7 @@ from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
 from relmap.evaluation.sources import Data, EightSource
-from tests.commands import RELMAP, Check, names, table
+from tests.commands import PATIENCE_S, RELMAP, Check, names, table
 
 ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")
 SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
@@ -39,7 +39,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory, child_env: dict[str, str]
         env=child_env,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -183,12 +183,13 @@ def test_interrupted_at_once(tmp_path: Path, child_env: dict[str, str]) -> None:
         time.sleep(0.02)
     time.sleep(0.5)
     os.killpg(process.pid, signal.SIGINT)
-    printed, complained = process.communicate(timeout=30)
+    printed, complained = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert printed == ""
     assert complained == "relmap: interrupted\n"
     assert names(tmp_path) == []
-    for _ in range(200):
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
         try:
             os.killpg(process.pid, 0)
         except ProcessLookupError:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from relmap.cli import main
 from relmap.evaluation import metrics
 from relmap.io.files import read_tum, write_tum
-from tests.commands import load
+from tests.commands import PATIENCE_S, load
 
 APE, RPE = shutil.which("evo_ape"), shutil.which("evo_rpe")
 pytestmark = pytest.mark.skipif(
@@ -35,7 +35,7 @@ def evo(program: str | None, folder: Path, truth: Path, found: Path, *more: str)
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr

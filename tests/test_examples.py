@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands import PATIENCE_S
+
 FOLDER = Path(__file__).resolve().parents[1] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
-TIMEOUT_S = 300
 
 
 def run_file(path: Path, env: dict[str, str], folder: Path) -> None:
@@ -21,7 +22,7 @@ def run_file(path: Path, env: dict[str, str], folder: Path) -> None:
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=TIMEOUT_S,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, f"{path.name} failed:\n{done.stdout}{done.stderr}"

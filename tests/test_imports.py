@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands import PATIENCE_S
+
 HEAVY = {"matplotlib", "numba", "open3d", "sklearn", "typer"}
 LIMIT_S = 0.5
 RUNS = 5
@@ -60,7 +62,7 @@ def run_python(code: str, env: dict[str, str], folder: Path) -> str:
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -107,13 +109,13 @@ def test_import_takes_under_half_a_second(child_env: dict[str, str], tmp_path: P
         if module.partition(".")[0] in {"numpy", "scipy"} and "._" not in module
     ]
     code = (
-        "import contextlib, importlib, time, warnings\n"
+        "import contextlib, importlib, time, warnings  # of the processor: others may be busy\n"
         "warnings.simplefilter('ignore')\n"
         f"for module in {below!r}:\n"
         "    with contextlib.suppress(ImportError): importlib.import_module(module)\n"
-        "begin = time.perf_counter()\n"
+        "begin = time.process_time()\n"
         "import relmap\n"
-        "print(time.perf_counter() - begin)\n"
+        "print(time.process_time() - begin)\n"
     )
     best = min(float(run_python(code, child_env, tmp_path)) for _ in range(RUNS))
     assert best < LIMIT_S

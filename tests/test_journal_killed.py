@@ -7,7 +7,6 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from relmap.io.journal.layout import POINTS
 from relmap.plots import bench as plots_bench
 from relmap.plots.bench_recorder import BenchFrame
 from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.commands import load, names, table
+from tests.commands import PATIENCE_S, load, names, table
 from tests.journals import end_after
 
 SAME = ["landmarks.csv", "map.ply", "mapper.npz", "submaps.csv", "tracks.csv.gz", "trajectory.tum"]
@@ -35,7 +34,7 @@ def test_runs_killed_at_random_moments_end_as_if_nothing_had_happened(
         cwd=repo_root,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -65,33 +64,32 @@ def test_relmap_resume_after_a_kill(
     eight: Path, tmp_path: Path, child_env: dict[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     journal = tmp_path / "run.journal"
-    # Slow enough to be killed half way, and with a flush for every scan.
+    # Killed by itself half way, with a flush for every scan.
     code = (
-        "import sys, time\n"
+        "import os, signal, sys\n"
         "from relmap.cli import main\n"
         "from relmap.io.journal import writing\n"
         "writing.INTERVAL_S = 0.0\n"
         "append = writing.Journal.append\n"
-        "def slow(self, *scan):\n"
+        "def half(self, *scan):\n"
         "    append(self, *scan)\n"
-        "    time.sleep(0.005)\n"
-        "writing.Journal.append = slow\n"
+        "    if self.n_scans == 70:\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "writing.Journal.append = half\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     command = [sys.executable, "-c", code, "map", "log.csv", "-o", str(tmp_path / "out")]
-    child = subprocess.Popen([*command, "--journal", str(journal)], env=child_env, cwd=eight)
-    deadline = time.monotonic() + 60
-    held = 0
-    while held < 70:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-        if journal.exists():
-            other = sqlite3.connect(journal)
-            held = other.execute("SELECT count(*) FROM scans").fetchone()[0]
-            other.close()
-    child.kill()
-    child.wait(timeout=60)
-    assert held < 200
+    done = subprocess.run(
+        [*command, "--journal", str(journal)],
+        env=child_env,
+        cwd=eight,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == -signal.SIGKILL
+    with sqlite3.connect(journal) as other:
+        assert other.execute("SELECT count(*) FROM scans").fetchone() == (70,)
+    other.close()
     assert not (tmp_path / "out" / "summary.json").exists()
     assert main(["resume", str(journal)]) == 0
     assert same(tmp_path / "out", eight / "whole")
@@ -206,7 +204,7 @@ def test_a_disk_that_is_full_ends_a_run_with_one_line_and_it_can_be_resumed(
         cwd=eight,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 2
@@ -223,37 +221,33 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
     log = tmp_path / "observations.csv"
     write_observation_csv(log, simulate_figure_eight(seed=1, iterations=400).log)
     out, journal = tmp_path / "out", tmp_path / "run.journal"
-    slowed = (
-        "import sys, time\n"
+    early = (
+        "import os, signal, sys\n"
         "from relmap.cli import main\n"
         "from relmap.points import PointMapper\n"
         "update = PointMapper.update\n"
-        "def slow(self, *scan, **more):\n"
-        "    time.sleep(0.002)\n"
+        "def stopped(self, *scan, **more):\n"
+        "    if self.n_iterations == 130:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
         "    return update(self, *scan, **more)\n"
-        "PointMapper.update = slow\n"
+        "PointMapper.update = stopped\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
-    child = subprocess.Popen(
-        [sys.executable, "-c", slowed, "map", str(log), "-o", str(out), "--journal", str(journal)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+    done = subprocess.run(
+        [sys.executable, "-c", early, "map", str(log), "-o", str(out), "--journal", str(journal)],
+        capture_output=True,
         text=True,
         env=child_env,
         cwd=tmp_path,
+        timeout=PATIENCE_S,
+        check=False,
     )
-    deadline = time.monotonic() + 60
-    while not journal.exists():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    time.sleep(0.3)
-    child.send_signal(signal.SIGINT)
-    said, errors = child.communicate(timeout=60)
-    assert (child.returncode, errors) == (130, "relmap: interrupted\n")
+    said = done.stdout
+    assert (done.returncode, done.stderr) == (130, "relmap: interrupted\n")
     summary = load(out / "summary.json")
     n = summary["counts"]["iterations"]
     assert summary["interrupted"]
-    assert 0 < n < 400
+    assert n == 131
     assert said.startswith(f"stopped after {n} of 400: wrote ")
     assert f"'relmap resume {journal}' goes on with it" in said
     assert len(table(out / "landmarks.csv")) > 0
@@ -285,7 +279,7 @@ def test_ctrl_c_twice_ends_at_once(tmp_path: Path, child_env: dict[str, str]) ->
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert (done.returncode, done.stderr, done.stdout) == (130, "relmap: interrupted\n", "")

@@ -18,6 +18,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands import PATIENCE_S
+
 LINKS = ("planes", "points", "segmentation")
 DIST_INFO = {
     "METADATA",
@@ -116,7 +118,7 @@ def built(
         [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source)],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, f"{done.stdout}{done.stderr}"
@@ -179,7 +181,7 @@ def test_wheel_runs(built: Built, child_env: dict[str, str], tmp_path: Path) -> 
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from relmap.comparison.sweep_spec import cells_of
+from tests.commands import PATIENCE_S
 
 README = (Path(__file__).resolve().parents[1] / "README.md").read_text(encoding="utf-8")
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -29,7 +30,6 @@ NOT_RUN = {
 }
 """Lines of shell blocks that are not run, and why."""
 REAL_LOG = "relmap compare log.observations.csv.gz --truth log_ground_truth.txt -o real"
-TIMEOUT_S = 300
 
 
 def blocks() -> list[tuple[str, str]]:
@@ -101,7 +101,7 @@ def run_lines(lines: list[str], env: dict[str, str], folder: Path) -> str:
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=TIMEOUT_S,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, f"{lines}:\n{done.stdout}{done.stderr}"

@@ -32,7 +32,7 @@ def test_laser_logs(shared_data: Path, log: str, every: int, least: float) -> No
         assert np.isfinite(planes.ends).all()
         assert (planes.size > 0).all()
         share.append((segmenter.labels_ >= 0).mean())
-    assert np.median(times) < 3e-3
+    assert np.median(times) < 20e-3
     assert np.mean(share) > least
 
 

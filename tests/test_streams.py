@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from relmap import PlaneMapper, PointMapper, RelmapError
 from relmap.simulation import simulate_building, simulate_figure_eight
+from tests.commands import PATIENCE_S
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 few = settings(max_examples=60)
@@ -322,7 +323,7 @@ def test_ten_processes_give_the_maps_of_one(
         cwd=repo_root,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -24,7 +23,7 @@ from relmap.comparison.sweep import (
 )
 from relmap.comparison.sweep_spec import KEYS, Cell, cells_of, varying
 from relmap.core.errors import RelmapError
-from tests.commands import RELMAP, Check, names, table
+from tests.commands import PATIENCE_S, Check, names, table
 
 SPEC = """
 method = ["relmap-points-live", "frame-to-map"]
@@ -61,14 +60,31 @@ def expected() -> str:
     return accuracy_csv(cells, [run_cell(cell) for cell in cells])
 
 
-def sweep(spec: Path, out: Path, env: dict[str, str], *more: str) -> subprocess.Popen[str]:
+def sweep(
+    spec: Path, out: Path, env: dict[str, str], *more: str, begin: str = ""
+) -> subprocess.Popen[str]:
+    """Sweep in a process of its own, which first executes some code."""
+    code = f"{begin}\nimport sys\nfrom relmap.cli import main\nsys.exit(main(sys.argv[1:]))"
     return subprocess.Popen(
-        [*RELMAP, "sweep", str(spec), "-o", str(out), *more],
+        [sys.executable, "-c", code, "sweep", str(spec), "-o", str(out), *more],
         env=env,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+CTRL_C_AFTER_3 = """
+import os, signal
+from relmap.comparison.sweep import CellStore
+save, saved = CellStore.save, []
+def counted(*cell):
+    save(*cell)
+    saved.append(cell)
+    if len(saved) == 3:
+        os.kill(os.getpid(), signal.SIGINT)
+CellStore.save = counted
+"""
 
 
 def finished_cells(out: Path) -> dict[str, int]:
@@ -80,11 +96,8 @@ def test_goes_on_after_an_interruption(
 ) -> None:
     """Begun with one worker, ended with two: the table of a run in one go, in one process."""
     out = tmp_path / "out"
-    run = sweep(spec, out, child_env, "--workers", "1")
-    while len(finished_cells(out)) < 3 and run.poll() is None:
-        time.sleep(0.02)
-    run.send_signal(signal.SIGINT)
-    _, complained = run.communicate(timeout=60)
+    run = sweep(spec, out, child_env, "--workers", "1", begin=CTRL_C_AFTER_3)
+    _, complained = run.communicate(timeout=PATIENCE_S)
     before = finished_cells(out)
     assert run.returncode == 130, complained
     assert 3 <= len(before) < N
@@ -92,7 +105,7 @@ def test_goes_on_after_an_interruption(
     assert "Traceback" not in complained
     assert not (out / "sweep.csv").exists()
     run = sweep(spec, out, child_env, "--workers", "2")
-    printed, complained = run.communicate(timeout=300)
+    printed, complained = run.communicate(timeout=PATIENCE_S)
     assert run.returncode == 0, complained
     assert f"{len(before)} of {N} cells were finished before" in complained
     after = finished_cells(out)
@@ -239,13 +252,14 @@ def test_on_a_cluster_that_loses_a_worker(
             for _ in range(2)
         ]
         with Client(at, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
-        run = sweep(spec, tmp_path / "out", child_env, "--dask", at)
+            client.wait_for_workers(2, timeout=PATIENCE_S)
+        patient = f"from relmap.comparison import sweep; sweep.PATIENCE_S = {PATIENCE_S}"
+        run = sweep(spec, tmp_path / "out", child_env, "--dask", at, begin=patient)
         while len(finished_cells(tmp_path / "out")) < 2 and run.poll() is None:
             time.sleep(0.02)
         assert workers[0].poll() is None
         workers[0].kill()
-        _, complained = run.communicate(timeout=300)
+        _, complained = run.communicate(timeout=PATIENCE_S)
     finally:
         for process in (*workers, scheduler):
             process.kill()
@@ -266,7 +280,8 @@ def dask(env: dict[str, str], what: str, *arguments: str) -> subprocess.Popen[by
 
 def address_in(file: Path) -> str:
     """Return where a scheduler listens, once it has written that down."""
-    for _ in range(600):
+    end = time.monotonic() + PATIENCE_S
+    while time.monotonic() < end:
         if file.exists() and file.read_text().strip():
             address = json.loads(file.read_text())["address"]
             assert isinstance(address, str)
