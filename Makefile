@@ -6,17 +6,19 @@ ARGS ?=
 
 DEMO_VENV := .venv-demo
 TEST_VENV := .venv-test
+LOWEST_VENV := .venv-lowest
 SOURCES := $(wildcard relmap/*.py relmap/*/*.py relmap/*/*/*.py)
 LINTED := $(wildcard relmap tests examples benchmarks)
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help demo test bench lint types format clean
+.PHONY: help demo test lowest bench lint types format clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make demo     install relmap into $(DEMO_VENV) and run its demo, which fills the folder demo'
 	@echo 'make test     ruff, mypy and every test, in $(TEST_VENV) (ARGS="-k name" goes to pytest)'
+	@echo 'make lowest   every test with the lowest versions that pyproject.toml allows, in $(LOWEST_VENV)'
 	@echo 'make bench    accuracy and time as ratios, beside benchmarks/gate_baseline.json'
 	@echo 'make lint     ruff check and ruff format --check'
 	@echo 'make types    mypy --strict'
@@ -31,6 +33,11 @@ demo: $(DEMO_VENV)/.ready
 test: lint types
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(TEST_VENV)/bin/python -m pytest \
 		-n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
+
+# Other people's deprecations are no fault where old versions meet new ones.
+lowest: $(LOWEST_VENV)/.ready
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(LOWEST_VENV)/bin/python -m pytest \
+		-W ignore::DeprecationWarning -n $(WORKERS) --maxprocesses 4 --dist worksteal $(ARGS)
 
 # Takes some minutes and a quiet machine; never part of the tests.
 bench: $(TEST_VENV)/.ready
@@ -48,7 +55,7 @@ format: $(TEST_VENV)/.ready
 	@$(TEST_VENV)/bin/python -m ruff format $(LINTED)
 
 clean:
-	@rm -rf $(DEMO_VENV) $(TEST_VENV) demo build dist relmap.egg-info \
+	@rm -rf $(DEMO_VENV) $(TEST_VENV) $(LOWEST_VENV) demo build dist relmap.egg-info \
 		.mypy_cache .ruff_cache .pytest_cache .hypothesis
 
 # A copy as a user installs it; build/ is removed so that no deleted module stays in it.
@@ -63,6 +70,15 @@ $(TEST_VENV)/.ready: pyproject.toml
 	$(call new_venv,$(TEST_VENV))
 	@echo 'installing relmap and its development tools into $(TEST_VENV)'
 	@$(TEST_VENV)/bin/python -m pip install --quiet --editable '.[dev]'
+	@touch $@
+
+$(LOWEST_VENV)/.ready: pyproject.toml
+	$(call new_venv,$(LOWEST_VENV))
+	@echo 'installing relmap with the lowest versions it allows into $(LOWEST_VENV)'
+	@$(LOWEST_VENV)/bin/python -m pip install --quiet uv
+	@$(LOWEST_VENV)/bin/python -m uv pip compile --quiet --python $(LOWEST_VENV)/bin/python \
+		--resolution lowest-direct --only-binary :all: pyproject.toml -o $(LOWEST_VENV)/lowest.txt
+	@$(LOWEST_VENV)/bin/python -m pip install --quiet --editable '.[dev]' -c $(LOWEST_VENV)/lowest.txt
 	@touch $@
 
 # new_venv DIR: make DIR a virtual environment with pip, or say what is missing. Where this

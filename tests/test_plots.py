@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from PIL import Image
 
 from relmap.core.landmarks import LandmarkTable
@@ -234,6 +235,19 @@ def test_figures_of_a_comparison_are_dots() -> None:
     (dot,) = figure.axes[0].get_lines()
     assert np.asarray(dot.get_xdata()).tolist() == [0.1]
     assert "no figure" in [text.get_text() for text in figure.axes[0].texts]
+
+
+@pytest.mark.parametrize("name", ["a$\\q$ b", "x_{1}^$\\frac$", "%s{}\\n", "<b>&\"'"])
+def test_names_are_shown_as_they_are_whatever_is_in_them(name: str) -> None:
+    figures: dict[str, float | None] = {"ate_m": 0.1}
+    for figure in (
+        plot_comparison([("batch", figures)], name),
+        plot_run(make_result(3), title=name),
+    ):
+        figure.savefig(io.BytesIO(), format="png")
+        titles = [text for text in figure.findobj(Text) if text.get_text() == name]
+        assert len(titles) == 1
+        assert not titles[0].get_parse_math()
 
 
 def test_axes_of_a_comparison_have_numbers_however_near_its_figures_are() -> None:

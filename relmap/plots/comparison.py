@@ -41,7 +41,7 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
     ]
     shown = [(key, name) for key, name in panels if any(f.get(key) for _, f in rows)] or panels[-1:]
     figure = blank(2.0 + 3.3 * len(shown), 1.5 + ROW_IN * len(rows))
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(title, fontsize=10, parse_math=False)  # a log may be named with a $
     all_axes = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     for axes, (key, name) in zip(all_axes, shown, strict=True):
         _draw(axes, rows, key)

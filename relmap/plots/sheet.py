@@ -162,7 +162,7 @@ class Sheet:
         """Put the title above the views and the legend below them."""
         axes = self.views[0][0]
         outside = f" ({self._outside} far outside not shown)" if self._outside else ""
-        axes.set_title(title + outside, fontsize=11)
+        axes.set_title(title + outside, fontsize=11, parse_math=False)
         labels = axes.get_legend_handles_labels()[1]
         if labels:
             columns = 3 if max(map(len, labels)) < 45 else 2
