@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from threading import get_ident
 
 from relmap.core.errors import RelmapError
@@ -36,13 +34,12 @@ class ChangeGuard:
         RelmapError
             Where another thread changes it, or a change was cut off.
         """
-        for (thread,) in self._holder.copy().values():
-            if thread != get_ident():
-                raise RelmapError(HALF_DONE if thread == NOBODY else BUSY)
+        holder = self._holder.get("thread")
+        if holder is not None and holder[0] != get_ident():
+            raise RelmapError(HALF_DONE if holder[0] == NOBODY else BUSY)
 
-    @contextmanager
-    def change(self, spoils: bool = True) -> Iterator[None]:
-        """Enclose a change; a `RelmapError` means that it did not begin.
+    def change(self, spoils: bool = True) -> Change:
+        """Return what encloses a change, for `with`; a `RelmapError` means that it did not begin.
 
         Parameters
         ----------
@@ -52,21 +49,26 @@ class ChangeGuard:
         Raises
         ------
         RelmapError
-            Where a change is going on, or was cut off.
+            On entering, where a change is going on, or was cut off.
         """
-        mine = [get_ident()]
-        holder = self._holder.setdefault("thread", mine)
-        if holder is not mine:
-            raise RelmapError(HALF_DONE if holder[0] in (NOBODY, get_ident()) else BUSY)
-        try:
-            yield
-        except RelmapError:
+        return Change(self._holder, spoils)
+
+
+class Change:
+    """A change that goes on between entering and leaving; see `ChangeGuard.change`."""
+
+    __slots__ = ("_holder", "_mine", "_spoils")
+
+    def __init__(self, holder: dict[str, list[int]], spoils: bool) -> None:
+        self._holder, self._spoils, self._mine = holder, spoils, [get_ident()]
+
+    def __enter__(self) -> None:
+        holder = self._holder.setdefault("thread", self._mine)
+        if holder is not self._mine:
+            raise RelmapError(HALF_DONE if holder[0] in (NOBODY, self._mine[0]) else BUSY)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None or not self._spoils or issubclass(kind, RelmapError):
             self._holder.clear()
-            raise
-        except BaseException:
-            if spoils:
-                mine[0] = NOBODY
-            else:
-                self._holder.clear()
-            raise
-        self._holder.clear()
+        else:
+            self._mine[0] = NOBODY

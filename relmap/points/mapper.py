@@ -110,11 +110,10 @@ class PointMapper(Mapper):
             )
         if self._journal is not None:
             self._journal.ready()
-        self._finder = None
-        labels = self.engine.update(points_robot, known, noise)
+        engine, self._finder = self.engine, None
+        labels = engine.update(points_robot, known, noise)
         seen = labels >= 0
-        numbers = self.engine.table.now(labels[seen])
-        labels[seen] = self.engine.association.labels_of(numbers)
+        labels[seen] = engine.association.labels_of(engine.table.now(labels[seen]))
         if self._journal is not None:
             self._journal.append(points_robot, known, labels, noise)
         return labels

@@ -33,6 +33,7 @@ nothing can be changed, left out, added or moved without being told, but by who 
 from __future__ import annotations
 
 import json
+import struct
 import zlib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -157,10 +158,10 @@ def checksum(
     row by row, the ids where they came, the landmarks (n,), and where they came the covariances
     (n, d, d) row by row; all as little-endian numbers of 8 bytes; and of the beams.
     """
-    head = np.array([iteration, len(labels), values.size, ids is not None])
+    head = struct.pack("<4q", iteration, len(labels), values.size, ids is not None)
     came = [part for part in (ids, labels, covariances) if part is not None]
-    total = before
-    for part in (head, values, *came):
+    total = zlib.crc32(head, before)
+    for part in (values, *came):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"
         total = zlib.crc32(np.ascontiguousarray(part, dtype=kind).tobytes(), total)
     return zlib.crc32(beams, total)
