@@ -146,13 +146,23 @@ def test_what_was_flushed_is_there_and_the_rest_at_most_a_second_later(
     mapper.close()
 
 
-def test_a_full_disk_is_said_before_a_scan_is_taken_in_and_nothing_is_lost(tmp_path: Path) -> None:
+def test_a_full_disk_is_said_before_a_scan_is_taken_in_and_nothing_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scans, path = scans_of(3, False), tmp_path / "run.journal"
-    mapper = PointMapper(journal=path)
+    opened: list[sqlite3.Connection] = []
+    connect: Any = sqlite3.connect
+
+    def noted(*args: Any, **settings: Any) -> sqlite3.Connection:
+        opened.append(connect(*args, **settings))
+        return opened[-1]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sqlite3, "connect", noted)
+        mapper = PointMapper(journal=path)
+    connection = opened[-1]  # the one that stays open: the bound is of a connection
     run(mapper, scans[:20])
     mapper.flush()
-    connection = mapper._journal._connection  # type: ignore[union-attr]
-    assert connection is not None
     connection.execute("PRAGMA max_page_count = 8")
     with pytest.raises(RelmapError, match=r"cannot be written: database or disk is full; the 20 "):
         run(mapper, scans[20:]).flush()

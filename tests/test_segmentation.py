@@ -13,6 +13,7 @@ from relmap import PlaneSegmenter, RelmapError
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.ends.corners import meet
+from relmap.segmentation.segmenter import planes_of
 from relmap.simulation import BuildingScan, building_scene
 
 VIEW_RAD = np.pi / 2
@@ -284,6 +285,6 @@ def test_a_wall_whose_length_is_lost_in_rounding_is_none() -> None:
     rows = [[5e8, 1.0, 1.0, 0.0, 0.0, 1e-9, 0.5], [2.0, -1.0, 0.0, 1.0, 0.0, 2.0, 0.5]]
     xy = np.array([[5e8, 1.0]] * 9 + [[2.0, 0.25 * k - 1] for k in range(9)])
     sharp = meet(WallMixture(np.array(rows), 0.01, 0.0, 1.0), len(xy))
-    labels, planes = PlaneSegmenter()._planes(xy, sharp, np.repeat([0, 1], 9))
+    labels, planes = planes_of(xy, sharp, np.repeat([0, 1], 9))
     assert labels.tolist() == [-1] * 9 + [0] * 9
     np.testing.assert_allclose(planes.size, [2.0])

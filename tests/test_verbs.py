@@ -63,7 +63,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def run(name: str, source: Source, association: Association, sigma_m: float | None) -> Compared:
         return Compared(name, run_method(find_method(name), source.load(), association, sigma_m))
 
-    monkeypatch.setattr("relmap.comparison.compare._in_own_process", run)
+    monkeypatch.setattr("relmap.comparison.compare.in_own_process", run)
 
 
 def test_every_format_is_in_the_table() -> None:

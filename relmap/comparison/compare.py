@@ -102,12 +102,13 @@ def compare(
         if method.missing:
             yield Compared(method.name, None, f"not run: {method.missing}")
         else:
-            yield _in_own_process(method.name, source, association, sigma_m)
+            yield in_own_process(method.name, source, association, sigma_m)
 
 
-def _in_own_process(
+def in_own_process(
     name: str, source: Source, association: Association, sigma_m: float | None
 ) -> Compared:
+    """Run one method in a fresh process; what goes wrong there stands in the note."""
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(

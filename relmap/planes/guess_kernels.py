@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled
-from relmap.planes.matching_kernels import Seen, Tracks, _half_turn
+from relmap.planes.matching_kernels import Seen, Tracks, half_turn
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tup
     for i in range(n):
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         for j in range(m):
-            turn[i, j] = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            turn[i, j] = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
             x, y = wall_ends[j, 0]
             moved = normal[j, 0] * x + normal[j, 1] * y - offset[i]
             if abs(turn[i, j]) < reach_rad and abs(moved) < reach_m:
@@ -61,7 +61,7 @@ def _support(turn: Array, weight: Array, chosen: float) -> tuple[float, float]:
     for j in range(turn.shape[1]):
         best, off_best = 0.0, 0.0
         for i in range(turn.shape[0]):
-            off = _half_turn(turn[i, j] - chosen)
+            off = half_turn(turn[i, j] - chosen)
             near = weight[i, j] * max(1 - (off / ALIKE_RAD) ** 2, 0.0)
             if near > best:
                 best, off_best = near, off
@@ -85,14 +85,14 @@ def turns(
         if weight.ravel()[k] > 0:
             total, off = _support(turn, weight, every[k])
             mean[k] += off
-            unusual = _half_turn(every[k] - before) / USUAL_RAD
+            unusual = half_turn(every[k] - before) / USUAL_RAD
             support[k] = total * math.exp(-0.5 * unusual**2)
     found, count = np.empty(most), 0
     while count < most and len(every) and support.max() > 0:
         k = int(np.argmax(support))
         found[count], count = mean[k], count + 1
         for q in range(len(every)):
-            if abs(_half_turn(every[q] - every[k])) < 2 * ALIKE_RAD:
+            if abs(half_turn(every[q] - every[k])) < 2 * ALIKE_RAD:
                 support[q] = 0.0
     return found[:count]
 
@@ -112,7 +112,7 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> tuple[Arra
         x, y = c * x - s * y, s * x + c * y
         for j in range(m):
             turn = math.atan2(normal[j, 1], normal[j, 0]) - angle[i] - yaw
-            if abs(_half_turn(turn)) >= PARALLEL_RAD:
+            if abs(half_turn(turn)) >= PARALLEL_RAD:
                 continue
             nx, ny = normal[j]
             at = nx * wall_ends[j, 0, 0] + ny * wall_ends[j, 0, 1]
@@ -156,7 +156,7 @@ def _corners(
     for i in range(len(angle)):
         for j in range(len(static)):
             turn = math.atan2(normal[j, 1], normal[j, 0]) - angle[i] - yaw
-            if abs(_half_turn(turn)) >= PARALLEL_RAD:
+            if abs(half_turn(turn)) >= PARALLEL_RAD:
                 continue
             for e in range(2):
                 a, b = corner_at[i, e]

@@ -56,7 +56,7 @@ def carried(tracks: Tracks, motion: Array) -> Tracks:
 
 
 @helper
-def _half_turn(angle: float) -> float:
+def half_turn(angle: float) -> float:
     """Return an angle within a half turn of 0."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
@@ -73,7 +73,7 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         for j in range(m):
             spread = math.hypot(sd[i], wall_sd[j])
-            turn = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            turn = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
             blunt = SIGMAS * math.sqrt(12.0) * spread / min(own, size[j])
             turn_gate = TURN_RAD * widened + min(blunt, WIDEST_TURN_RAD)
             x = 0.5 * (wall_ends[j, 0, 0] + wall_ends[j, 1, 0])
@@ -256,7 +256,7 @@ def guesses(
     best, found = np.zeros(most), np.zeros((most, 3))
     for i in range(len(angle)):
         for j in range(len(static)):
-            yaw = _half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
+            yaw = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
             if abs(yaw) >= reach_rad:
                 continue
             c, s = math.cos(yaw), math.sin(yaw)

@@ -107,7 +107,7 @@ class PlaneSegmenter:
             labels = np.full(len(xy), -1)
         else:
             sharp, labels = self._segment(method, xyz, xy)
-        self.labels_, self.planes_ = self._planes(xyz, sharp, labels)
+        self.labels_, self.planes_ = planes_of(xyz, sharp, labels, self.view_rad, self.range_m)
         self.noise_ = float(sharp.mixture.sigma)
         return self
 
@@ -173,24 +173,31 @@ class PlaneSegmenter:
             labels = gaussian_labels(xy, labels, self.random_state)
         return labels, sigma
 
-    def _planes(self, xyz: Floats, sharp: Sharpened, labels: Ints) -> tuple[Ints, Planes]:
-        """Return labels without gaps in their numbers, and the planes."""
-        ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
-        count = np.bincount(labels[labels >= 0], minlength=len(ends))
-        long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
-        kept = np.flatnonzero((count > 0) & long)
-        number = np.full(len(ends) + 1, -1)
-        number[kept] = np.arange(len(kept))
-        labels, ends = number[labels], ends[kept]
-        spread, joined = sharp.spread[kept], sharp.joined[kept]
-        turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
-        hidden = None if sharp.hidden is None else sharp.hidden[kept]
-        for pair in (ends, spread, joined, hidden):
-            if pair is not None:
-                pair[turned] = pair[turned][:, ::-1]
-        limits = sensor_limits(ends, spread, joined, self.view_rad, self.range_m)
-        kind = type_ends(ends, spread, joined, limits, hidden)
-        return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)
+
+def planes_of(
+    xyz: Floats,
+    sharp: Sharpened,
+    labels: Ints,
+    view_rad: float | None = None,
+    range_m: float | None = None,
+) -> tuple[Ints, Planes]:
+    """Return labels without gaps in their numbers, and the planes."""
+    ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
+    count = np.bincount(labels[labels >= 0], minlength=len(ends))
+    long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
+    kept = np.flatnonzero((count > 0) & long)
+    number = np.full(len(ends) + 1, -1)
+    number[kept] = np.arange(len(kept))
+    labels, ends = number[labels], ends[kept]
+    spread, joined = sharp.spread[kept], sharp.joined[kept]
+    turned = ends[:, 0, 0] * ends[:, 1, 1] < ends[:, 0, 1] * ends[:, 1, 0]
+    hidden = None if sharp.hidden is None else sharp.hidden[kept]
+    for pair in (ends, spread, joined, hidden):
+        if pair is not None:
+            pair[turned] = pair[turned][:, ::-1]
+    limits = sensor_limits(ends, spread, joined, view_rad, range_m)
+    kind = type_ends(ends, spread, joined, limits, hidden)
+    return labels, make_planes(xyz, labels, ends, kind, sharp.mixture.sigma)
 
 
 def walls_of_labels(xy: Floats, labels: Ints, sigma: float) -> WallMixture:
