@@ -146,10 +146,10 @@ def test_what_was_flushed_is_there_and_the_rest_at_most_a_second_later(
     mapper.close()
 
 
-def test_a_full_disk_is_said_before_a_scan_is_taken_in_and_nothing_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scans, path = scans_of(3, False), tmp_path / "run.journal"
+def connected(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> tuple[PointMapper, sqlite3.Connection]:
+    """Return a mapper with a journal, and the connection that it keeps open."""
     opened: list[sqlite3.Connection] = []
     connect: Any = sqlite3.connect
 
@@ -159,8 +159,14 @@ def test_a_full_disk_is_said_before_a_scan_is_taken_in_and_nothing_is_lost(
 
     with monkeypatch.context() as patch:
         patch.setattr(sqlite3, "connect", noted)
-        mapper = PointMapper(journal=path)
-    connection = opened[-1]  # the one that stays open: the bound is of a connection
+        return PointMapper(journal=path), opened[-1]
+
+
+def test_a_full_disk_is_said_before_a_scan_is_taken_in_and_nothing_is_lost(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, path = scans_of(3, False), tmp_path / "run.journal"
+    mapper, connection = connected(path, monkeypatch)
     run(mapper, scans[:20])
     mapper.flush()
     connection.execute("PRAGMA max_page_count = 8")
@@ -313,11 +319,12 @@ def test_what_stands_beside_the_observations_is_checked_too(
         PointMapper.resume(tmp_path / "again")
 
 
-def test_what_could_not_be_noted_was_not_asked(tmp_path: Path) -> None:
+def test_what_could_not_be_noted_was_not_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     scans, path = scans_of(3, False), tmp_path / "run.journal"
-    mapper = run(PointMapper(journal=path), scans[:60])
-    connection = mapper._journal._connection  # type: ignore[union-attr]
-    assert connection is not None
+    mapper, connection = connected(path, monkeypatch)
+    run(mapper, scans[:60])
     connection.execute("PRAGMA query_only = 1")
     for ask in (mapper.finish, mapper.refine):
         with pytest.raises(RelmapError, match="cannot be written"):
