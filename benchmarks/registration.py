@@ -44,9 +44,14 @@ class CountingMapper(PointMapper):
     _n_landmarks = 0
     _before = 0
 
-    def update(self, points: ArrayLike, ids: ArrayLike | None = None) -> NDArray[np.int64]:
+    def update(
+        self,
+        points: ArrayLike,
+        ids: ArrayLike | None = None,
+        covariances: ArrayLike | None = None,
+    ) -> NDArray[np.int64]:
         """Take in a scan; it is unmatched if all of it is new though the one before saw some."""
-        labels = super().update(points, ids)
+        labels = super().update(points, ids, covariances)
         all_new = len(labels) > 0 and labels.min() >= self._n_landmarks
         self.unmatched += all_new and self._before > 0
         self._n_landmarks = max(self._n_landmarks, labels.max(initial=-1) + 1)

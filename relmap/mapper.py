@@ -167,6 +167,19 @@ class Mapper(ABC):
         return self.engine.association.tied_share
 
     @property
+    def unique_share(self) -> float | None:
+        """Share of the scans whose matches are more than chance brings in any placement.
+
+        Of points without ids, else None.  It does not tell of places that look alike.
+        """
+        return self.engine.association.unique_share
+
+    @property
+    def n_undone(self) -> int:
+        """How many merges were undone because the refined map contradicted them."""
+        return self.engine.merger.n_undone
+
+    @property
     def trajectory(self) -> NDArray[np.float64]:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
         return readout.path(self.engine)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from relmap import PointMapper
+from relmap.core.association.evidence import Evidence, chosen
 from relmap.core.association.loops import LoopFinder
-from relmap.core.association.merging import Evidence, chosen
 from relmap.core.association.search import search
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
@@ -122,6 +122,9 @@ def test_the_share_of_tied_scans_falls_where_a_scan_fits_nothing() -> None:
         broken.update(rng.uniform(-20, 20, (15, 2)) if k == 20 else points)
     assert whole.tied_share == 1
     assert broken.tied_share == pytest.approx(1 - 1 / 29)
+    assert whole.unique_share == 1
+    assert broken.unique_share == pytest.approx(1 - 1 / 29)
     with_ids = PointMapper()
     with_ids.update(scans[0], np.arange(len(scans[0])))
     assert with_ids.tied_share is None
+    assert with_ids.unique_share is None

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.core.association.merging import Merger, chosen
+from relmap.core.association.evidence import chosen
+from relmap.core.association.merging import Merger
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
@@ -52,11 +53,14 @@ def test_landmarks_seen_again_are_merged_and_none_wrongly(density: float, iterat
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_refining_merges_what_the_drift_kept_apart(seed: int) -> None:
+def test_finish_and_refining_merge_what_the_drift_kept_apart(seed: int) -> None:
     world = simulate_figure_eight(density=25, seed=seed)
-    mapper, _ = mapped_without_ids(world)
+    mapper = PointMapper()
+    for scan in world.log.scans():
+        mapper.update(scan.points_robot)
     n = len(world.landmark_ids)
     assert len(mapper.map.landmark_ids) > n
+    mapper.finish()
     mapper.refine()
     assert len(mapper.map.landmark_ids) == n
 

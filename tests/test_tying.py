@@ -173,6 +173,7 @@ def test_later_is_who_was_never_seen_meanwhile(seed: int) -> None:
     for number, k in enumerate(numbers.tolist()):
         table.resize(number + 1, int(begin[k]), 2)
         for iteration in range(begin[k], begin[k] + length[k]):
+            table.enter(np.array([number]), np.zeros((1, 2)), iteration)
             table.see(np.array([number]), iteration)
         seen[number] = set(range(begin[k], begin[k] + length[k]))
     present = list(range(6))

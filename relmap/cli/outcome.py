@@ -39,7 +39,7 @@ def report(job: Job) -> None:
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
-            f"{doubted(summary['association_trust']['tied_scans'])}"
+            f"{doubted(summary['association_trust'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -92,11 +92,16 @@ def _advice(summary: dict[str, Any]) -> str:
     )
 
 
-def doubted(tied_scans: float | None) -> str:
-    """Return how many scans were tied to those before, as the end of a message."""
-    if tied_scans is None or tied_scans == 1:
-        return ""
-    return f"; {100 * tied_scans:.1f} % of the scans were tied to those before"
+def doubted(trust: dict[str, Any]) -> str:
+    """Return how far association is to be trusted, as the end of a message."""
+    tied, unique, undone = (trust[key] for key in ("tied_scans", "unique_scans", "undone_merges"))
+    told = ""
+    if tied is not None and min(tied, unique) < 1:
+        told += (
+            f"; {100 * tied:.1f} % of the scans were tied to those before, {100 * unique:.1f} % "
+            f"by more than chance brings"
+        )
+    return told + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
 
 
 def untied(submaps: int) -> str:

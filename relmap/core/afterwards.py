@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
+from numpy.typing import NDArray
 
 from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import merge_doubles
-from relmap.core.association.tying import tie_submaps
+from relmap.core.association.sightings import Sightings, rows_of_tracks
+from relmap.core.association.strays import find_strays
+from relmap.core.association.tying import CLEAR, tie_submaps
+from relmap.core.association.undoing import contradicted, pieces, places_of
 from relmap.core.grouping.chart import PointChart
 from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
+from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
+from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
+
+logger = logging.getLogger(__name__)
+
+ROUNDS = 8
+"""How often what is refined is looked over, and refined again."""
+FEW = 0.01
+"""Changes of a round, as a share of the landmarks, after which there is no other."""
 
 
 def finish(engine: RelativeMapper) -> None:
@@ -47,27 +62,131 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 
 def tie(engine: RelativeMapper) -> None:
     """Tie submaps that show the same place, close loops, and merge what was seen again."""
-    noise_m = engine.averaging.noise.sigma_m
+    noise_m, merger = engine.averaging.noise.sigma_m, engine.merger
+    rows = rows_of_tracks(engine.rows, engine.table)
+    merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
-        merge_doubles(engine.table, engine.merger, engine.merge)
+        merge_doubles(engine.table, merger, engine.merge)
     finder = LoopFinder(engine.table, noise_m)
     while (loop := finder.next()) is not None:
-        bend(engine.map, engine.rows, loop.pairs, loop.placement.R, loop.placement.t)
-        engine.merge_pairs(loop.pairs)
-        merge_doubles(engine.table, engine.merger, engine.merge)
+        pairs = loop.pairs[merger.allowed(loop.pairs)]
+        if len(pairs) > CLEAR * len(loop.pairs):
+            bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
+            engine.merge_pairs(pairs)
+            merge_doubles(engine.table, merger, engine.merge)
+    if engine.refined:  # Before that what lies together may not be one.
+        merge_doubles(engine.table, merger, engine.merge)
+    merger.sightings = None
+
+
+def find_again(engine: RelativeMapper) -> None:
+    """Tie scans that nothing was tied to to the map, and to what they themselves add to it."""
+    table, merger = engine.table, engine.merger
+    rows = rows_of_tracks(engine.rows, table)
+    found = True
+    while found:
+        extend_submaps(engine.map, rows, (table.submap == NONE) & ~table.dynamic)
+        found = False
+        for pairs in find_strays(table, rows, engine.averaging.noise.sigma_m):
+            found |= engine.merge_pairs(pairs[merger.allowed(pairs)]) > 0
 
 
 def refine(engine: RelativeMapper) -> None:
     """Bring all landmarks to where all observations agree best, by joint least squares.
 
-    Without ids, landmarks that then lie where older ones do that they may be are merged.
+    Without ids, merges that the refined map contradicts are undone, loops that are still open are
+    closed, and landmarks that lie where older ones do that they may be are merged; then again.
     """
-    kept = engine.store if engine.config.keep_observations else None
-    engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
-    again = engine.association.is_known and extend_submaps(engine.map, engine.rows)
-    merged = not engine.association.has_ids and merge_doubles(
-        engine.table, engine.merger, engine.merge
-    )
-    if again or merged:
-        engine.refined = refine_submaps(engine.map, engine.rows, kept, engine.weighed)
+    _refine(engine)
+    if engine.association.is_known:
+        if extend_submaps(engine.map, engine.rows):
+            _refine(engine)
+    elif not engine.association.has_ids:
+        grouped, changes = engine.table.weight > 0, np.inf
+        for _ in range(ROUNDS):
+            if changes > FEW * np.sum(engine.table.weight > 0):
+                changes = _look_over(engine)
+        undone, rare = undo(engine), _rare(engine) & ~grouped
+        engine.table.take_off_map(np.flatnonzero(rare))
+        if undone or rare.any():
+            _refine(engine)
+    for refined in engine.refined:
+        if not refined.converged:
+            logger.warning(
+                "refinement of %d landmarks did not converge: the map is the best that was "
+                "found, and what its sd says may be wrong",
+                len(refined.landmarks),
+            )
     engine.merger.look_again()
+
+
+def _look_over(engine: RelativeMapper) -> int:
+    """Undo what a refined map contradicts, and find what it shows; return the number of changes.
+
+    None where nothing is found: what is undone at last needs no other look.
+    """
+    undone = undo(engine)
+    if undone:
+        _refine(engine)
+    before = _extent(engine)
+    tie(engine)
+    find_again(engine)
+    found = int(np.abs(_extent(engine) - before).max())
+    if found:
+        _refine(engine)
+    return undone + found if found else 0
+
+
+def _extent(engine: RelativeMapper) -> NDArray[np.int64]:
+    """Return how many landmarks there are, and how many of them are mapped."""
+    return np.array([engine.table.is_own.sum(), (engine.table.weight > 0).sum()])
+
+
+def _rare(engine: RelativeMapper) -> NDArray[np.bool_]:
+    """Tell which landmarks (m,) are mapped though they were seen less often than a group needs."""
+    table, rows = engine.table, engine.rows
+    seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))
+    return np.asarray((table.weight > 0) & (seen < engine.config.group_after))
+
+
+def undo(engine: RelativeMapper) -> int:
+    """Undo the merges that the refined map contradicts; return how many things changed.
+
+    A submap that nothing else holds together becomes several.
+    """
+    table = engine.table
+    rows = rows_of_tracks(engine.rows, table)
+    each = [contradicted(refined, table, rows) for refined in engine.refined]
+    tracks = np.concatenate([np.empty(0, dtype=np.int64), *each])
+    if len(tracks):
+        _part(engine, rows, tracks)
+    changes = len(tracks)
+    for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+        for piece in pieces(table, rows, submap)[1:]:
+            table.submap[piece] = engine.map.new_submap()
+            changes += 1
+    return changes
+
+
+def _part(engine: RelativeMapper, rows: SegmentRows, tracks: NDArray[np.int64]) -> None:
+    """Let merged tracks (k,) be landmarks of their own again, mapped where they were seen."""
+    table = engine.table
+    places, seen = places_of(table, rows, tracks)
+    for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
+        landmark = int(table.landmark_of[track])
+        stretch = int(table.track_begin[track]), int(table.track_end[track]) + 1
+        others = [number for number in table.members(landmark) if number != track]
+        table.part(track)
+        engine.store.part(landmark, track, *stretch)
+        engine.merger.keep_apart(track, others)
+        submap = int(table.submap[landmark])
+        if weight > 0:
+            at, of = np.array([track]), np.array([weight])
+            engine.map.place(submap, at, place[None], of)
+
+
+def _refine(engine: RelativeMapper) -> None:
+    kept = engine.store if engine.config.keep_observations else None
+    rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
+    again = bool(engine.refined)
+    engine.refined = refine_submaps(engine.map, rows, kept, engine.weighed, again)

@@ -62,8 +62,12 @@ def summary_of(
     told: dict[str, Any] = {"versions": versions(), "counts": {"iterations": len(log)} | counts}
     told["submaps"] = [_submap_row(submap, offset) for submap in result.submaps]
     told["refinement"] = weakness(mapper.refined, offset)
-    trust = {"tied_scans": mapper.tied_share, "submaps": len(result.submaps)}
-    told["association_trust"] = trust
+    told["association_trust"] = {
+        "tied_scans": mapper.tied_share,
+        "unique_scans": mapper.unique_share,
+        "undone_merges": mapper.n_undone,
+        "submaps": len(result.submaps),
+    }
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
         return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}

@@ -95,6 +95,12 @@ class DataAssociation:
         registration = self.registration
         return registration.tied_share if isinstance(registration, Constellation) else None
 
+    @property
+    def unique_share(self) -> float | None:
+        """Share of the scans tied by more than chance brings; None where nothing is matched so."""
+        registration = self.registration
+        return registration.unique_share if isinstance(registration, Constellation) else None
+
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return what landmarks (n,) are called outside."""
         return landmarks if self.registration is None else self.registration.labels_of(landmarks)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import HITS, PlaceFinder, found_elsewhere
+from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
 from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -78,10 +78,19 @@ class LoopFinder:
         around = together[np.argsort(apart, kind="stable")[:NEIGHBOURHOOD]]
         self._had[around[: max(1, len(around) // OVERLAP)]] = True
         self._had[seed] = True
-        if np.sum(table.since[around] > table.first[around]) >= TIED:
-            return None
-        before = table.last[own] < table.since[around].min()
         points = table.position[around]
+        before = table.last[own] < table.since[around].min()
+        old = own[before]
+        off = np.linalg.norm(table.position[old] - points.mean(axis=0), axis=1)
+        size_m = np.ptp(points, axis=0).max()
+        begin = int(table.last[old].min(initial=table.since[seed]))
+        near = off <= size_m + self._drift_m(around, together, begin)
+        is_tied = np.sum(table.since[around] > table.first[around]) >= TIED
+        if is_tied:
+            near &= off <= size_m
+        before[before] = near
+        if near.sum() < (len(around) // 2 if is_tied else ENOUGH):
+            return None
         places = finder.places(points, before)
         if not places:
             return None
@@ -90,32 +99,28 @@ class LoopFinder:
         _, first = np.unique(pairs[:, 1], return_index=True)
         pairs = pairs[first]
         trials = HITS * len(own)
-        if not self._may_have_drifted(around, together, pairs[:, 1], places[0]):
+        off_m = np.linalg.norm(places[0].apply(points) - points, axis=1).max()
+        if off_m > self._drift_m(around, together, int(table.last[pairs[:, 1]].max(initial=0))):
             return None
         rival = found_elsewhere(points, places)
-        sure = trials * finder.by_chance(len(points), len(pairs), rival) <= BY_CHANCE
+        sure = finder.by_chance(len(points), len(pairs), rival, trials) <= BY_CHANCE
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
 
-    def _may_have_drifted(
-        self,
-        around: NDArray[np.int64],
-        together: NDArray[np.int64],
-        old: NDArray[np.int64],
-        placement: Placement,
-    ) -> bool:
-        """Tell whether the map may be as far off as a loop says: a random walk of the direction.
+    def _drift_m(self, around: NDArray[np.int64], together: NDArray[np.int64], begin: int) -> float:
+        """Return how far the map may have drifted between an iteration and landmarks seen later.
 
-        Each time that all in view is replaced it is known by so many landmarks, seen so often.
+        A random walk of the direction: each time that all in view is replaced it is known by so
+        many landmarks, seen so often.
         """
-        table, place = self._table, self._table.position[around]
-        off_m = np.linalg.norm(placement.apply(place) - place, axis=1).max()
-        begin, end = table.last[old].max(initial=0), table.since[around].min()
+        table = self._table
+        middle = table.position[around].mean(axis=0)
+        end = table.since[around].min()
         spread = table.position[together] - table.position[together].mean(axis=0)
         radius_m = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))
         length = float(np.median(table.last[together] - table.since[together] + 1))
         turn = self._noise_m * np.sqrt(2 / (len(together) * length)) / max(radius_m, 1e-9)
         between = (table.first >= begin) & (table.first <= end)
         between &= table.submap == table.submap[around[0]]
-        away = np.linalg.norm(table.position[between] - place.mean(axis=0), axis=1)
+        away = np.linalg.norm(table.position[between] - middle, axis=1)
         lever_m = away.max(initial=0.0) + radius_m
-        return bool(off_m <= FARTHEST * turn * np.sqrt((end - begin) / length + 1) * lever_m)
+        return float(FARTHEST * turn * np.sqrt(max(end - begin, 0) / length + 1) * lever_m)

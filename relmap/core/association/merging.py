@@ -8,15 +8,14 @@ has drifted by constellation, the relative distances among several landmarks.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.core.association.placement import DISTINCT, consistent_placements
+from relmap.core.association.evidence import Evidence, chosen
 from relmap.core.association.scale import spacing_of
-from relmap.core.association.search import log_chance
+from relmap.core.association.sightings import Sightings
 from relmap.core.association.tying import NEIGHBOURHOOD, OVERLAP
 from relmap.core.geometry.spatialindex import SpatialIndex
 from relmap.core.model import LandmarkModel
@@ -28,62 +27,12 @@ TOLERANCE = 3.0
 """How far two positions of one landmark may differ, in standard deviations of an observation."""
 EXACT = 1e-3
 """Least tolerance, as a share of that reach, where there is no noise at all."""
-ENOUGH = 3
-"""Landmarks that a constellation needs; one more in space, where three fit their mirror image."""
 SLICE = 500
 """Landmarks that are entered anew at a time after the map has moved."""
 LAST = 2**62
 """Beyond all landmarks."""
-SHARE = 0.5
-"""Share of the landmarks with candidates that must be in it: the drift is common to all."""
-CANDIDATES = 60
-"""Pairs that a constellation is looked for among."""
-AVERAGED = 1.5
-"""Tolerance of averages, in that of observations: less is lost by more of them."""
-LOCAL_DRIFT = 0.1
-"""Variance of what the map has drifted within a group, in those of an observation."""
-LOG_CHANCE = float(np.log(1e-3))
-"""Log of how often landmarks in view may be taken for others."""
 ROUNDS = 5
 """How often doubles are looked for in a row, as each merge tells of others."""
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What speaks for and against landmarks in view being older ones.
-
-    Attributes
-    ----------
-    first : (k,) int64, ascending
-        When each landmark in view was seen first, as far as is known.
-    share : float
-        How likely a landmark lies on another one by chance.
-    reach_m : float
-        How far the map may have drifted.
-    weight, last : (n,)
-        Iterations averaged into the position of each landmark, and when it was seen last.
-    """
-
-    first: NDArray[np.int64]
-    share: float
-    reach_m: float
-    weight: NDArray[np.float64]
-    last: NDArray[np.int64]
-
-    def sharpness(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
-        variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
-        return np.asarray(np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0))
-
-    def tied(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which pairs (k, 2) others in view tie to when the older landmark was seen."""
-        return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
-
-    def is_unlike_chance(self, pairs: NDArray[np.int64], log_placements: float = 0.0) -> bool:
-        """Tell whether so many pairs (k, 2) of one placement out of some are not by chance."""
-        later = len(self.first) - np.searchsorted(self.first, self.last[pairs[:, 1]].min(), "right")
-        n = max(int(later), len(pairs))
-        return log_chance(n, len(pairs), self.share, log_placements) <= LOG_CHANCE
 
 
 class Merger:
@@ -95,11 +44,19 @@ class Merger:
     model : LandmarkModel
     mature : int
         Observations after which a landmark's position is good enough to be compared.
+
+    Attributes
+    ----------
+    n_undone : int
+        How many tracks were wrongly taken for others, as was found out later.
+    sightings : Sightings or None
+        Who was seen with whom, where the whole map is looked over.
     """
 
     _index: SpatialIndex | None
     _old_near: dict[int, list[int]]
-    STATE = "_index _entered _old_near"
+    _apart: dict[int, list[int]]
+    STATE = "_index _entered _old_near _apart n_undone"
 
     def __init__(self, table: LandmarkState, model: LandmarkModel, mature: int) -> None:
         self._table = table
@@ -108,6 +65,9 @@ class Merger:
         self._index = None
         self._entered = LAST
         self._old_near = {}
+        self._apart = {}
+        self.n_undone = 0
+        self.sightings: Sightings | None = None
 
     def blank(self) -> SpatialIndex:
         """Return an index to be restored."""
@@ -225,6 +185,24 @@ class Merger:
             if old in others:
                 others.remove(old)
 
+    def keep_apart(self, track: int, others: list[int]) -> None:
+        """Note that a track was wrongly taken for one of others: not more than once again."""
+        self.n_undone += 1
+        for one, other in ((track, other) for other in others):
+            self._apart.setdefault(one, []).append(other)
+            self._apart.setdefault(other, []).append(one)
+
+    def allowed(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Tell which pairs (k, 2) of landmarks were not found to be two; (k,)."""
+        return np.array([not self._are_apart(*pair) for pair in pairs.tolist()], dtype=bool)
+
+    def _are_apart(self, one: int, other: int) -> bool:
+        of = self._table.landmark_of
+        noted = (self._apart.get(track, []) for track in self._table.members(one))
+        return bool(self._apart) and any(
+            of[track] == other and tracks.count(track) > 1 for tracks in noted for track in tracks
+        )
+
     def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
         reach_m = self._model.drift_m
         if reach_m is None:
@@ -246,67 +224,13 @@ class Merger:
     def _may_be(self, new: int, old: int) -> bool:
         """Tell whether a landmark may be an older one: of its submap, and never seen with it."""
         table = self._table
-        same_submap = table.submap[old] == table.submap[new] != NONE
-        later = same_submap and table.is_later(new, old)
-        return bool(later and self._model.may_be(table, new, old))
-
-
-def chosen(
-    position: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    tolerance_m: float,
-    evidence: Evidence | None = None,
-) -> NDArray[np.int64]:
-    """Return which of the pairs (k, 2) of landmarks are one, by where they are mapped.
-
-    Those that lie on one another; where none do, those of the largest set that one rigid motion
-    brings together, for the drift is common to all.
-
-    Parameters
-    ----------
-    position : (n, d) float64, map frame, metres
-        Of all landmarks.
-    pairs : (k, 2) int64
-        Candidates: a new landmark, and an old one that it may be.
-    tolerance_m : float
-    evidence : Evidence, optional
-        What else was in view; where it is not given, pairs that lie on one another are believed.
-    """
-    d = position.shape[1]
-    apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
-    near = apart <= tolerance_m * (1.0 if evidence is None else evidence.sharpness(pairs))
-    if near.any():
-        on = _unique_nearest(pairs[near], apart[near])
-        if evidence is None or evidence.is_unlike_chance(on):
-            return on
-        if evidence.tied(on).any():
-            return on[evidence.tied(on)]
-    pairs = pairs[:CANDIDATES]
-    enough = max(ENOUGH + (d == 3), SHARE * len(np.unique(pairs[:, 0])))
-    found = consistent_placements(position, position, pairs, tolerance_m, tolerance_m)
-    shift, pairs = next(found, (None, pairs))
-    if shift is None or shift.n_agreeing < enough:
-        return np.empty((0, 2), dtype=np.int64)
-    _, rival = next(found, (None, pairs[:0]))
-    off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
-    pairs = pairs[off <= tolerance_m]
-    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
-    if evidence is not None:
-        drifts = d * (d + 1) / 2 * np.log(1 + 2 * evidence.reach_m / tolerance_m)
-        if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):
-            return np.empty((0, 2), dtype=np.int64)
-    return pairs
-
-
-def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
-    unique: list[tuple[int, int]] = []
-    taken: set[int] = set()
-    for new, old in pairs[np.argsort(distance, kind="stable")].tolist():
-        if new not in taken and old not in taken:
-            unique.append((new, old))
-            taken.update((new, old))
-    return np.array(unique, dtype=np.int64).reshape(-1, 2)
+        if not table.submap[old] == table.submap[new] != NONE:
+            return False
+        later = table.is_later(new, old)
+        if not later and self.sightings is not None:
+            order = (table.last[old], old) < (table.last[new], new)
+            later = order and not self.sightings.together(new, old)
+        return bool(later and not self._are_apart(new, old) and self._model.may_be(table, new, old))
 
 
 def merge_doubles(

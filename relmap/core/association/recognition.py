@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from scipy.special import betaincinv
 from scipy.stats import binom
 
 from relmap.core.association.base import nearest
@@ -115,7 +116,7 @@ class PlaceFinder:
         far = np.where(counts, distance, np.inf)
         return np.take_along_axis(far, first, 1)[:, 0], np.take_along_axis(landmark, first, 1)[:, 0]
 
-    def by_chance(self, n: int, n_agreeing: int, elsewhere: int) -> float:
+    def by_chance(self, n: int, n_agreeing: int, elsewhere: int, trials: int) -> float:
         """Return how likely so many of n points would be found in a wrong place.
 
         Beside the three of the triangle that was looked up.  Landmarks may lie at random, or on
@@ -129,7 +130,10 @@ class PlaceFinder:
         """
         # Half of the landmarks have another within `apart_m`, so many of which lie in a tolerance.
         share = np.log(2) * (self._tolerance_m / self._apart_m) ** self._positions.shape[1]
-        return float(binom.sf(n_agreeing - 4, n - 3, max(share, elsewhere / n)))
+        # What is found elsewhere is the most of all trials.
+        if elsewhere > 3:
+            share = max(share, float(betaincinv(elsewhere - 3, n - elsewhere + 1, 1 / trials)))
+        return trials * float(binom.sf(n_agreeing - 4, n - 3, share))
 
     def _hypotheses(self, points: NDArray[np.float64], needed: float) -> list[Placement]:
         """Return where triangles found in the map put the scan, the likeliest first.

@@ -82,7 +82,7 @@ def _found_elsewhere(
         other = int(in_submaps[0][0])
         rivals = [place for place, of in zip(places, in_submaps, strict=True) if other in of]
         elsewhere = found_elsewhere(points, rivals)
-        sure = trials * finder.by_chance(len(points), len(hits[0]), elsewhere) <= BY_CHANCE
+        sure = finder.by_chance(len(points), len(hits[0]), elsewhere, trials) <= BY_CHANCE
         clear = elsewhere <= CLEAR * places[0].n_agreeing
         if sure and clear and _leads_back(back, positions[hits[0]], places[0], points):
             return other, replace(places[0], t=places[0].t - shifts[other])

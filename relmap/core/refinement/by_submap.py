@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
 import numpy as np
 
 from relmap.core.map.globalmap import GlobalMap
@@ -16,14 +14,13 @@ from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import NONE
 from relmap.core.state.weighed import WeighedObservations
 
-logger = logging.getLogger(__name__)
-
 
 def refine_submaps(
     global_map: GlobalMap,
     rows: SegmentRows,
     kept: ObservationStore | None,
     weighed: WeighedObservations,
+    again: bool = False,
 ) -> list[Refined]:
     """Move all landmarks to where the observations agree best; tell of each submap, in order.
 
@@ -35,13 +32,15 @@ def refine_submaps(
         Every observation, where bounded noise is to be made use of.
     weighed : WeighedObservations
         Those with covariances of their own; then nothing is made of bounded noise.
+    again : bool
+        Whether the map is refined already, but for what has changed since.
     """
     table = global_map.table
     of, submaps, moving = table.landmark_of, table.submap, table.dynamic
     others = (submaps == NONE) & ~moving
     found, end = [], 0 if kept is None else kept.n_iterations
     for submap in np.unique(submaps[submaps != NONE]):
-        refined = refine(rows, table.position, submaps == submap, of, others, moving)
+        refined = refine(rows, table.position, submaps == submap, of, others, moving, again)
         if refined is not None and len(weighed):
             refined = refine_weighed(refined, weighed, of)
         elif refined is not None and kept is not None:
@@ -51,10 +50,4 @@ def refine_submaps(
         if refined is not None:
             global_map.move(refined.landmarks, refined.positions)
             found.append(refined)
-            if not refined.converged:
-                logger.warning(
-                    "refinement of %d landmarks did not converge: the map is the best that was "
-                    "found, and what its sd says may be wrong",
-                    len(refined.landmarks),
-                )
     return found

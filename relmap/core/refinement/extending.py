@@ -40,7 +40,9 @@ class _Laid(NamedTuple):
     limit: float
 
 
-def extend_submaps(global_map: GlobalMap, rows: SegmentRows) -> bool:
+def extend_submaps(
+    global_map: GlobalMap, rows: SegmentRows, among: NDArray[np.bool_] | None = None
+) -> bool:
     """Extend submaps, the largest first, to what segments tie to them; tell whether any grew.
 
     Landmarks of smaller submaps come to the larger; those that were taken for moving, and keep
@@ -51,15 +53,18 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows) -> bool:
     global_map : GlobalMap
     rows : SegmentRows
         Of all iterations.
+    among : (m,) bool, optional
+        Landmarks that may be placed; all of them where it is not given.
     """
     table = global_map.table
-    landmark = table.now(rows.landmark)
+    seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))
+    often = seen >= SEEN_AGAIN if among is None else (seen >= SEEN_AGAIN) & among
     submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
     done = np.zeros(len(table), dtype=bool)
     grew = False
     for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
         for suspects in (False, True):
-            grew |= _extend(global_map, submap, rows, landmark, done, suspects)
+            grew |= _extend(global_map, submap, rows, often & ~done, suspects)
         own = np.flatnonzero(table.submap == submap)
         if len(own) < table.dimension:  # what others left of it
             table.take_off_map(own)
@@ -71,16 +76,15 @@ def _extend(
     global_map: GlobalMap,
     submap: int,
     rows: SegmentRows,
-    landmark: NDArray[np.int64],
-    done: NDArray[np.bool_],
+    free: NDArray[np.bool_],
     suspects: bool,
 ) -> bool:
-    """Extend one submap by landmarks that are in no larger one, either at rest or suspected."""
+    """Extend one submap by free landmarks (m,), either at rest or suspected."""
     table, tier, grew = global_map.table, 0, False
-    often = np.bincount(landmark, rows.n_seen, minlength=len(table)) >= SEEN_AGAIN
+    landmark = table.now(rows.landmark)
     while tier < len(TIERS):
         known = table.submap == submap
-        wanted = often & ~known & ~done & (table.dynamic == suspects)
+        wanted = free & ~known & (table.dynamic == suspects)
         if not known.any() or not wanted[landmark].any():
             break
         laid = _lay(rows, landmark, table.position, known[landmark])

@@ -111,6 +111,7 @@ def refine(
     of: NDArray[np.int64],
     others: NDArray[np.bool_],
     suspects: NDArray[np.bool_],
+    again: bool = False,
 ) -> Refined | None:
     """Return where landmarks of one submap lie by all observations.
 
@@ -128,6 +129,8 @@ def refine(
     suspects : (m,) bool
         Landmarks taken for moving.  Those that keep their place in the refined map as well as
         others do were taken for it because of outliers, and tie as well.
+    again : bool
+        Whether the positions are refined already, but for what has changed since.
 
     Returns
     -------
@@ -135,13 +138,14 @@ def refine(
         None where nothing is fixed.
     """
     landmark = of[rows.landmark]
-    found = _solved(rows, positions, chosen, landmark, others)
-    if found is None or not suspects.any():
-        return found
-    better = positions.copy()
-    better[found.landmarks] = found.positions
+    found, better = None, positions.copy()
+    if not again or not suspects.any():
+        found = _solved(rows, positions, chosen, landmark, others)
+        if found is None or not suspects.any():
+            return found
+        better[found.landmarks] = found.positions
     cleared = _cleared(rows, better, chosen, landmark, suspects)
-    if not cleared.any():
+    if found is not None and not cleared.any():
         return found
     return _solved(rows, better, chosen, landmark, others | cleared)
 
@@ -198,7 +202,7 @@ def _cleared(
     suspects: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
     """Tell which suspects (m,) keep their place, from segment to segment, as others do."""
-    placed, fixed = _laid_on(rows, positions, chosen[landmark], landmark)
+    placed, fixed = laid_on(rows, positions, chosen[landmark], landmark)
     kept = np.flatnonzero(fixed & chosen[landmark])
     usual = np.median(_lengths(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
     cleared = np.zeros(len(positions), dtype=bool)
@@ -214,7 +218,7 @@ def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
-def _laid_on(
+def laid_on(
     rows: SegmentRows,
     positions: NDArray[np.float64],
     kept: NDArray[np.bool_],
@@ -240,7 +244,7 @@ def _joint_rows(
     Segments that are not fixed by the submap are left out.
     """
     mapped = chosen[landmark]
-    placed, fixed = _laid_on(rows, positions, mapped, landmark)
+    placed, fixed = laid_on(rows, positions, mapped, landmark)
     known = fixed & (mapped | others[landmark])
     n_seen = np.bincount(landmark[known], weights=rows.n_seen[known], minlength=len(positions))
     known &= n_seen[landmark] > 1

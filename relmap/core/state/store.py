@@ -143,6 +143,12 @@ class ObservationStore:
         landmark = self.column("landmark")[self._rows(self._first_iteration, self.n_iterations)[0]]
         landmark[landmark == new] = old
 
+    def part(self, landmark: int, track: int, begin: int, end: int) -> None:
+        """Give what is not forgotten of a landmark, in iterations `begin` to `end`, to a track."""
+        rows, when = self.between(self._first_iteration, self.n_iterations)
+        landmarks = self.column("landmark")[rows]
+        landmarks[(landmarks == landmark) & (when >= begin) & (when < end)] = track
+
     def seen(self, begin: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return landmark and iteration of every point shown in iterations `begin` to `end`."""
         shown, offsets = self._shown(begin, end)

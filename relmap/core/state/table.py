@@ -1,97 +1,25 @@
 """The landmark table: everything known of each landmark, one row a landmark.
 
-Every column is declared here, with what a new row holds and what becomes of it when a landmark
-turns out to be an older one seen again.  The parts of the engine are functions of, or thin views
-on, these columns; none keeps an array over the landmarks of its own.
+The parts of the engine are functions of, or thin views on, its columns (see `columns`); none keeps
+an array over the landmarks of its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
-NEVER = -(2**62)
-"""Iteration in which a landmark not seen yet was last seen."""
-NONE = -1
-"""In place of a group, a submap, a moving bin or a cell: the landmark is in none."""
+from relmap.core.state.columns import COLUMNS, MERGED, NONE
+
+__all__ = ["NONE", "LandmarkState"]
+
 ROWS = 2**11
 """Rows that the columns begin with, about."""
 
 AHEAD = 64
 """Rows that are made ready at a time."""
-
-Merge = Literal["old", "new", "least", "most", "sum"]
-
-
-class Column(NamedTuple):
-    """What a column holds.
-
-    Attributes
-    ----------
-    dtype : numpy dtype
-    fill : scalar
-        Value of a new row.
-    merged : str
-        What the old landmark has after a merge: its own value, the new one's, or the least, the
-        most or the sum of both.
-    vector : bool
-        Whether a row has one value for each coordinate.
-    """
-
-    dtype: DTypeLike
-    fill: Any
-    merged: Merge = "new"
-    vector: bool = False
-
-
-COLUMNS = {
-    # who it is: a new row is a landmark of its own
-    "landmark_of": Column(np.int64, NONE, "old"),
-    # sightings; `first` and `since` of a new row are the present iteration
-    "first": Column(np.int64, 0, "least"),
-    "last": Column(np.int64, NEVER, "new"),
-    "since": Column(np.int64, 0, "new"),
-    "observations": Column(np.int64, 0, "sum"),
-    # the present interval, in which the landmark is in view
-    "begin": Column(np.int64, 0, "new"),
-    "in_interval": Column(np.int64, 0, "new"),
-    "is_gone": Column(np.bool_, False, "new"),
-    # the group that its position comes from
-    "level": Column(np.int64, 0, "new"),
-    "highest_level": Column(np.int64, 0, "most"),
-    "averaged": Column(np.int64, 0, "new"),
-    "group": Column(np.int64, NONE, "new"),
-    # motion
-    "dynamic": Column(np.bool_, False, "new"),
-    "restless": Column(np.bool_, False, "new"),
-    "strikes": Column(np.int64, 0, "new"),
-    "struck_until": Column(np.int64, -1, "new"),
-    "moved_until": Column(np.int64, 0, "new"),
-    "tested_until": Column(np.int64, 0, "new"),
-    "moving_bin": Column(np.int64, NONE, "new"),
-    # the map; `merge` averages the positions
-    "position": Column(np.float64, np.nan, "old", vector=True),
-    "weight": Column(np.float64, 0.0, "old"),
-    "settled_position": Column(np.float64, 0.0, "old", vector=True),
-    "settled_weight": Column(np.float64, 0.0, "old"),
-    "submap": Column(np.int64, NONE, "old"),
-    # looking for it among older ones, and where it is found
-    "asked_level": Column(np.int64, 0, "new"),
-    "cell": Column(np.int64, NONE, "old"),
-    "next_in_cell": Column(np.int64, NONE, "old"),
-    # the condensed segment in which it was seen last
-    "last_segment": Column(np.int64, NONE, "old"),
-}
-
-_MERGED: dict[str, Callable[[Any, Any], Any]] = {
-    "new": lambda new, old: new,
-    "least": lambda new, old: min(new, old),
-    "most": lambda new, old: max(new, old),
-    "sum": lambda new, old: new + old,
-}
 
 
 class LandmarkState:
@@ -104,6 +32,9 @@ class LandmarkState:
     ----------
     landmark_of : (n,) int64
         The landmark that each row stands for: itself, unless it was merged into an older one.
+    track_begin, track_end, track_observations : (n,) int64
+        First and last iteration in which it was seen under its own number, merged or not, and how
+        often.
     first, last : (n,) int64
         Iterations in which a landmark was seen first, and last; `NEVER`.
     since : (n,) int64
@@ -146,6 +77,9 @@ class LandmarkState:
     """
 
     landmark_of: NDArray[np.int64]
+    track_begin: NDArray[np.int64]
+    track_end: NDArray[np.int64]
+    track_observations: NDArray[np.int64]
     first: NDArray[np.int64]
     last: NDArray[np.int64]
     since: NDArray[np.int64]
@@ -174,14 +108,11 @@ class LandmarkState:
     next_in_cell: NDArray[np.int64]
     last_segment: NDArray[np.int64]
 
-    _earlier: dict[int, list[int]]
-    """First and last iteration of each stretch before the latest, of those merged."""
-    STATE = " ".join([*COLUMNS, "_earlier"])
+    STATE = " ".join(COLUMNS)
 
     def __init__(self) -> None:
         self._rooms: dict[str, NDArray[Any]] = {}
         self._merged_into: dict[int, list[int]] = {}
-        self._earlier = {}
         self._begin(0)
 
     def __len__(self) -> int:
@@ -191,8 +122,7 @@ class LandmarkState:
     def __getstate__(self) -> dict[str, Any]:
         """Copy the rows there are, not the room for more."""
         rooms = {name: getattr(self, name).copy() for name in COLUMNS}
-        merges = {"_merged_into": self._merged_into, "_earlier": self._earlier}
-        return {"_rooms": rooms, **merges}
+        return {"_rooms": rooms, "_merged_into": self._merged_into}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take up the rows of another table."""
@@ -238,7 +168,8 @@ class LandmarkState:
             self._fill(n + AHEAD)
         self._show(n)
         self.landmark_of[before:] = np.arange(before, n)
-        self.first[before:] = self.since[before:] = iteration
+        for column in (self.track_begin, self.first, self.since):
+            column[before:] = iteration
 
     def enter(
         self, landmarks: NDArray[np.int64], points: NDArray[np.float64], iteration: int
@@ -248,6 +179,8 @@ class LandmarkState:
         Returns who they are after merging.
         """
         self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
+        self.track_end[landmarks] = iteration
+        self.track_observations[landmarks] += 1
         return self.now(landmarks)
 
     def now(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -283,34 +216,51 @@ class LandmarkState:
         rows = [new, *self._merged_into.pop(new, [])]
         self.landmark_of[rows] = old
         self._merged_into.setdefault(old, []).extend(rows)
-        self._earlier[old] = self._stretches(old) + self._earlier.pop(new, [])
         self.settle(np.array([old]))
         _average(self.position, self.weight, new, old)
         _average(self.settled_position, self.settled_weight, new, old)
         self.take_off_map(np.array([new]))
+        if self.last[new] > self.last[old]:
+            self.since[old] = self.since[new]
         for name, column in COLUMNS.items():
             if column.merged != "old":
                 values = getattr(self, name)
-                values[old] = _MERGED[column.merged](values[new], values[old])
+                values[old] = MERGED[column.merged](values[new], values[old])
         self.is_gone[new] = False
+
+    def members(self, landmark: int) -> list[int]:
+        """Return the numbers that stand for a landmark, its own first."""
+        return [landmark, *self._merged_into.get(landmark, [])]
+
+    def part(self, track: int) -> None:
+        """Let a track that was merged into a landmark be one of its own again, not mapped yet."""
+        landmark = int(self.landmark_of[track])
+        self._merged_into[landmark].remove(track)
+        self.landmark_of[track] = track
+        for row in (landmark, track):
+            begin, end = self._stretches(row)
+            latest = end.argmax()
+            self.first[row] = begin.min()
+            self.since[row], self.last[row] = begin[latest], end[latest]
+        self.observations[track] = self.track_observations[track]
+        self.observations[landmark] -= self.track_observations[track]
 
     def is_later(self, new: int, old: int) -> bool:
         """Tell whether one landmark was seen after another was last, and never while it was."""
         if self.last[old] < self.first[new]:
             return True
-        if self.last[old] >= self.last[new] or not (new in self._earlier or old in self._earlier):
+        alone = new not in self._merged_into and old not in self._merged_into
+        if self.last[old] >= self.last[new] or alone:
             return False
-        one, other = self._stretches(new), self._stretches(old)
-        return not any(
-            begin <= other_end and other_begin <= end
-            for begin, end in zip(one[::2], one[1::2], strict=True)
-            for other_begin, other_end in zip(other[::2], other[1::2], strict=True)
-        )
+        begin, end = self._stretches(new)
+        other_begin, other_end = self._stretches(old)
+        before = begin[:, None] <= other_end
+        return not bool((before & (other_begin <= end[:, None])).any())
 
-    def _stretches(self, landmark: int) -> list[int]:
-        """Return the first and last iteration of each stretch in which a landmark was seen."""
-        present = [int(self.since[landmark]), int(self.last[landmark])]
-        return [*self._earlier.get(landmark, []), *present]
+    def _stretches(self, landmark: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the first and last iterations of each track of a landmark."""
+        numbers = self.members(landmark)
+        return self.track_begin[numbers], self.track_end[numbers]
 
     def _begin(self, dimension: int) -> None:
         self._filled = 0

@@ -1,0 +1,57 @@
+"""When each track was seen, as the condensed segments tell."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.state.table import LandmarkState
+
+
+class Sightings:
+    """Who was seen with whom: one landmark is in one place of a scan.
+
+    Parameters
+    ----------
+    rows : SegmentRows
+        By tracks, see `rows_of_tracks`.
+    table : LandmarkState
+    """
+
+    def __init__(self, rows: SegmentRows, table: LandmarkState) -> None:
+        order = np.argsort(rows.landmark, kind="stable")
+        self._segment, self._visible = rows.segment[order], rows.visible[order]
+        self._begin = np.searchsorted(rows.landmark[order], np.arange(len(table) + 1))
+        self._table = table
+
+    def together(self, one: int, other: int) -> bool:
+        """Tell whether two landmarks were seen in one scan."""
+        here, there = self._rows(one), self._rows(other)
+        _, a, b = np.intersect1d(self._segment[here], self._segment[there], return_indices=True)
+        return bool((self._visible[here[a]] & self._visible[there[b]]).any())
+
+    def _rows(self, landmark: int) -> NDArray[np.int64]:
+        numbers = self._table.members(landmark)
+        return np.concatenate([np.arange(*self._begin[[k, k + 1]]) for k in numbers])
+
+
+def rows_of_tracks(rows: SegmentRows, table: LandmarkState) -> SegmentRows:
+    """Return rows by the number under which each was seen, where they went by that of a merge.
+
+    Tracks of one landmark are told apart by their time.
+    """
+    bits = rows.visible.astype(np.int64)
+    time = rows.first_iteration[rows.segment] + np.log2(bits & -bits).astype(np.int64)
+    own = table.track_begin[rows.landmark] <= time
+    own &= time <= table.track_end[rows.landmark]
+    landmark = rows.landmark.copy()
+    numbers = np.lexsort((table.track_begin, table.landmark_of))
+    span = int(table.track_end.max(initial=0)) + 1
+    keys = table.landmark_of[numbers] * span + table.track_begin[numbers]
+    wanted = table.landmark_of[landmark[~own]]
+    at = numbers[(np.searchsorted(keys, wanted * span + time[~own], side="right") - 1).clip(0)]
+    landmark[~own] = np.where(table.landmark_of[at] == wanted, at, landmark[~own])
+    return replace(rows, landmark=landmark)

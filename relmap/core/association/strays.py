@@ -1,0 +1,73 @@
+"""Scans that were tied to nothing when they came, found in the map once there is one.
+
+After a sharp turn, or where much was missed, a scan may show too little of what those just before
+it saw.  The map tells of more: what was seen from there earlier, and later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.association.recognition import (
+    ENOUGH,
+    HITS,
+    MORE,
+    PlaceFinder,
+    found_elsewhere,
+)
+from relmap.core.association.tying import BY_CHANCE, CLEAR
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.state.table import NONE, LandmarkState
+
+NEARBY = 100
+"""Iterations before and after a stray scan within which what it shows was seen."""
+
+
+def find_strays(
+    table: LandmarkState, rows: SegmentRows, noise_m: float
+) -> Iterator[NDArray[np.int64]]:
+    """Yield pairs (k, 2) of tracks that are not mapped, and mapped landmarks that they are.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    rows : SegmentRows
+        By tracks.
+    noise_m : float
+        Standard deviation of an observed coordinate.
+    """
+    n, d = rows.n_segments, table.dimension
+    mapped = table.weight[table.landmark_of[rows.landmark]] > 0
+    free = ~mapped & ~table.dynamic[table.landmark_of[rows.landmark]]
+    known, unknown = (np.bincount(rows.segment[which], minlength=n) for which in (mapped, free))
+    strays = np.flatnonzero((known <= d) & (unknown >= ENOUGH + MORE * (d - 2)))
+    submaps = np.unique(table.submap[table.submap != NONE])
+    for submap in submaps.tolist() if len(strays) else ():
+        own = np.flatnonzero(table.submap == submap)
+        finder = PlaceFinder(table.position[own], noise_m)
+        for stray in strays.tolist():
+            when = rows.first_iteration[stray]
+            among = table.first[own] <= when + NEARBY
+            among &= table.last[own] >= when - NEARBY
+            of = np.flatnonzero((rows.segment == stray) & free)
+            of = of[table.weight[table.now(rows.landmark[of])] == 0]
+            at = _found(finder, rows.points[of], among, HITS * len(strays) * len(submaps))
+            if (at >= 0).any():
+                pairs = np.column_stack([table.now(rows.landmark[of]), own[at]])[at >= 0]
+                yield pairs[np.unique(pairs[:, 1], return_index=True)[1]]
+
+
+def _found(
+    finder: PlaceFinder, points: NDArray[np.float64], among: NDArray[np.bool_], trials: int
+) -> NDArray[np.int64]:
+    """Return the rows of the map on which points (n, d) lie; -1 where none surely does."""
+    places = finder.places(points, among) if among.sum() >= ENOUGH else []
+    if not places:
+        return np.full(len(points), -1)
+    at = finder.landmarks_at(places[0].apply(points), among)
+    hits, rival = len(np.unique(at[at >= 0])), found_elsewhere(points, places)
+    sure = finder.by_chance(len(points), hits, rival, trials) <= BY_CHANCE
+    return at if sure and rival <= CLEAR * hits else np.full(len(points), -1)

@@ -1,0 +1,113 @@
+"""What a refined map contradicts is undone; what belongs together is found again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.core.association.sightings import Sightings, rows_of_tracks
+from relmap.core.state.table import LandmarkState
+from relmap.evaluation.metrics import majority_ids, purity
+from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_world
+from tests.worlds import aligned_rmse
+
+
+def mapped_world(world: World) -> tuple[PointMapper, NDArray[np.int64]]:
+    """Return a refined map made without ids, and the label of every observation."""
+    mapper = PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    mapper.finish()
+    mapper.refine()
+    return mapper, labels
+
+
+def error_m(mapper: PointMapper, labels: NDArray[np.int64], world: World) -> float:
+    """Return the landmark RMSE of the largest submap."""
+    now = mapper.landmarks_of(labels)
+    ids = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
+    rows = [k for k, label in enumerate(mapper.map.landmark_ids) if label in ids]
+    true = [ids[mapper.map.landmark_ids[k]] for k in rows]
+    return aligned_rmse(mapper.map.positions[rows], world.landmarks_map[true])
+
+
+def test_a_track_that_is_parted_is_as_if_it_had_never_been_merged() -> None:
+    table = LandmarkState()
+    for iteration, label in enumerate([0, 0, 1, 1, 1, 2, 2]):
+        table.enter(np.array([label]), np.zeros((1, 2)), iteration)
+        table.see(np.array([label]), iteration)
+    columns = ["landmark_of", "first", "last", "since", "observations"]
+    before = {name: getattr(table, name).copy() for name in columns}
+    table.merge(1, 0)
+    table.merge(2, 0)
+    assert (table.first[0], table.since[0], table.last[0], table.observations[0]) == (0, 5, 6, 7)
+    table.part(1)
+    assert table.landmark_of.tolist() == [0, 1, 0]
+    assert (table.first[0], table.last[0], table.observations[0]) == (0, 6, 4)
+    table.part(2)
+    for name in columns:
+        np.testing.assert_array_equal(getattr(table, name), before[name])
+
+
+def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
+    world = simulate_figure_eight(density=25, iterations=900, seed=1)
+    mapper = PointMapper()
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    assert world.log.ids is not None
+    mapper.finish()
+    right = mapper.landmarks_of(labels)
+    assert purity(right, world.log.ids) == 1
+    table = mapper.engine.table
+    mapped = np.flatnonzero(table.weight > 0)
+    apart = np.linalg.norm(table.position[mapped, None] - table.position[mapped], axis=2)
+    true = dict(zip(*majority_ids(right, world.log.ids)[:2], strict=True))
+    for k in np.argsort(apart, axis=None).tolist():  # the nearest two that were never seen at once
+        new, old = mapped[list(divmod(k, len(mapped)))].tolist()
+        if table.is_later(new, old) and true[new] != true[old]:
+            break
+    mapper.engine.merge_pairs(np.array([[new, old]]))
+    assert purity(mapper.landmarks_of(labels), world.log.ids) != 1
+    mapper.refine()
+    assert purity(mapper.landmarks_of(labels), world.log.ids) == 1
+    assert len(mapper.map.landmark_ids) == len(world.landmark_ids)
+    assert len(mapper.submaps) == 1
+
+
+def test_rows_go_by_tracks_after_merges() -> None:
+    world = simulate_world(WorldSpec(length_m=200.0, iterations=140, seed=1))
+    mapper, labels = mapped_world(world)
+    table = mapper.engine.table
+    rows = rows_of_tracks(mapper.engine.rows, table)
+    np.testing.assert_array_equal(table.now(rows.landmark), table.now(mapper.engine.rows.landmark))
+    assert (np.isin(rows.landmark, labels)).all()
+    sightings = Sightings(rows, table)
+    scans = {k: set(world.log.iteration[labels == k]) for k in np.unique(labels).tolist()}
+    own = np.flatnonzero(table.weight > 0)[:40].tolist()
+    for one in own:
+        for other in own:
+            met = set.union(*(scans[k] for k in table.members(one))) & set.union(
+                *(scans[k] for k in table.members(other))
+            )
+            assert met or not sightings.together(one, other)
+
+
+@pytest.mark.parametrize(
+    ("spec", "worst"),
+    [
+        (WorldSpec(kind="columns", length_m=540.0, seed=7), 0.05),
+        (WorldSpec(kind="field", length_m=540.0, turn_deg=40.0, seed=5), 0.1),
+        (WorldSpec(missed=0.3, spurious=0.1, seed=7), 0.05),
+    ],
+)
+def test_worlds_that_were_wrong_in_one_piece_or_in_pieces_are_right(
+    spec: WorldSpec, worst: float
+) -> None:
+    world = simulate_world(spec)
+    mapper, labels = mapped_world(world)
+    assert len(mapper.submaps) == 1
+    assert error_m(mapper, labels, world) <= worst
+    often = np.bincount(world.true_ids[world.true_ids >= 0]) >= 10
+    seen = majority_ids(mapper.landmarks_of(labels), world.true_ids)
+    mapped = {int(i) for k, i in zip(*seen[:2], strict=True) if k in mapper.map.landmark_ids}
+    assert len(mapped & set(np.flatnonzero(often).tolist())) >= 0.97 * often.sum()
