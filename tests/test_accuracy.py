@@ -118,8 +118,10 @@ def test_mrpt_logs_are_tracked_without_ids(shared_data: Path, name: str) -> None
     assert often_seen_rmse(mapper, landmarks, log, ids, positions) <= 0.03
 
 
-@pytest.mark.parametrize(("begin", "end"), [(1181, 1642), (4220, 4634)])
-def test_victoria_park_is_mapped_without_ids(shared_data: Path, begin: int, end: int) -> None:
+@pytest.mark.parametrize(("begin", "end", "most_m"), [(1181, 1642, 0.20), (4220, 4634, 0.35)])
+def test_victoria_park_is_mapped_without_ids(
+    shared_data: Path, begin: int, end: int, most_m: float
+) -> None:
     log = open_log(shared_data / "victoria-park").between(begin, end)
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None
@@ -132,7 +134,7 @@ def test_victoria_park_is_mapped_without_ids(shared_data: Path, begin: int, end:
     known = np.isin(mapped, reference.landmark_ids)
     row_of = {label: row for row, label in enumerate(reference.landmark_ids.tolist())}
     there = reference.positions[[row_of[label] for label in mapped[known].tolist()]]
-    assert aligned_rmse(mapper.map.positions[known][:, :2], there[:, :2]) <= 0.40
+    assert aligned_rmse(mapper.map.positions[known][:, :2], there[:, :2]) <= most_m
 
 
 def test_the_whole_of_victoria_park_falls_into_submaps_that_are_reported(shared_data: Path) -> None:

@@ -11,7 +11,7 @@ from relmap.core.linalg.order_kernels import medians, quantiles
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
 from relmap.planes.pairwise import pairwise_map, relate
-from relmap.planes.stitching import stitched, without_strays
+from relmap.planes.stitching import stitched
 
 FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])
 SECOND = np.array([[4.0, 2.0], [-1.0, 2.0]])
@@ -82,16 +82,3 @@ def test_quantiles_of_sets_are_those_of_numpy() -> None:
 def test_medians_of_sets() -> None:
     values = np.array([3.0, 1.0, 2.0, 9.0, 8.0])
     assert medians(np.array([0, 0, 0, 1, 1]), values).tolist() == [2.0, 8.0]
-
-
-def test_single_poses_far_off_are_left_out() -> None:
-    poses = np.tile(np.eye(4), (12, 1, 1))
-    poses[:, 0, 3] = 0.2 * np.arange(12)
-    motions = np.zeros((12, 3))
-    motions[:, 1] = -0.2
-    np.testing.assert_array_equal(without_strays(poses, motions), poses)
-    wrong = poses.copy()
-    wrong[4:6, 1, 3] = 7.0
-    kept = without_strays(wrong, motions)
-    assert np.flatnonzero(np.isnan(kept[:, 0, 0])).tolist() == [4, 5]
-    np.testing.assert_allclose(stitched([kept], motions), poses, atol=1e-12)

@@ -167,7 +167,7 @@ def test_each_scan_of_the_later_visit_has_one_vote() -> None:
     none = np.empty((0, 2), dtype=np.int64)
 
     def loop(later: int, earlier: int, shift_m: float = 0.0) -> Loop:
-        return later, earlier, np.array([0.0, 2.0 + shift_m, 0.0]), none
+        return 0.1 * later, 0.1 * earlier, np.array([0.0, 2.0 + shift_m, 0.0]), none
 
     deceptive = [loop(500, 10), loop(500, 60), loop(500, 90), loop(512, 60)]
     assert [votes(each, deceptive) for each in deceptive] == [2, 2, 2, 2]

@@ -116,8 +116,8 @@ def test_a_map_that_refining_tears_stays_as_chained(monkeypatch: pytest.MonkeyPa
     mapper.finish()
     chained = mapper.trajectory
 
-    def torn(assembled: Any, cautious: bool) -> Any:
-        best = refined_to_the_noise(assembled, cautious)
+    def torn(assembled: Any, held: float) -> Any:
+        best = refined_to_the_noise(assembled, held)
         best.state.t[10:] += 800.0
         return best
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from relmap import PointMapper
+from relmap import MapperConfig, PointMapper
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids, purity
@@ -72,6 +72,17 @@ def test_wrong_merges_are_undone_and_right_ones_are_not() -> None:
     assert purity(mapper.landmarks_of(labels), world.log.ids) == 1
     assert len(mapper.map.landmark_ids) == len(world.landmark_ids)
     assert len(mapper.submaps) == 1
+
+
+def test_tracks_of_several_landmarks_are_not_repaired() -> None:
+    world = simulate_figure_eight(density=100, iterations=900, seed=1)
+    mapper = PointMapper(MapperConfig(registration="nearest-previous"))
+    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    assert world.log.ids is not None
+    assert (purity(labels, world.log.ids) or 1) < 0.999
+    mapper.finish()
+    mapper.refine()
+    assert mapper.n_undone == 0
 
 
 def test_rows_go_by_tracks_after_merges() -> None:

@@ -24,10 +24,13 @@ from relmap.core.turns import group_or_found, last_pass, placed_first
 
 logger = logging.getLogger(__name__)
 
+SEEDS = 20
+"""Landmarks about which a late group is looked for, those seen most often first."""
 ROUNDS = 8
 """How often what is refined is looked over, and refined again."""
 FEW = 0.01
-"""Changes of a round, as a share of the landmarks, after which there is no other."""
+"""Share of the landmarks that a round must find to be others, after the second, to be followed by
+another: what is undone and found in turn cannot be known."""
 
 
 def finish(engine: RelativeMapper) -> None:
@@ -52,12 +55,14 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
     landmarks = engine.table.now(engine.store.seen(begin, end)[0])
     if not len(landmarks) or (engine.table.weight[landmarks] > 0).any():
         return
-    chart = PointChart.around(int(np.bincount(landmarks).argmax()), engine.store, begin, end)
-    first = placed_first(engine, chart)
-    if first is not None:
-        placed, relative = first
-        weights = relative.n_used.astype(np.float64)
-        engine.map.place(engine.map.new_submap(), relative.landmarks, placed, weights)
+    times = np.bincount(landmarks)
+    for seed in np.argsort(-times, kind="stable")[: min(SEEDS, np.count_nonzero(times))].tolist():
+        first = placed_first(engine, PointChart.around(seed, engine.store, begin, end))
+        if first is not None:
+            placed, relative = first
+            weights = relative.n_used.astype(np.float64)
+            engine.map.place(engine.map.new_submap(), relative.landmarks, placed, weights)
+            return
 
 
 def tie(engine: RelativeMapper) -> None:
@@ -96,20 +101,20 @@ def refine(engine: RelativeMapper) -> None:
 
     Without ids, merges that the refined map contradicts are undone, loops that are still open are
     closed, and landmarks that lie where older ones do that they may be are merged; then again.
+    Where scans are matched as in the paper, the last of these alone, once.
     """
-    _refine(engine)
-    if engine.association.is_known:
-        if extend_submaps(engine.map, engine.rows):
-            _refine(engine)
-    elif not engine.association.has_ids:
-        grouped, changes = engine.table.weight > 0, np.inf
-        for _ in range(ROUNDS):
-            if changes > FEW * np.sum(engine.table.weight > 0):
-                changes = _look_over(engine)
-        undone, rare = undo(engine), _rare(engine) & ~grouped
-        engine.table.take_off_map(np.flatnonzero(rare))
-        if undone or rare.any():
-            _refine(engine)
+    engine.refined, association = [], engine.association
+    may_repair = association.unique_share is not None  # else many tracks are of several landmarks
+    _refine(engine, to_the_last=not may_repair)
+    more = False
+    if may_repair:
+        _repair(engine)
+    elif association.is_known:
+        more = extend_submaps(engine.map, engine.rows)
+    elif not association.has_ids:
+        more = merge_doubles(engine.table, engine.merger, engine.merge)
+    if more:
+        _refine(engine)
     for refined in engine.refined:
         if not refined.converged:
             logger.warning(
@@ -120,26 +125,36 @@ def refine(engine: RelativeMapper) -> None:
     engine.merger.look_again()
 
 
-def _look_over(engine: RelativeMapper) -> int:
-    """Undo what a refined map contradicts, and find what it shows; return the number of changes.
-
-    None where nothing is found: what is undone at last needs no other look.
-    """
-    undone = undo(engine)
-    if undone:
+def _repair(engine: RelativeMapper) -> None:
+    """Look a refined map over, and refine it again, as long as that gains."""
+    grouped = engine.table.weight > 0
+    for k in range(ROUNDS):
+        before = _extent(engine)[0]
+        found, (after, mapped) = _look_over(engine), _extent(engine)
+        if not found or (k > 1 and before - after <= FEW * mapped):
+            break
+    undone, rare = undo(engine), _rare(engine) & ~grouped
+    engine.table.take_off_map(np.flatnonzero(rare))
+    if undone or rare.any() or engine.config.keep_observations:
         _refine(engine)
+
+
+def _look_over(engine: RelativeMapper) -> bool:
+    """Undo what a refined map contradicts, and find what it shows; tell whether it showed more."""
+    if undo(engine):  # Else what was wrong looks right on the map that it has bent.
+        _refine(engine, to_the_last=False)
     before = _extent(engine)
     tie(engine)
     find_again(engine)
-    found = int(np.abs(_extent(engine) - before).max())
+    found = _extent(engine) != before
     if found:
-        _refine(engine)
-    return undone + found if found else 0
+        _refine(engine, to_the_last=False)
+    return found
 
 
-def _extent(engine: RelativeMapper) -> NDArray[np.int64]:
+def _extent(engine: RelativeMapper) -> tuple[int, int]:
     """Return how many landmarks there are, and how many of them are mapped."""
-    return np.array([engine.table.is_own.sum(), (engine.table.weight > 0).sum()])
+    return int(engine.table.is_own.sum()), int((engine.table.weight > 0).sum())
 
 
 def _rare(engine: RelativeMapper) -> NDArray[np.bool_]:
@@ -185,8 +200,9 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: NDArray[np.int64]) 
             engine.map.place(submap, at, place[None], of)
 
 
-def _refine(engine: RelativeMapper) -> None:
-    kept = engine.store if engine.config.keep_observations else None
+def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
+    """Refine what is mapped, to the last by what bounded noise tells, if that is asked for."""
+    kept = engine.store if to_the_last and engine.config.keep_observations else None
     rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
     again = bool(engine.refined)
     engine.refined = refine_submaps(engine.map, rows, kept, engine.weighed, again)

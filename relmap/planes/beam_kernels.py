@@ -26,44 +26,70 @@ GAP_RAD = 0.1
 
 
 @compiled
-def _distance(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Return the distance of a point from a segment, or where that is a gap from its ends."""
-    ux, uy, length = bx - ax, by - ay, (bx - ax) ** 2 + (by - ay) ** 2
-    if length > (GAP_M + GAP * math.hypot(ax, ay)) ** 2:
-        return min(math.hypot(x - ax, y - ay), math.hypot(x - bx, y - by))
-    t = ((x - ax) * ux + (y - ay) * uy) / max(length, 1e-12)
-    t = min(max(t, 0.0), 1.0)
-    return math.hypot(x - ax - t * ux, y - ay - t * uy)
+def _surfaces(seen: Fan) -> Array:
+    """Return what lies between each beam and the one before, (n, 6).
+
+    Where the beam before ended, the way to where this one did, one over its squared length, -1
+    where it is a gap, and the range of the shorter one.
+    """
+    points, _, origin, _ = seen
+    found = np.zeros((len(points), 6))
+    for j in range(1, len(points)):
+        ax, ay = points[j - 1]
+        ux, uy = points[j, 0] - ax, points[j, 1] - ay
+        length = ux * ux + uy * uy
+        gap = length > (GAP_M + GAP * math.sqrt(ax * ax + ay * ay)) ** 2
+        found[j, 0], found[j, 1], found[j, 2], found[j, 3] = ax, ay, ux, uy
+        found[j, 4] = -1.0 if gap else 1.0 / max(length, 1e-12)
+        found[j, 5] = math.sqrt(
+            min(
+                (points[j, 0] - origin[0]) ** 2 + (points[j, 1] - origin[1]) ** 2,
+                (ax - origin[0]) ** 2 + (ay - origin[1]) ** 2,
+            )
+        )
+    return found
 
 
 @compiled
-def _compare(seen: Fan, other: Fan, motion: Array, near_m: float, step: int, sums: Array) -> None:
+def _squared_distance(x: float, y: float, surface: Array) -> float:
+    """Return the squared distance of a point from a surface, or where it is a gap from its ends."""
+    x, y = x - surface[0], y - surface[1]
+    ux, uy = surface[2], surface[3]
+    if surface[4] < 0:
+        return float(min(x * x + y * y, (x - ux) ** 2 + (y - uy) ** 2))
+    t = min(max((x * ux + y * uy) * surface[4], 0.0), 1.0)
+    return float((x - t * ux) ** 2 + (y - t * uy) ** 2)
+
+
+@compiled
+def _compare(
+    seen: Fan, surfaces: Array, other: Fan, motion: Array, near_m: float, step: int, sums: Array
+) -> None:
     """Add up how many points of `other`, brought into the frame of `seen`, agree with its beams.
 
     `sums` are those on a surface that was seen, those of walls before one, where a beam passed
     through, and those that nothing is known of.
     """
-    points, bearings, origin, _ = seen
-    c, s, n = math.cos(motion[0]), math.sin(motion[0]), len(bearings)
+    _, bearings, origin, _ = seen
+    c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(bearings), 0
     for k in range(0, len(other[0]), step):
         x = c * other[0][k, 0] - s * other[0][k, 1] + motion[1]
         y = s * other[0][k, 0] + c * other[0][k, 1] + motion[2]
-        i = int(np.searchsorted(bearings, math.atan2(y - origin[1], x - origin[0])))
+        dx, dy = x - origin[0], y - origin[1]
+        bearing = math.atan2(dy, dx)
+        while i < n and bearings[i] < bearing:  # bearings change little from beam to beam
+            i += 1
+        while i > 0 and bearings[i - 1] >= bearing:
+            i -= 1
         if i == 0 or i == n or bearings[i] - bearings[i - 1] > GAP_RAD:
             sums[2] += 1
             continue
         off = np.inf
         for j in range(max(i - BESIDE, 1), min(i + BESIDE + 1, n)):
-            a, b = points[j - 1], points[j]
-            off = min(off, _distance(x, y, a[0], a[1], b[0], b[1]))
-        seen_m = min(
-            math.hypot(points[i, 0] - origin[0], points[i, 1] - origin[1]),
-            math.hypot(points[i - 1, 0] - origin[0], points[i - 1, 1] - origin[1]),
-        )
-        range_m = math.hypot(x - origin[0], y - origin[1])
-        if off < near_m:
-            sums[0] += 1 - 0.5 * (off / near_m) ** 2
-        elif range_m < seen_m - 2 * near_m:
+            off = min(off, _squared_distance(x, y, surfaces[j]))
+        if off < near_m * near_m:
+            sums[0] += 1 - 0.5 * off / (near_m * near_m)
+        elif math.sqrt(dx * dx + dy * dy) < surfaces[i, 5] - 2 * near_m:
             sums[1 if other[3][k] else 2] += 1
         else:
             sums[2] += 1
@@ -76,13 +102,14 @@ def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int)
     For each of k motions; of every so many beams one is looked at.
     """
     sums = np.zeros((len(motions), 3))
+    before, after = _surfaces(earlier), _surfaces(later)
     for k in range(len(motions)):
         motion = motions[k]
         c, s = math.cos(motion[0]), math.sin(motion[0])
         x, y = c * motion[1] + s * motion[2], -s * motion[1] + c * motion[2]
         back = np.array([-motion[0], -x, -y])
-        _compare(later, earlier, motion, near_m, step, sums[k])
-        _compare(earlier, later, back, near_m, step, sums[k])
+        _compare(later, after, earlier, motion, near_m, step, sums[k])
+        _compare(earlier, before, later, back, near_m, step, sums[k])
     return sums
 
 

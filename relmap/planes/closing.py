@@ -14,17 +14,18 @@ from scipy.spatial import cKDTree
 
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
+from relmap.planes.joining import seen_in
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import PlanarMotion, place, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
 COMPARED = 400
 """About so many scans, evenly spaced, are compared with earlier ones."""
-LONG_AGO = 150
-"""Iterations after which a place is seen again rather than still."""
-VISIT = 50
+LONG_AGO_M = 15.0
+"""How far a robot goes until a place is seen again rather than still."""
+VISIT_M = 5.0
 VISITS = 4
-"""Of so many iterations one is compared, of so many such visits."""
+"""Of the scans on so long a way one is compared, of so many such visits."""
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
 """How far apart two scans are at most that are compared, as far as the map knows."""
@@ -34,25 +35,37 @@ SHARE = 0.5
 """Share of the walls and corners of the poorer scan that must match."""
 VOTES = 3
 """Scans of the later visit that must agree on how far the map has drifted since the earlier one."""
-LATER, EARLIER = 72, 144
-"""Iterations that scans of one visit are apart at most, of the later and of the earlier one."""
+LATER_M, EARLIER_M = 7.0, 14.0
+"""How long the way between scans of one visit is at most, of the later and of the earlier one."""
 DRIFT_M = 0.2
 DRIFT_RAD = np.deg2rad(4.0)
 """How far they may differ and still agree."""
 
-Loop = tuple[int, int, NDArray[np.float64], NDArray[np.int64]]
-"""A later and an earlier scan, how far the map has drifted between, and the walls that match."""
+CLOSED = np.zeros(3), np.empty((0, 2), dtype=np.int64)
+"""Of two scans that share walls already: no drift, and nothing new to join."""
+
+Loop = tuple[float, float, NDArray[np.float64], NDArray[np.int64]]
+"""A later and an earlier scan, by how far the robot had gone, metres; how far the map has drifted
+between them; and the walls that match."""
 
 
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
-    seen = _observation(assembled, history)
-    for i, j in _earlier(assembled).tolist():
-        matched = _matched(assembled, seen, j, i)
+    seen, way_m = _observation(assembled, history), gone_m(assembled)
+    pairs = _earlier(assembled)
+    for (i, j), known in zip(pairs.tolist(), _known(assembled, pairs).tolist(), strict=True):
+        matched = CLOSED if known else _matched(assembled, seen, j, i)
         if matched is not None:
-            found.append((i, j, *matched))
+            found.append((float(way_m[i]), float(way_m[j]), *matched))
     return voted(found)
+
+
+def _known(assembled: Assembled, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell of which pairs of scans (k, 2) enough walls are the same already; (k,)."""
+    seen = seen_in(assembled)
+    both = seen[:, pairs[:, 0]].multiply(seen[:, pairs[:, 1]]).sum(axis=0)
+    return np.asarray(both >= ENOUGH)
 
 
 def voted(found: list[Loop]) -> NDArray[np.int64]:
@@ -65,9 +78,9 @@ def voted(found: list[Loop]) -> NDArray[np.int64]:
 def votes(loop: Loop, found: list[Loop]) -> int:
     """Count the scans of the later visit that agree with a loop, its own among them."""
     i, j, drift, _ = loop
-    agreeing = set()
+    agreeing = set[float]()
     for other, earlier, its_drift, _ in found:
-        if abs(other - i) <= LATER and abs(earlier - j) <= EARLIER:
+        if abs(other - i) <= LATER_M and abs(earlier - j) <= EARLIER_M:
             off = drift - its_drift
             if np.hypot(off[1], off[2]) < DRIFT_M and abs(wrapped(off[:1])[0]) < DRIFT_RAD:
                 agreeing.add(other)
@@ -80,7 +93,7 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
     nearest visits.
     """
-    state, iterations = assembled.state, assembled.iterations
+    state, iterations, way_m = assembled.state, assembled.iterations, gone_m(assembled)
     later = np.arange(0, len(iterations), 1 + len(iterations) // COMPARED)
     near = cKDTree(state.t[later]).sparse_distance_matrix(
         cKDTree(state.t), NEAR_M, output_type="ndarray"
@@ -88,11 +101,18 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     i, before = later[near["i"]], near["j"].astype(np.int64)
     turned = np.abs(wrapped(state.yaw[before] - state.yaw[i]))
     cost = near["v"] + turned
-    kept = (iterations[i] - iterations[before] > LONG_AGO) & (turned < TURNED_RAD)
+    kept = (way_m[i] - way_m[before] > LONG_AGO_M) & (turned < TURNED_RAD)
     pairs, cost = np.column_stack([i, before])[kept], cost[kept]
     # The best scan of each visit, and then the best visits of each later scan.
-    pairs, cost = _best(pairs, cost, pairs[:, 0] * len(iterations) + pairs[:, 1] // VISIT, 1)
+    visit = (way_m[pairs[:, 1]] // VISIT_M).astype(np.int64)
+    pairs, cost = _best(pairs, cost, pairs[:, 0] * (1 + iterations[-1]) + visit, 1)
     return _best(pairs, cost, pairs[:, 0], VISITS)[0]
+
+
+def gone_m(assembled: Assembled) -> NDArray[np.float64]:
+    """Return how far the robot has gone up to each scan of a map (i,), metres."""
+    steps = np.linalg.norm(np.diff(assembled.state.t, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _best(

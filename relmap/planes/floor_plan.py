@@ -1,4 +1,4 @@
-"""The floor plan: the refined walls that are there, each of them once and as long as it is.
+"""The floor plan: the walls of a submap that are there, each of them once and as long as it is.
 
 A wall is drawn where scans saw it and beams ended on it rather than went through; the poses serve
 to judge that, not to place anything.  Where two walls look the same way side by side, the one that
@@ -38,7 +38,7 @@ def floor_plan(
     beams: BeamStore,
     moving: NDArray[np.bool_],
 ) -> tuple[WallSubmap, WallNumbers, NDArray[np.int64]]:
-    """Return a refined submap with the walls of its floor plan alone; another as it is.
+    """Return a submap with the walls of its floor plan alone; one without walls as it is.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def floor_plan(
     moved : (m,) int64
         Tracks that turned out to have moved.
     """
-    if submap.assembled is None or not submap.refined:
+    if submap.assembled is None:
         return submap, numbers, np.empty(0, dtype=np.int64)
     walls, numbers, moved = regrouped(submap, numbers, history, moving)
     stretches = stretches_of(walls, submap.poses, submap.span, beams)

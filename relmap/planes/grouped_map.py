@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,7 @@ class GroupedMap:
             found.append(WallSubmap.of(span, poses, assembled))
         return found
 
-    @property
+    @cached_property
     def _paths(self) -> list[NDArray[np.float64]]:
         """The poses (i, 4, 4) that each of the engine's submaps tells, the largest first."""
         table, rows = self.engine.table, self.engine.rows

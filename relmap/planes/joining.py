@@ -20,6 +20,8 @@ BESIDE_M = 0.05
 """The same for two that were seen side by side in one scan."""
 OVERLAP = 0.3
 """Share of the shorter one that must lie on the longer one."""
+BLOCK = 256
+"""Walls that are compared with all others at a time."""
 CORNER_M = 0.35
 """How far two corners at one end of a wall may be apart."""
 BEYOND_M = 0.3
@@ -74,10 +76,8 @@ def _pairs(
     """Return pairs (k, 2) of walls that lie on one another."""
     state = assembled.state
     normal, along = directions(state.angle)
-    a, b = np.triu_indices(len(state.angle), k=1)
-    near = normal[a, 0] * normal[b, 0] + normal[a, 1] * normal[b, 1] > np.cos(TURN_RAD)
-    a, b = a[near], b[near]
     base = state.centre + state.across[:, None] * normal
+    a, b = _near(base + (low + high)[:, None] / 2 * along, (high - low) / 2, normal)
     offset = base[b] - base[a]
     shift = (offset * along[a]).sum(axis=1)
     begin = np.maximum(low[a], low[b] + shift)
@@ -94,14 +94,33 @@ def _pairs(
     return np.column_stack([a[on_one_another], b[on_one_another]])
 
 
+def _near(
+    middle: NDArray[np.float64], half: NDArray[np.float64], normal: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return pairs a < b of walls (w,) that look the same way and may touch, by their middles."""
+    a, b = [], []
+    for begin in range(0, len(half), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        near = normal[rows] @ normal[begin:].T > np.cos(TURN_RAD)
+        for axis in middle.T:
+            reach = half[rows, None] + half[begin:] + ACROSS_M
+            near &= np.abs(axis[rows, None] - axis[begin:]) <= reach
+        row, other = np.nonzero(near)
+        a.append(begin + row[row < other])
+        b.append(begin + other[row < other])
+    return np.concatenate(a), np.concatenate(b)
+
+
+def seen_in(assembled: Assembled) -> Any:
+    """Return how often each wall was seen in each scan; a sparse array (w, i)."""
+    given = assembled.given
+    shape = len(assembled.walls), len(assembled.iterations)
+    return coo_array((np.ones(len(given.wall)), (given.wall, given.iteration)), shape).tocsr()
+
+
 def seen_together(assembled: Assembled) -> Any:
     """Return in how many scans each wall was seen with each other; a sparse array (w, w)."""
-    given = assembled.given
-    n = len(assembled.walls)
-    seen = coo_array(
-        (np.ones(len(given.wall)), (given.wall, given.iteration)),
-        shape=(n, len(assembled.iterations)),
-    ).tocsr()
+    seen = seen_in(assembled)
     return (seen @ seen.T).tocsr()
 
 
@@ -141,14 +160,18 @@ def _times_seen_beyond(
     own = wall_of[assembled.given.wall]
     along = directions(assembled.state.angle[own])[1]
     reach = np.einsum("nei,ni->ne", placed_ends(assembled), along)
-    order = np.argsort(own, kind="stable")
-    begin, end = np.searchsorted(own[order], [wall, wall + 1])
-    corner = np.repeat(np.arange(len(wall)), end - begin)
-    first = np.cumsum(end - begin) - (end - begin)
-    row = order[np.arange(len(corner)) + (begin - first)[corner]]
-    right, left = (reach[row] - place[corner, None]).T
-    seen = (right < -BEYOND_M) & (left > BEYOND_M)
-    return np.bincount(corner[seen], minlength=len(wall))
+    # Corners in the order of their walls, and along these: each sight spans a run of them.
+    apart_m = 2 * float(max(np.abs(reach).max(), np.abs(place).max())) + 1.0
+    key = wall * apart_m + place
+    order = np.argsort(key, kind="stable")
+    right, left = (reach + [BEYOND_M, -BEYOND_M] + (own * apart_m)[:, None]).T
+    begin = np.searchsorted(key[order], right, side="right")
+    end = np.maximum(np.searchsorted(key[order], left), begin)
+    n = len(key) + 1
+    times = np.cumsum(np.bincount(begin, minlength=n) - np.bincount(end, minlength=n))[:-1]
+    found = np.empty_like(times)
+    found[order] = times
+    return found
 
 
 def placed_ends(assembled: Assembled) -> NDArray[np.float64]:

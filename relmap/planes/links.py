@@ -9,13 +9,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.planes.motions import APART_M, APART_RAD
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import LEVER_M, Match, PlanarMotion, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
 """Share of the walls and corners of the poorer side that must agree on a motion."""
-EXPECTED, APART_M, APART_RAD = 0.3, 0.25, np.deg2rad(5.0)
+EXPECTED, NEAR_M, NEAR_RAD = 0.3, 0.25, np.deg2rad(5.0)
 """The same for going on as before, which is a motion so near the usual one."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
@@ -46,9 +47,15 @@ def believed(
     motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)
     turned = abs((motion.yaw - usual.yaw + np.pi) % (2 * np.pi) - np.pi)
-    near = turned < APART_RAD and np.hypot(*(motion.t - usual.t)) < APART_M
+    near = turned < NEAR_RAD and np.hypot(*(motion.t - usual.t)) < NEAR_M
     supported = EXPECTED if near else SUPPORTED
     return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
+
+
+def usual_motion(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how a robot went last (3,): the median of some of its motions (n, 3) so far."""
+    last = np.sort(motions[-STEADY:], axis=0)
+    return np.asarray(last[len(last) // 2]) if len(last) else np.zeros(3)
 
 
 def farthest_m(before: NDArray[np.float64]) -> float:
@@ -107,17 +114,39 @@ def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tu
     return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
 
 
-def torn_links(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return before which scans (t,) a path is torn; see `disagreement`."""
-    return 1 + np.flatnonzero(_off_m(poses, motions) > TORN_M)
+def torn_links(
+    poses: NDArray[np.float64], motions: NDArray[np.float64], weak: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return before which scans (t,) a path goes another way than its links.
+
+    Parameters
+    ----------
+    poses : (k, 4, 4) float64
+    motions : (k, 3) float64
+        yaw, x, y from the robot frame before into that of each iteration.
+    weak : (w,) int64
+        Links that may be off by as much as a torn map.
+    """
+    way_m, turn = _off(poses, motions)
+    torn = (way_m > APART_M) | (turn > APART_RAD)
+    torn[weak - 1] = way_m[weak - 1] + LEVER_M * turn[weak - 1] > TORN_M
+    return 1 + np.flatnonzero(torn)
 
 
 def _off_m(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return by how much a path disagrees with each of its links, NaN where it is not known."""
+    way_m, turn = _off(poses, motions)
+    return np.asarray(way_m + LEVER_M * turn)
+
+
+def _off(
+    poses: NDArray[np.float64], motions: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the same by the way, metres, and by the turn, radians."""
     relative = np.linalg.inv(poses[1:]) @ poses[:-1]
     turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
-    off_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
-    return np.asarray(off_m + LEVER_M * np.abs((turn + np.pi) % (2 * np.pi) - np.pi))
+    way_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
+    return way_m, np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
 
 
 def stretched_m(

@@ -18,17 +18,15 @@ from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers
 from relmap.planes.beams import ToldBeams
-from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import torn_links
 from relmap.planes.model import WallModel
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.refined_map import refined_map
+from relmap.planes.refining import refined_submaps
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.stitching import weak_links
-from relmap.planes.submaps import WallSubmap, among_all
+from relmap.planes.submaps import WallSubmap, among_all, torn_in
 from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
 
 if TYPE_CHECKING:
@@ -144,13 +142,10 @@ class PlaneMapper(Mapper):
             self._journal.append(journaled(seen), None, walls, beams=seen.beams.to_bytes())
         return walls
 
-    def finish(self) -> None:
-        """Map what is left: what is in view, and submaps too short for a group on the way."""
-        super().finish()
-
     def _finish(self) -> None:
-        self._planes.tie()
+        cut = self._planes.tie()
         super()._finish()
+        self._planes.links.cut(cut)
         for span in self.history.spans:
             afterwards.found_late(self.engine, *span)
 
@@ -158,7 +153,8 @@ class PlaneMapper(Mapper):
         """Bring walls, corners and poses to where all observations agree best.
 
         Walls that come to lie on one another are joined, which closes loops.  Where a submap
-        disagrees with a link by more than 1 m, one of the two is wrong: it is cut there.
+        goes another way than a link, by more than 0.3 m or 8 degrees (1 m where the link is weak),
+        one of the two is wrong: it is cut there.
         """
         with self._guard.change():
             self._note_call("refine")
@@ -166,38 +162,19 @@ class PlaneMapper(Mapper):
 
     def _refine_and_cut(self) -> None:
         for _ in range(CUTS):
-            submaps = self._refine()
-            motions = self.history.motion
-            torn = [s.span[0] + torn_links(s.poses, motions[slice(*s.span)]) for s in submaps]
-            if not sum(map(len, torn)):
+            torn = torn_in(self._refined(), self.history)
+            if not len(torn):
                 break
-            self._planes.links.cut(np.concatenate(torn))
+            self._planes.links.cut(torn)
         else:
-            self._refine()
+            self._refined()
 
-    def _refine(self) -> list[WallSubmap]:
-        """Refine each submap by itself, and return them."""
-        # From where the groups place the scans, and without who moves.  Who is who is found anew,
-        # where the walls come to lie: merged by places that have drifted, some are wrong.
+    def _refined(self) -> list[WallSubmap]:
         self._moved = np.empty(0, dtype=np.int64)
-        grouped, moving = self._grouped, self._moving
-        history, numbers = grouped.history, grouped.at_rest(grouped.unmerged)
-        merged = grouped.at_rest(grouped.numbers)
-        submaps = grouped.submaps(merged, moving)
-        for k, submap in enumerate(grouped.submaps(numbers, moving)):
-            found = refined_map(history, numbers, submap, moving)
-            if found is None:
-                numbers = grouped.with_those_of(submap.span, numbers, merged)
-            else:
-                submaps[k], numbers = found
-        for k, submap in enumerate(submaps):
-            submaps[k], numbers, moved = floor_plan(
-                submap, numbers, history, self._planes.links.beams, moving
-            )
-            self._moved = np.concatenate([self._moved, moved])
+        found = refined_submaps(self._grouped, self._moving, self._planes.links.beams)
+        self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
         self._spread = None
-        self._refined_walls = submaps, numbers
-        return submaps
+        return found.submaps
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
         """Return the numbers (n,) that walls, numbered by earlier updates, have now.

@@ -87,6 +87,7 @@ def stretches_of(
     base = state.centre + state.across[:, None] * normal
     n = len(base)
     reach = np.einsum("nei,ni->ne", placed_ends(assembled) - base[of][:, None], along[of])
+    reach.sort(axis=1)  # where nothing is refined, some lie the wrong way round
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, of, reach[:, 0])
     np.maximum.at(high, of, reach[:, 1])

@@ -7,6 +7,7 @@ that are one wall are one.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +18,23 @@ from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import join_pairs, join_walls
 from relmap.planes.links import TORN_M, disagreement, stretched_m
 from relmap.planes.solving import refined, refined_to_the_noise
-from relmap.planes.stitching import FEW, stitched, weak_links, without_strays
+from relmap.planes.stitching import stitched, weak_links, with_strays_put_back
 from relmap.planes.submaps import WallSubmap, among_all
 
 _LOG = logging.getLogger(__name__)
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
 """Solutions that loops are closed by, however far the map has drifted."""
-CLOSED = 3
-"""How often loops are looked for, each time with less drift left."""
-ROUGHLY = ((1, 20.0), (1, 8.0), (2, 5.0))
+CLOSELY = ((2, 1e4), (1, 100.0), (1, 20.0), (1, 5.0))
+CLOSED = 2
+"""The same once a loop is closed, and how often loops are looked for."""
+ROUGHLY = ((1, 8.0), (1, 5.0))
 """Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
 WORSE, WORSE_M = 2.0, 0.001
 """How many times as far off the links a refined map may be as the chained one, and metres more:
 they are rough where walls are, and all but exact where there is no noise."""
+HELD = 0.0, 1e-4, 1e-3
+"""What holds a map in each step, where it is torn with less; see `WallSystem`."""
 JOINED = 4
 """How often walls that lie on one another are joined and the map refined again."""
 
@@ -62,8 +66,8 @@ def refined_map(
     """
     if chained.assembled is None:
         return None
-    for cautious in (False, True):
-        found, found_numbers, closed = _solved(history, numbers, chained, moving, cautious)
+    for held in HELD:
+        found, found_numbers, closed = _solved(history, numbers, chained, moving, held)
         if _better(found, chained, history, closed):
             return found, found_numbers
     _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *chained.span)
@@ -75,25 +79,38 @@ def _solved(
     numbers: WallNumbers,
     chained: WallSubmap,
     moving: NDArray[np.bool_],
-    cautious: bool,
+    held: float,
 ) -> tuple[WallSubmap, WallNumbers, bool]:
     """Return the refined submap, who is who in it, and whether a loop was closed."""
     span, closed = chained.span, False
     assert chained.assembled is not None
-    best = refined(chained.assembled, WIDELY, cautious)
-    for rounds, times in ((WIDELY, CLOSED), (ROUGHLY, JOINED)):
-        for _ in range(times):
-            if rounds is WIDELY:
-                joined = join_pairs(best, numbers, walls_seen_again(best, history))
-            else:
-                joined = join_walls(best, numbers)
-            if joined.same_as(numbers):
-                break
-            numbers, closed = joined, closed or rounds is WIDELY
-            path = among_all(poses_of(best, span, history), span, history)
-            again = assemble(history, numbers, path, moving)
-            best = best if again is None else refined(again, rounds, cautious)
-    best = refined_to_the_noise(best, cautious)
+    motions = history.motion[slice(*span)]
+
+    def again(
+        joined: WallNumbers, rounds: Sequence[tuple[int, float]]
+    ) -> tuple[Assembled, NDArray[np.float64]]:
+        """Return the map and its poses when who is who has changed."""
+        laid = assemble(history, joined, among_all(poses, span, history), moving)
+        found = best if laid is None else refined(laid, rounds, held)
+        return found, poses_of(found, span, history)
+
+    best = refined(chained.assembled, WIDELY, held)
+    poses = poses_of(best, span, history)
+    torn = max(disagreement(path, motions)[0] for path in (chained.poses, poses))
+    for _ in range(CLOSED):
+        joined = join_pairs(best, numbers, walls_seen_again(best, history))
+        if joined.same_as(numbers):
+            break
+        tied = again(joined, CLOSELY)
+        if disagreement(tied[1], motions)[0] > torn:
+            break  # places that look alike were taken for one
+        numbers, closed, (best, poses) = joined, True, tied
+    for _ in range(JOINED):
+        joined = join_walls(best, numbers)
+        if joined.same_as(numbers):
+            break
+        numbers, (best, poses) = joined, again(joined, ROUGHLY)
+    best = refined_to_the_noise(best, held)
     found = WallSubmap.of(span, poses_of(best, span, history), best, refined=True)
     return found, numbers, closed
 
@@ -125,10 +142,5 @@ def poses_of(
     rows = slice(*span)
     poses, motion = assembled.poses(history.n_iterations)[rows], history.motion[rows]
     own = history.own(span)[:, None, None]
-    whole = stitched([poses], motion)
-    for _ in range(FEW):  # strays beside one another show one after the other
-        kept = without_strays(whole, motion)
-        if np.isfinite(kept).all():
-            break
-        whole = stitched([kept], motion)
+    whole = with_strays_put_back(stitched([poses], motion), motion)
     return np.where(own, whole, np.nan)

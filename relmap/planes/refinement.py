@@ -54,9 +54,10 @@ class WallSystem:
     ----------
     given : WallEquations
         In the order of iterations.
-    cautious : bool
-        Whether no step may raise the cost.  Steps that may straighten long chains in a few rounds,
-        but wander where little holds them.
+    held : float
+        What holds poses, walls and corners in each step, as a share of what holds them otherwise;
+        where it is not 0, no step may raise the cost.  Free steps straighten long chains in a few
+        rounds, but wander where little tells, as along a corridor.
 
     Attributes
     ----------
@@ -64,8 +65,8 @@ class WallSystem:
         Whether the last step that `refine` took was short.
     """
 
-    def __init__(self, given: WallEquations, cautious: bool = False) -> None:
-        self.settled, self._cautious = False, cautious
+    def __init__(self, given: WallEquations, held: float = 0.0) -> None:
+        self.settled, self._held = False, held
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
         self._open_along = open_along(given)
@@ -108,7 +109,7 @@ class WallSystem:
             rounds,
             unsure=UNSURE,
             same=np.inf,
-            monotone=self._cautious,
+            monotone=self._held > 0,
             reuse=False,
         )
         self.settled = False
@@ -127,6 +128,10 @@ class WallSystem:
         """Return how far points and corners are from their places, in standard deviations."""
         return np.asarray(self._linearised(state).off / self._sd)
 
+    def off(self, state: Walls) -> tuple[Array, Array]:
+        """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
+        return _by_kind(self._linearised(state).off, len(self._rows[3]))
+
     def equations(
         self, state: Walls, weight: Array, with_matrix: bool, damping: float
     ) -> NormalEquations:
@@ -136,12 +141,12 @@ class WallSystem:
         equations = self._poses.equations(
             self._linearised(state),
             weight / self._sd**2,
-            LOOSE_POSE + damping,
+            LOOSE_POSE + self._held + damping,
             with_matrix,
             along,
         )
         if with_matrix:
-            self.pattern.hold(equations.matrix, LOOSE + damping, LEAST)
+            self.pattern.hold(equations.matrix, LOOSE + self._held + damping, LEAST)
         return equations
 
     def stepped(
@@ -186,7 +191,7 @@ class WallSystem:
         typical = np.median(size)
         if by_scan:
             typical = np.maximum(typical, medians(self._scan, size))[self._scan]
-        return np.asarray((1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** -2)
+        return np.asarray(1 / (1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** 2)
 
     def _linearised(self, state: Walls) -> Linearised:
         """Return residuals and Jacobians; those of the last state are remembered."""
@@ -227,9 +232,13 @@ def _unknowns(state: Walls) -> Array:
 
 def wall_residuals(given: WallEquations, state: Walls) -> tuple[Array, Array]:
     """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
-    n = len(given.iteration)
-    off = _linearised(state, _seen(given)).off
-    return off[: 2 * n].reshape(2, n).T, off[2 * n :]
+    return _by_kind(_linearised(state, _seen(given)).off, len(given.corner))
+
+
+def _by_kind(off: Array, n_corners: int) -> tuple[Array, Array]:
+    """Return the residuals of walls (n, 2) and of corners (k,)."""
+    walls, corners = np.split(off, [len(off) - n_corners])
+    return walls.reshape(2, -1).T, corners
 
 
 def _seen(given: WallEquations) -> Seen:

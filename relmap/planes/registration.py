@@ -108,7 +108,7 @@ class PlaneRegistration:
         Where no link to those before is believed, a submap begins.
         """
         walls = np.full(len(seen), -1)
-        motion, tracks = self.links.usual, self._tracks  # on as before
+        motion, tracks, found = self.links.usual, self._tracks, None  # on as before
         if tracks is not None and len(seen):
             found = self.links.into(tracks, seen)
             motion = found.motion if found else motion
@@ -129,13 +129,14 @@ class PlaneRegistration:
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
         self._see_corners(tracks, seen, walls)
-        self.links.append(seen, motion, self._tracks is not None)
+        self.links.append(seen, motion, self._tracks is not None, found)
         return walls
 
-    def tie(self) -> None:
-        """Tie submaps that follow one another where their scans, compared anew, agree."""
-        name = self.links.tie()
+    def tie(self) -> NDArray[np.int64]:
+        """Judge the links in doubt anew; return the scans (c,) whose links are believed no more."""
+        name, cut = self.links.tie()
         self._submap_of.values[:] = name[self.submap_of]
+        return cut
 
     def _see_corners(
         self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]

@@ -6,8 +6,7 @@ on.  So every track is set free, and goes to the wall that it lies on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,78 +124,24 @@ def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int6
     return np.union1d(tracks[scattered], owner[slides]), flat_m
 
 
-@dataclass(eq=False)
-class _Lines:
-    """Walls as lines, n of them, of which some have taken in others.
-
-    Attributes
-    ----------
-    middle, normal, along : (n, 2) float64
-    reach : (n, 2) float64, metres
-        From where to where each goes, along itself.
-    has_corner : (n, 2) bool
-    together : sparse array (n, n)
-        In how many scans each was seen with each other.
-    """
-
-    middle: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    along: NDArray[np.float64]
-    reach: NDArray[np.float64]
-    has_corner: NDArray[np.bool_]
-    together: Any
-
-    @classmethod
-    def of(cls, assembled: Assembled) -> _Lines:
-        state, given = assembled.state, assembled.given
-        normal, along = directions(state.angle)
-        low, high = wall_extents(assembled)
-        middle = state.centre + state.across[:, None] * normal + (low + high)[:, None] / 2 * along
-        half = np.maximum(high - low, 0.0) / 2
-        has_corner = np.zeros((len(middle), 2), dtype=np.bool_)
-        has_corner[given.wall[given.corner_row], given.corner_end] = True
-        reach = np.column_stack([-half, half])
-        return cls(middle, normal, along, reach, has_corner, seen_together(assembled))
-
-    def take_in(self, k: int, rows: NDArray[np.int64], across_m: float) -> int:
-        """Return which of some lines (r,) takes in line k, and is longer then; -1 for none."""
-        rows = rows[self.normal[rows] @ self.normal[k] > TURN]
-        ends = self.middle[k] + self.reach[k][:, None] * self.along[k]
-        offset = ends - self.middle[rows][:, None]
-        off = np.abs(np.einsum("nei,ni->ne", offset, self.normal[rows])).max(axis=1)
-        place = np.einsum("nei,ni->ne", offset, self.along[rows])
-        inside = np.minimum(place, self.reach[rows, 1, None])
-        inside = inside[:, 1] - np.maximum(place[:, 0], self.reach[rows, 0])
-        right, left = place[:, 0] - self.reach[rows, 1], self.reach[rows, 0] - place[:, 1]
-        own, other = self.has_corner[k], self.has_corner[rows]
-        fits = (off <= across_m) & (right <= np.where(own[0] | other[:, 1], -GAP_M, GAP_M))
-        fits &= left <= np.where(own[1] | other[:, 0], -GAP_M, GAP_M)
-        begin, end = self.together.indptr[k : k + 2]
-        apart = ~np.isin(rows, self.together.indices[begin:end])
-        over = inside > OVERLAP * (self.reach[k, 1] - self.reach[k, 0])
-        fits |= apart & over & (off <= 2 * across_m)
-        if not fits.any():
-            return -1
-        best = int(np.argmin(np.where(fits, off, np.inf)))
-        wall = int(rows[best])
-        self.reach[wall, 0] = min(self.reach[wall, 0], place[best, 0])
-        self.reach[wall, 1] = max(self.reach[wall, 1], place[best, 1])
-        return wall
-
-
 def _gathered(
     assembled: Assembled, wall_of: NDArray[np.int64], across_m: float
 ) -> NDArray[np.int64]:
     """Return who is who among tracks (p,) with walls that lie on a larger one part of it."""
-    lines = _Lines.of(assembled)
-    n = len(lines.middle)
-    sights = np.bincount(assembled.given.wall, minlength=n)
-    size_m = lines.reach[:, 1] + GAP_M
-    part, stands = np.arange(n), np.zeros(n, dtype=np.bool_)
-    for k in np.argsort(-sights * size_m, kind="stable").tolist():
-        wall = lines.take_in(k, np.flatnonzero(stands), across_m)
-        stands[k] = wall < 0
-        part[k] = k if wall < 0 else wall
+    from relmap.planes.regrouping_kernels import gathered
+
+    state, given = assembled.state, assembled.given
+    normal, along = directions(state.angle)
+    low, high = wall_extents(assembled)
+    middle = state.centre + state.across[:, None] * normal + (low + high)[:, None] / 2 * along
+    half = np.maximum(high - low, 0.0) / 2
+    has_corner = np.zeros((len(half), 2), dtype=np.bool_)
+    has_corner[given.wall[given.corner_row], given.corner_end] = True
+    order = np.argsort(-np.bincount(given.wall) * (half + GAP_M), kind="stable")
+    lines = middle, normal, along, np.column_stack([-half, half]), has_corner
+    seen = seen_together(assembled)
+    limits = TURN, across_m, GAP_M, OVERLAP
+    part = gathered(lines, (seen.indptr, seen.indices), order, limits)
     renamed = np.arange(len(wall_of))
     renamed[assembled.walls] = assembled.walls[part]
     _, first, of = np.unique(renamed[wall_of], return_index=True, return_inverse=True)

@@ -12,20 +12,22 @@ from numpy.typing import NDArray
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 from relmap.planes.beams import Beams, BeamStore
+from relmap.planes.judging import View
 from relmap.planes.links import (
-    STEADY,
     USUAL,
     VARYING,
     believed,
     farthest_m,
     measured_along,
     unsure_m,
+    usual_motion,
 )
+from relmap.planes.motions import after, inverse, motion_over, others, planar
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL, PlanarMotion, place
-from relmap.planes.search import Found, Search, View, after, others
+from relmap.planes.placement import PlanarMotion, place
+from relmap.planes.search import Found, Search
 from relmap.planes.tracks import PlaneTracks
-from relmap.planes.tying import Scans, tied
+from relmap.planes.tying import Scans, judged_links
 
 VARYING_M = 0.15
 """Steps that vary by more are not bridged where nothing measures them."""
@@ -33,6 +35,8 @@ SURE, USUALLY = 4.0, 0.5
 """Log odds below which another scan must confirm a motion; and as a share of the usual ones."""
 TOGETHER = 5.0
 """Log odds that both must have in sum."""
+IN_DOUBT = 8.0
+"""Log odds below which a motion is judged once more, by the scans around."""
 VIEWS = 2
 """Last scans whose beams judge a motion."""
 
@@ -89,19 +93,18 @@ class ScanLinks:
     @property
     def usual(self) -> PlanarMotion:
         """How the robot went last: the median of some scans, for one of them may be a jump."""
-        if not len(self._motions):
-            return STILL
-        last = np.sort(self.motions[-STEADY:], axis=0)
-        yaw, x, y = last[len(last) // 2].tolist()
-        return PlanarMotion(yaw, np.array([x, y]))
+        return planar(usual_motion(self.motions))
 
     def begin_submap(self) -> None:
         """Let a submap begin with the next scan."""
         self.submap = self._n_submaps
         self._n_submaps += 1
 
-    def append(self, seen: PlaneObservation, motion: PlanarMotion, is_tied: bool) -> None:
-        """Note the motion into a scan, and whether it belongs to the submap."""
+    def append(
+        self, seen: PlaneObservation, motion: PlanarMotion, is_tied: bool, found: Found | None
+    ) -> None:
+        """Note the motion into a scan, whether it belongs to the submap, and what tied it."""
+        self._evidence.extend(np.array([found.evidence if found else np.nan]))
         self.beams.append(seen.beams)
         self._motions.extend(np.array([[motion.yaw, *motion.t]]))
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
@@ -114,7 +117,6 @@ class ScanLinks:
         found = self._placed(tracks, seen)
         if found is None:
             return None
-        self._evidence.extend(np.array([found.evidence]))
         if found.measured:
             self._unsure_m = 0.0
             return found
@@ -143,7 +145,8 @@ class ScanLinks:
         self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
     ) -> bool:
         """Tell whether the scan before the last one confirms a motion, where that is in doubt."""
-        usual = np.median(np.append(self._evidence.values[-VARYING:], SURE))
+        evidence = self._evidence.values[-VARYING:]
+        usual = np.median(np.append(evidence[np.isfinite(evidence)], SURE))
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
             return True
         now, motion = len(self._motions), np.array([found.motion.yaw, *found.motion.t])
@@ -189,27 +192,45 @@ class ScanLinks:
             self.submap = self._n_submaps if self.submap == old else self.submap
             self._n_submaps += 1
 
-    def tie(self) -> NDArray[np.int64]:
-        """Tie submaps that follow one another where their scans, compared anew, agree.
+    def tie(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Judge the links in doubt, and breaks, by the scans around, now that they are there.
 
         Returns
         -------
-        (s,) int64
+        name : (s,) int64
             Which submap each one is now.
+        cut : (c,) int64
+            Scans whose links are believed no more; see `cut`.
         """
-        store, before, name = self.store, self.submaps.copy(), np.arange(self._n_submaps)
+        name = np.arange(self._n_submaps)
         if not len(self.beams):
-            return name
-        rows, _ = store.between(0, len(self._motions))
-        first_row = np.searchsorted(store.iterations, np.arange(len(before) + 1))
-        seen, wall = seen_before(store, rows), store.column("wall")[rows]
-        scans = Scans(seen, wall, first_row, self.beams, self.motions)
-        found, walls = tied(scans, before)
-        self._submaps.values[:] = found
-        self.same_walls = np.concatenate([self.same_walls, walls])
-        name[before[before >= 0]] = found[before >= 0]
+            return name, np.empty(0, dtype=np.int64)
+        links, cut = judged_links(self._scans, *self._known())
+        for link in links:
+            between = motion_over(self.motions[link.earlier + 1 : link.later])
+            self.motions[link.later] = after(inverse(between), link.motion[None])[0]
+            old, new = self.submaps[link.later], self.submaps[link.earlier]
+            if new >= 0:
+                self._submaps.values[self.submaps == old] = new
+                name[name == old] = new
+        self.same_walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
         self.submap = int(name[self.submap])
-        return name
+        return name, np.array(cut, dtype=np.int64)
+
+    @property
+    def _scans(self) -> Scans:
+        """All scans with their walls and beams."""
+        rows, _ = self.store.between(0, len(self._motions))
+        first_row = np.searchsorted(self.store.iterations, np.arange(len(self._motions) + 1))
+        seen, wall = seen_before(self.store, rows), self.store.column("wall")[rows]
+        return Scans(seen, wall, first_row, self.beams, self.motions)
+
+    def _known(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Tell the motion into which scans (i,) is believed, and which are to be judged."""
+        is_tied = (np.diff(self.submaps, prepend=-2) == 0) & (self.submaps >= 0)
+        in_doubt = ~(is_tied & (self._evidence.values > IN_DOUBT))
+        in_doubt[:1] = False
+        return is_tied, in_doubt
 
 
 def seen_before(store: ObservationStore, rows: slice) -> PlaneObservation:

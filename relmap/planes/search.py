@@ -8,13 +8,14 @@ agree with best is believed, unless they contradict it or another comes near.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.beams import NEAR_M, Beams, compared
+from relmap.planes.judging import MEASURED, Candidates, Judged, View
+from relmap.planes.motions import after, distinct, others, planar
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, Match, PlanarMotion, settled, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
@@ -27,16 +28,10 @@ TURNS, EACH = 8, 25
 ROUGH_M, ROUGH_STEP = 0.3, 12
 """What agrees roughly, and of how many beams one is looked at."""
 CLOSELY = 8
-"""Motions that are fitted to walls and judged by all beams."""
-AGREES = 0.25
-"""Least share of the points that must agree."""
-MATCHED, MATCHES, AGREEING, CONTRADICTING, NONE = 6.8, 4.2, 4.0, -57.0, -2.0
-"""Log odds of a motion by the share of the walls that match, by how many do, by the points that
-agree and that contradict, and without any: of a logistic regression on pairs of scans."""
+ALIKE_M, ALIKE_RAD = 0.2, np.deg2rad(5.0)
+"""Motions that are fitted to walls and judged by all beams, and how near two are alike."""
 BELIEVED = 1.5
 """Log odds from which a motion is believed."""
-MANY = 15.0
-"""Walls and corners of which more tell no more."""
 CLEARLY, HARDLY = 0.75, 0.01
 """Shares that agree and contradict by which a usual motion is believed at once."""
 RIVAL = 1.7
@@ -49,63 +44,13 @@ SLIDE_NEAR_M, SLIDE_STEP, SLIDE_CONTRADICTS = 0.15, 6, 4.0
 """What agrees there, of how many beams one is looked at, and what one that contradicts weighs."""
 USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 """By how much a motion differs from those before."""
+CANDIDATES, WITHIN = 6, 8.0
+"""Motions that are compared with those of other scans: so many, as likely as the best but for this
+in log odds."""
 FREE_M, FREE = 0.3, 0.01
 """A way along a wall is free where beams agree hardly less so far off."""
 FREE_REACH_M = 1.0
 """Motions nearer than this are no rivals where the way is free: the motion before decides."""
-APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
-"""Motions that differ by more are others."""
-
-
-class View(NamedTuple):
-    """Beams of an earlier scan, and the motion (3,) from its frame into that of the tracks."""
-
-    beams: Beams
-    motion: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """Motions that were fitted to walls, and what walls and beams say of them.
-
-    Attributes
-    ----------
-    motions : (k, 3) float64
-    matches : list of Match
-    agree, contradict : (k,) float64
-        Share of the points that agree, in the view that agrees best, and that contradict, in all.
-    match : (k,) float64
-        How well walls agree, as a share of what could.
-    surprise : (k,) float64
-        How unlikely each motion is beforehand: log odds.
-    """
-
-    motions: NDArray[np.float64]
-    matches: list[Match]
-    agree: NDArray[np.float64]
-    contradict: NDArray[np.float64]
-    match: NDArray[np.float64]
-    surprise: NDArray[np.float64]
-
-    def and_those(self, more: Judged) -> Judged:
-        """Return these motions and more."""
-        return Judged(
-            np.concatenate([self.motions, more.motions]),
-            self.matches + more.matches,
-            np.concatenate([self.agree, more.agree]),
-            np.concatenate([self.contradict, more.contradict]),
-            np.concatenate([self.match, more.match]),
-            np.concatenate([self.surprise, more.surprise]),
-        )
-
-    @property
-    def evidence(self) -> NDArray[np.float64]:
-        """How likely each motion is right, (k,): log odds."""
-        score = np.array([match.score for match in self.matches])
-        many = np.minimum(score, MANY) / MANY
-        evidence = NONE + MATCHED * self.match + MATCHES * many - self.surprise
-        evidence += AGREEING * self.agree + CONTRADICTING * self.contradict
-        return np.where((self.agree >= AGREES) & (score > 0), evidence, -np.inf)
 
 
 class Found(NamedTuple):
@@ -178,7 +123,43 @@ class Search:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():
             return None
-        return Found(_planar(motion), every.matches[best], measured, float(every.evidence[best]))
+        return Found(planar(motion), every.matches[best], measured, float(every.evidence[best]))
+
+    def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
+        """Return the motions that walls and beams of these scans tell for right, likeliest first.
+
+        Parameters
+        ----------
+        guesses : sequence of PlanarMotion
+            What is looked at besides those that walls imply.
+        """
+        every = self._judged([self._before, STILL, *guesses, *self._guesses()])
+        for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
+            every = every.and_those(self._judged(self._slid(every, k)))
+        evidence = every.of_pair
+        order = np.argsort(-evidence, kind="stable")
+        order = order[np.isfinite(evidence[order]) & (evidence[order] > evidence.max() - WITHIN)]
+        best = distinct(every.motions, order, CANDIDATES)
+        measured = np.array([self._measured(every, k) for k in best], dtype=np.bool_)
+        matches = [every.matches[k] for k in best]
+        evidence = evidence[best] + MEASURED * measured
+        return Candidates(every.motions[best], evidence, measured, matches)
+
+    def judged(self, motion: NDArray[np.float64]) -> tuple[float, float, bool]:
+        """Return what the scans tell of a motion (3,), as it settles near by.
+
+        Returns
+        -------
+        evidence : float
+            Log odds that it is right.
+        contradict : float
+            Share of the points that contradict.
+        stays : bool
+            Whether it settles where it is.
+        """
+        found = self._judged([planar(motion)])
+        evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
+        return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
 
     def _guesses(self) -> list[PlanarMotion]:
         """Return the motions implied by walls that the beams agree with best, roughly."""
@@ -186,10 +167,11 @@ class Search:
 
         recent = self._tracks.kept(self._tracks.missed == self._tracks.missed.min(initial=0))
         walls = recent.arrays, self._seen.arrays
-        motions = implied(*walls, self._before.yaw, REACH_M, REACH_RAD, TURNS, EACH)
+        motions = implied(*walls, 0.0, REACH_M, REACH_RAD, TURNS, EACH)
         sums = self._compared(self._views[:1], motions, ROUGH_M, ROUGH_STEP)
-        order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")[:CLOSELY]
-        return [_planar(motion) for motion in motions[order]]
+        order = np.argsort(sums[:, 1] - sums[:, 0], kind="stable")
+        best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)
+        return [planar(motion) for motion in motions[best]]
 
     def _along(self, match: Match) -> NDArray[np.float64]:
         """Return the direction of the longest wall that matches."""
@@ -217,7 +199,7 @@ class Search:
         inner = value[1:-1]
         peaks = 1 + np.flatnonzero((inner >= value[:-2]) & (inner > value[2:]))
         peaks = peaks[np.argsort(-value[peaks], kind="stable")][:PEAKS]
-        return [_planar(motions[peak]) for peak in peaks if abs(way_m[peak]) > SLIDE_M / 2]
+        return [planar(motions[peak]) for peak in peaks if abs(way_m[peak]) > SLIDE_M / 2]
 
     def _measured(self, judged: Judged, k: int) -> bool:
         """Tell whether beams agree less where a motion is slid along the longest wall."""
@@ -258,27 +240,3 @@ class Search:
         for view in views:
             sums += compared(view.beams, self._beams, after(view.motion, motions), near_m, step)
         return sums
-
-
-def others(motions: NDArray[np.float64], motion: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which motions (k, 3) are others than one (3,)."""
-    off = np.hypot(*(motions[:, 1:] - motion[1:]).T)
-    return np.asarray((off > APART_M) | (np.abs(wrapped(motions[:, 0] - motion[0])) > APART_RAD))
-
-
-def after(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a motion (3,) followed by each of others (k, 3)."""
-    c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
-    x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
-    return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
-
-
-def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the motion (3,) back."""
-    c, s = np.cos(motion[0]), np.sin(motion[0])
-    x, y = motion[1:]
-    return np.array([-motion[0], -c * x - s * y, s * x - c * y])
-
-
-def _planar(motion: NDArray[np.float64]) -> PlanarMotion:
-    return PlanarMotion(float(motion[0]), motion[1:])

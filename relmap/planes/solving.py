@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from relmap.planes.assembly import FLAT_M, Assembled
 from relmap.planes.equations import WallEquations
-from relmap.planes.refinement import WallSystem, wall_residuals
+from relmap.planes.refinement import WallSystem
 
 EXACT_M = 1e-7
 """How sure walls can be at best where there is no noise."""
@@ -26,7 +26,7 @@ SHARPLY = (6, 4.0)
 """The same, of each solution with less noise than walls have at best."""
 
 
-def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], cautious: bool) -> Assembled:
+def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], held: float) -> Assembled:
     """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is.
 
     Parameters
@@ -36,20 +36,20 @@ def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], cautious:
         Most steps of each solution, between which the noise of each wall and corner is learnt, and
         the residual from which an observation is in doubt: none is before the rest has fallen into
         place.
-    cautious : bool
+    held : float
         See `WallSystem`.
     """
-    return _solved(WallSystem(assembled.given, cautious), assembled, rounds)
+    return _solved(WallSystem(assembled.given, held), assembled, rounds)
 
 
-def refined_to_the_noise(assembled: Assembled, cautious: bool) -> Assembled:
+def refined_to_the_noise(assembled: Assembled, held: float) -> Assembled:
     """Solve for walls, corners and poses as accurately as the observations are.
 
     Where they are better than real walls, the least noise is lowered bit by bit: what was found
     wrong so far is out before the rest decides (graduated non-convexity; Blake and Zisserman,
     1987).
     """
-    system, share = WallSystem(assembled.given, cautious), 1.0
+    system, share = WallSystem(assembled.given, held), 1.0
     best = _solved(system, assembled, (LAST,))
     while share * FLAT_M > max(assembled.typical_m, EXACT_M):
         share *= SHARPER
@@ -73,7 +73,7 @@ def _solved(
     for most, doubtful in rounds:
         own = system.reweighted(given)
         state = own.refine(state, most, doubtful, by_scan)
-        given, settled = _reweighted(assembled.given, *wall_residuals(given, state)), own.settled
+        given, settled = _reweighted(assembled.given, *own.off(state)), own.settled
     return replace(assembled, given=given, state=state, settled=settled)
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import CROSSING, TORN_M, spread
+from relmap.planes.links import CROSSING, spread
 from relmap.planes.placement import LEVER_M
 
-FEW = 5
+FEW, ASTRAY_M = 5, 0.3
 """So few scans in a row, so far off the others, are misplaced."""
 
 
@@ -83,20 +83,31 @@ def _matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     return T
 
 
-def without_strays(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the poses (n, 4, 4) with NaN for the few that lie far off both their neighbours.
+def with_strays_put_back(
+    poses: NDArray[np.float64], motions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the poses (n, 4, 4) with the few that lie off both their neighbours put back.
 
-    Far from where the motions (n, 3) from scan to scan lead: scans with hardly a wall that is
-    known, or a wrong one, which nothing holds.
+    They are off where the motions (n, 3) from scan to scan lead: scans with hardly a wall that is
+    known, or a wrong one, which nothing holds.  They stay where they are if the motions over them
+    do not lead to the next pose either: then it is the map that is torn.
     """
-    off = np.linalg.inv(poses[:-1]) @ poses[1:] @ _matrices(motions[1:])
-    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
-    broken = np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > TORN_M
-    run = np.concatenate([[0], np.cumsum(broken)])
+    broken = np.concatenate([[False], _astray(poses, motions)])
+    run = np.cumsum(broken)
     size = np.bincount(run)
     beside = np.concatenate([[0], size, [0]])
     stray = (size <= FEW) & (size < np.maximum(beside[:-2], beside[2:]))
-    return np.where(stray[run][:, None, None], np.nan, poses)
+    led = stitched([np.where(stray[run][:, None, None], np.nan, poses)], motions)
+    ends = 1 + np.flatnonzero(_astray(led, motions))
+    stray[run[ends] - 1] = False
+    return np.where(stray[run][:, None, None], led, poses)
+
+
+def _astray(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell which poses after the first one (n - 1,) do not follow by the motions (n, 3)."""
+    off = np.linalg.inv(poses[:-1]) @ poses[1:] @ _matrices(motions[1:])
+    turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
+    return np.asarray(np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > ASTRAY_M)
 
 
 def weak_links(history: PlaneHistory) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,8 @@ from numpy.typing import NDArray
 from relmap.core.landmarks import Submap
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
-from relmap.planes.stitching import stitched
+from relmap.planes.links import torn_links
+from relmap.planes.stitching import stitched, weak_links
 from relmap.planes.table import corner_map
 
 
@@ -82,3 +84,13 @@ def chained_poses(
     there = [np.where(own, path[rows], np.nan) for path in paths]
     there = [path for path in there if np.isfinite(path[:, 0, 0]).any()]
     return np.where(own, stitched(there, history.motion[rows]), np.nan)
+
+
+def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> NDArray[np.int64]:
+    """Return the scans (t,) before which submaps go another way than the links between scans."""
+    torn, weak = [np.empty(0, dtype=np.int64)], weak_links(history)
+    for submap in submaps:
+        begin, end = submap.span
+        own = weak[(weak > begin) & (weak < end)] - begin
+        torn.append(begin + torn_links(submap.poses, history.motion[begin:end], own))
+    return np.concatenate(torn)

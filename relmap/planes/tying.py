@@ -1,31 +1,38 @@
-"""Submaps that follow one another are tied where all pairs of their scans agree how they lie.
+"""Scans that the run broke between are tied where their neighbours tell how they lie, too.
 
-What a single pair of scans could not tell, others near the break may: the search is that of
-`relmap.planes.search`, from each of the last scans of one submap to each of the first of the next.
+What a single pair of scans cannot tell as they come, the scans around may, once they are there: the
+motions around each break, and each link in doubt, are judged together (`relmap.planes.hypotheses`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.beams import Beams, BeamStore
+from relmap.planes.hypotheses import LATER, Hypotheses, Verdict
+from relmap.planes.judging import Candidates, View
+from relmap.planes.links import usual_motion
+from relmap.planes.motions import others, planar
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import STILL
-from relmap.planes.search import Search, View, after, inverse, others
+from relmap.planes.placement import STILL, PlanarMotion
+from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
 
-NEAR = 4
-"""Iterations that two scans lie apart at most that are compared."""
-OPEN = 3
-"""Submaps of late that the next one may be tied to."""
-VOTES = 2
-"""Pairs of scans that must agree, and none may contradict."""
-TOGETHER = 7.0
-"""Log odds that they must have in sum: they are not independent."""
+BELIEVED = 2.5
+"""Log odds from which a motion is believed where none was."""
+DOUBTED = -0.5
+"""Log odds below which one that was believed is so no more."""
+SKIPPED = 2
+"""Scans in a row that fit nowhere and are passed over."""
+EARLIER = 2
+"""Scans before one in doubt that are judged with it."""
+NONE = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.bool_), [])
 
 
 @dataclass(eq=False)
@@ -63,112 +70,157 @@ class Scans:
         """Return the beams of one scan."""
         return self.beams.of(scan, self.walls.ends[self.rows(scan)])
 
-    def way(self, first: int, last: int) -> NDArray[np.float64]:
-        """Return the motion (3,) from the frame of one scan into that of a later one."""
-        motion = np.zeros(3)
-        for scan in range(first + 1, last + 1):
-            motion = after(motion, self.motions[scan][None])[0]
-        return motion
+    def agree(self, link: Link) -> bool:
+        """Tell whether the walls of two scans have the numbers that a link implies."""
+        numbers = self.plane[self.rows(link.earlier)], self.plane[self.rows(link.later)]
+        both = np.intersect1d(*numbers)
+        return np.array_equal(np.unique(link.walls), both) and not np.diff(link.walls).any()
+
+    def tracks_of(self, scan: int) -> PlaneTracks:
+        """Return the walls of one scan as those that a later one may show again."""
+        seen = self.seen(scan)
+        tracks = PlaneTracks.begun(self.plane[self.rows(scan)], seen)
+        tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
+        return tracks
+
+    def search(self, earlier: int, later: int, before: PlanarMotion) -> Search | None:
+        """Return the search for the motion of one scan into another; None where one is empty."""
+        tracks, seen = self.tracks_of(earlier), self.seen(later)
+        beams = [self.beams_of(scan) for scan in (earlier, later)]
+        if not min(len(tracks), len(seen), *map(len, beams)):
+            return None
+        return Search(tracks, seen, beams[1], [View(beams[0], np.zeros(3))], before)
 
 
-@dataclass(eq=False)
-class Tie:
-    """How the first scan of a submap lies to the last one of another.
+class Link(NamedTuple):
+    """A motion that is believed.
 
     Attributes
     ----------
+    earlier, later : int
+        From the frame of which scan into that of which.
     motion : (3,) float64
-    pairs : list of (int, int)
-        Scans that tell it.
-    evidence : float
-        The sum of what each pair says: log odds.
-    walls : list of (k, 2) int64
+    walls : (k, 2) int64
         Numbers of walls that are one wall each.
+    measured : bool
+        Whether the way is known in all directions.
     """
 
+    earlier: int
+    later: int
     motion: NDArray[np.float64]
-    pairs: list[tuple[int, int]] = field(default_factory=list)
-    evidence: float = 0.0
-    walls: list[NDArray[np.int64]] = field(default_factory=list)
+    walls: NDArray[np.int64]
+    measured: bool
 
 
-def tied(scans: Scans, submap: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Tie submaps that follow one another.
+def judged_links(
+    scans: Scans, is_tied: NDArray[np.bool_], in_doubt: NDArray[np.bool_]
+) -> tuple[list[Link], list[int]]:
+    """Judge the motions into scans in doubt by those around them.
 
     Parameters
     ----------
     scans : Scans
-        Its motions are changed where a submap goes on with another.
-    submap : (i,) int64
-        Of each iteration; -1 where nothing ties it to any.
+    is_tied : (i,) bool
+        Whether the motion into each scan is believed so far.
+    in_doubt : (i,) bool
+        Which are to be judged.
 
     Returns
     -------
-    submap : (i,) int64
-        The same, where those that are tied have the number of the first.
-    walls : (k, 2) int64
-        Numbers of walls that are one wall each.
+    links : list of Link
+        Those that are believed now, over a few scans that fit nowhere where it must be.
+    cut : list of int
+        Scans into which none is believed any more.
     """
-    found, recent, walls = submap.copy(), list[NDArray[np.int64]](), [np.empty((0, 2), np.int64)]
-    edges = np.flatnonzero(np.diff(submap, prepend=-1, append=-1))
-    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        if submap[begin] < 0:
+    links, cut = list[Link](), list[int]()
+    for run in _runs(in_doubt):
+        fixed = is_tied[run[0]] and not in_doubt[run[0]]
+        for judged in _judged(scans, run, fixed):
+            if not is_tied[judged.later]:
+                links += _measured(judged)
+            elif in_doubt[judged.later] and judged.odds(scans) < DOUBTED:
+                same = [link for link in judged.believed if scans.agree(link)]
+                links += same
+                cut += [] if same else [judged.later]
+    is_tied = is_tied.copy()
+    is_tied[[link.later for link in links]] = True
+    is_tied[cut] = False
+    return links + _over_gaps(scans, is_tied), cut
+
+
+def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
+    """Return the links over a few scans that fit nowhere."""
+    links, breaks, last = list[Link](), np.flatnonzero(~is_tied), 0
+    for begin, end in product(breaks.tolist(), range(1, SKIPPED + 1)):
+        earlier, later = begin - 1, begin + end
+        if earlier < last or later >= len(is_tied) or is_tied[later]:
             continue
-        own = np.arange(begin, end)
-        for k, before in reversed(list(enumerate(recent))):
-            tie = _tie(scans, before, own) if begin - before[-1] < NEAR else None
-            if tie is not None:
-                last = int(before[-1])
-                back = inverse(scans.way(last, begin - 1))
-                scans.motions[begin] = after(back, tie.motion[None])[0]
-                found[own] = found[last]
-                walls += tie.walls
-                own = np.concatenate([before, own])
-                del recent[k]
-                break
-        recent = [*recent, own][-OPEN:]
-    return found, np.concatenate(walls)
+        before = range(max(earlier - EARLIER, 0), begin)
+        after = range(later, min(later + LATER + 1, len(is_tied)))
+        judged = _judged(scans, [*before, *after], bool(is_tied[before[0]]))
+        found = [link for one in judged if one.later == later for link in _measured(one)]
+        links += found
+        last = later if found else last
+    return links
 
 
-def _tie(scans: Scans, before: NDArray[np.int64], later: NDArray[np.int64]) -> Tie | None:
-    """Return how a submap lies to one before, where enough pairs of scans agree."""
-    a, b = int(before[-1]), int(later[0])
-    pairs = product(before[-NEAR:].tolist(), later[:NEAR].tolist())
-    tie = None
-    for i, j in sorted(pairs, key=lambda pair: (pair[1] - pair[0], pair[1])):
-        matched = _matched(scans, i, j, before) if j - i <= NEAR else None
-        if matched is None:
-            continue
-        motion, walls, evidence = matched
-        into_last, from_first = inverse(scans.way(i, a)), inverse(scans.way(b, j))
-        at_ends = after(after(into_last, motion[None])[0], from_first[None])[0]
-        tie = tie or Tie(at_ends)
-        if others(at_ends[None], tie.motion)[0]:
-            return None
-        tie.pairs.append((i, j))
-        tie.walls.append(walls)
-        tie.evidence += evidence
-    if tie is None or len(tie.pairs) < VOTES or tie.evidence < TOGETHER:
-        return None
-    return tie
+class _Judged(NamedTuple):
+    """What is known of the motion into a scan: how likely each is, and the one that is believed."""
+
+    later: int
+    verdict: Verdict
+    believed: list[Link]
+
+    def odds(self, scans: Scans) -> float:
+        """Return the log odds of the motion that was believed before."""
+        return self.verdict.odds(scans.motions[self.later])
 
 
-def _matched(
-    scans: Scans, i: int, j: int, before: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], float] | None:
-    """Return the motion from one scan into another, which of their walls are one, and how sure."""
-    earlier, later = scans.seen(i), scans.seen(j)
-    beams = scans.beams_of(j)
-    if not len(earlier) or not len(later) or not len(beams):
-        return None
-    views = [View(scans.beams_of(i), np.zeros(3))]
-    if i - 1 in before[-NEAR - 1 :]:
-        views.append(View(scans.beams_of(i - 1), scans.motions[i]))
-    tracks = PlaneTracks.begun(scans.plane[scans.rows(i)], earlier)
-    tracks.corner_at = np.where(earlier.static[..., None], earlier.ends, np.nan)
-    found = Search(tracks, later, beams, views, STILL).found()
-    if found is None or not found.measured:
-        return None
-    rows = found.match.tracks, found.match.walls
-    planes = np.column_stack([tracks.plane[rows[0]], scans.plane[scans.rows(j)][rows[1]]])
-    return np.array([found.motion.yaw, *found.motion.t]), planes, found.evidence
+def _measured(judged: _Judged) -> list[Link]:
+    """Return the link that is believed, if the way is known in all directions."""
+    return [link for link in judged.believed if link.measured]
+
+
+def _believed(
+    scans: Scans, earlier: int, later: int, found: Candidates, verdict: Verdict
+) -> list[Link]:
+    """Return the link between two scans if a motion is believed."""
+    motion = verdict.best
+    if motion is None or verdict.odds(motion) < BELIEVED:
+        return []
+    same = int(np.argmin(others(found.motions, motion)))
+    match = found.matches[same]
+    walls = [scans.plane[scans.rows(earlier)][match.tracks]]
+    walls += [scans.plane[scans.rows(later)][match.walls]]
+    measured = bool(found.measured[same])
+    return [Link(earlier, later, motion, np.column_stack(walls), measured)]
+
+
+def _runs(in_doubt: NDArray[np.bool_]) -> list[range]:
+    """Return the scans around those in doubt, each run from one before the first to be judged."""
+    near = np.zeros(len(in_doubt), dtype=np.bool_)
+    for scan in np.flatnonzero(in_doubt).tolist():
+        near[max(scan - EARLIER, 0) : scan + LATER + 1] = True
+    edges = np.flatnonzero(np.diff(near, prepend=False, append=False))
+    return [range(a, b) for a, b in edges.reshape(-1, 2).tolist()]
+
+
+def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
+    """Judge the motions from scan to scan of a run; the one into the first may be `fixed`."""
+    hypotheses = Hypotheses(scans.motions[run[0]] if fixed else np.full(3, np.nan))
+    found, judged = list[Candidates](), list[_Judged]()
+    for k in range(1, len(run) + LATER):
+        if k < len(run):
+            usual = usual_motion(scans.motions[: run[k]])
+            search = scans.search(run[k - 1], run[k], planar(usual))
+            guess = planar(scans.motions[run[k]])
+            found.append(search.candidates([guess]) if search else NONE)
+            two_back = scans.search(run[max(k - 2, 0)], run[k], STILL)
+            hypotheses.go_on(found[-1], usual, two_back.judged if two_back else None)
+        if k > LATER:
+            scan = k - LATER
+            verdict = hypotheses.verdict(scan)
+            link = _believed(scans, run[scan - 1], run[scan], found[scan - 1], verdict)
+            judged.append(_Judged(run[scan], verdict, link))
+    return judged

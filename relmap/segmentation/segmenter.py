@@ -15,7 +15,7 @@ from relmap.segmentation.ends.corners import Sharpened, meet, sharpen
 from relmap.segmentation.ends.end_types import sensor_limits, type_ends
 from relmap.segmentation.planes import Planes, make_planes
 from relmap.segmentation.upright import require_upright
-from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, WALL, corners
+from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
@@ -182,7 +182,8 @@ def planes_of(
     range_m: float | None = None,
 ) -> tuple[Ints, Planes]:
     """Return labels without gaps in their numbers, and the planes."""
-    ends = np.array([corners(w) for w in sharp.mixture.walls]).reshape(-1, 2, 2)
+    walls = sharp.mixture.walls
+    ends = walls[:, None, :2] + walls[:, BEGIN : END + 1, None] * walls[:, None, UX : UY + 1]
     count = np.bincount(labels[labels >= 0], minlength=len(ends))
     long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
     kept = np.flatnonzero((count > 0) & long)

@@ -82,12 +82,12 @@ class LoopFinder:
         before = table.last[own] < table.since[around].min()
         old = own[before]
         off = np.linalg.norm(table.position[old] - points.mean(axis=0), axis=1)
-        size_m = np.ptp(points, axis=0).max()
-        begin = int(table.last[old].min(initial=table.since[seed]))
-        near = off <= size_m + self._drift_m(around, together, begin)
+        reach_m = np.ptp(points, axis=0).max()
         is_tied = np.sum(table.since[around] > table.first[around]) >= TIED
-        if is_tied:
-            near &= off <= size_m
+        if not is_tied:
+            begin = int(table.last[old].min(initial=table.since[seed]))
+            reach_m += self._drift_m(around, together, begin)
+        near = off <= reach_m
         before[before] = near
         if near.sum() < (len(around) // 2 if is_tied else ENOUGH):
             return None

@@ -112,17 +112,20 @@ def end_spread(mixture: WallMixture, n: int) -> Floats:
 
     By the noise, and by how far apart points are; and between two beams an end lies anywhere.
     """
-    from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
-
-    spread = np.zeros((len(mixture.walls), 2))
-    for k, wall in enumerate(mixture.walls):
-        for side, at in enumerate(wall[[BEGIN, END]]):
-            density = wall[SHARE] * n * local_density(wall, at, mixture.beam)
-            spacing = 1 / max(density, 1e-9)
-            between = beam_spacing(wall, at, mixture.beam) ** 2 / 12
-            blur = mixture.sigma * spacing / INFORMATION + spacing**2
-            spread[k, side] = np.sqrt(blur + between)
-    return spread
+    walls, beam = mixture.walls, mixture.beam
+    at, (px, py, ux, uy) = walls[:, [BEGIN, END]], walls[:, [PX, PY, UX, UY]].T
+    foot, height = -(px * ux + py * uy), np.maximum(np.abs(px * uy - py * ux), 1e-3)
+    off, apart = at - foot[:, None], np.ones_like(at)
+    span = off
+    if beam > 0:  # points lie evenly by angle
+        span = np.arctan(off / height[:, None])
+        apart = (height[:, None] ** 2 + off**2) / height[:, None]
+    span = np.maximum(span[:, 1] - span[:, 0], 1e-9)
+    density = (walls[:, SHARE] * n)[:, None] / np.maximum(span[:, None] * apart, 1e-12)
+    spacing = 1 / np.maximum(density, 1e-9)
+    between = (beam * apart) ** 2 / 12
+    blur = mixture.sigma * spacing / INFORMATION + spacing**2
+    return np.asarray(np.sqrt(blur + between))
 
 
 def crossings(walls: Floats) -> tuple[Floats, Floats]:

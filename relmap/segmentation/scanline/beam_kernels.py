@@ -46,7 +46,7 @@ def _off(xy: Floats, i: int, wall: Floats) -> float:
 
 
 @helper
-def _turns(xy: Floats) -> Floats:
+def turns(xy: Floats) -> Floats:
     """Return the angles (n - 1,) from each point to the next as the sensor sees them."""
     turn = np.empty(len(xy) - 1)
     for i in range(len(turn)):
@@ -55,20 +55,48 @@ def _turns(xy: Floats) -> Floats:
     return turn
 
 
+@compiled
+def off_chords(xy: Floats, inlier: float, rounds: int) -> float:
+    """Return the median distance of points (n,) from the chords of their neighbours.
+
+    Those more than `inlier` such medians off are left out, again and again, so many times at most.
+    """
+    off = np.empty(len(xy) - 2)
+    for i in range(len(off)):
+        dx, dy = xy[i + 2, 0] - xy[i, 0], xy[i + 2, 1] - xy[i, 1]
+        across = dx * (xy[i + 1, 1] - xy[i, 1]) - dy * (xy[i + 1, 0] - xy[i, 0])
+        off[i] = abs(across) / max(math.hypot(dx, dy), 1e-12)
+    middle = median(off.copy())
+    for _ in range(rounds):
+        before, middle = middle, median(off[off <= inlier * middle])
+        if middle == before:
+            break
+    return middle
+
+
 @helper
-def _breaks(xy: Floats, turn: Floats, sigma: float) -> Bools:
-    """Tell after which points (n,) the next one is not on the same surface."""
-    n, usual = len(xy), median(turn.copy())
-    radius = np.empty(n)
-    for i in range(n):
+def radii(xy: Floats) -> Floats:
+    """Return how far points (n,) are."""
+    radius = np.empty(len(xy))
+    for i in range(len(xy)):
         radius[i] = math.hypot(xy[i, 0], xy[i, 1])
-    broken = np.zeros(n, dtype=np.bool_)
-    for i in range(n - 1):
+    return radius
+
+
+@helper
+def breaks(xy: Floats, turn: Floats, free: Floats, sigma: float) -> Bools:
+    """Tell after which points (n,) the next one is not on the same surface.
+
+    `free` are the angles (n - 1,) between them without those of beams that met specks.
+    """
+    usual, radius = median(turn.copy()), radii(xy)
+    broken = np.zeros(len(xy), dtype=np.bool_)
+    for i in range(len(xy) - 1):
         gap = math.hypot(xy[i + 1, 0] - xy[i, 0], xy[i + 1, 1] - xy[i, 1])
         near = min(radius[i], radius[i + 1])
         steep = math.sin(max(STEEP - turn[i], 0.3 * STEEP))
         limit = near * math.sin(min(turn[i], STEEP)) / steep + 6 * sigma
-        broken[i] = turn[i] > SKIPPED * usual + 1e-9 or gap > limit
+        broken[i] = free[i] > SKIPPED * usual + 1e-9 or gap > limit
     return broken
 
 
@@ -77,8 +105,8 @@ def range_breaks(xy: Floats, sigma: float) -> Ints:
     """Tell after which points (n,) the next beam meets something else: 1, else 0."""
     broken = np.zeros(len(xy), dtype=np.int64)
     if len(xy) > 1:
-        turn = _turns(xy)
-        found, limit = _breaks(xy, turn, sigma), SKIPPED * median(turn.copy())
+        turn = turns(xy)
+        found, limit = breaks(xy, turn, turn, sigma), SKIPPED * median(turn.copy())
         for i in range(len(turn)):
             broken[i] = found[i] and turn[i] < limit
     return broken
@@ -194,22 +222,26 @@ def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
 
 
 @compiled
-def line_pieces(xy: Floats, sigma: float, chance: float) -> Ints:
+def line_pieces(xy: Floats, beam: Ints, sigma: float, chance: float) -> Ints:
     """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
 
-    Those that are at least as probable as `chance` to be none are left out.
+    Those that are at least as probable as `chance` to be none are left out.  `beam` are the
+    numbers (n,) of the points before specks were left out.
     """
     if len(xy) < 3:
         return np.zeros((0, 2), dtype=np.int64)
     pieces = [(0, 0)][:0]
-    turn, start = _turns(xy), 0
-    broken = _breaks(xy, turn, sigma)
+    turn, start = turns(xy), 0
+    usual, free = median(turn.copy()), turn.copy()
+    for i in range(len(turn)):
+        free[i] -= (beam[i + 1] - beam[i] - 1) * usual
+    broken = breaks(xy, turn, free, sigma)
     for i in range(len(xy)):
         if broken[i] or i == len(xy) - 1:
             _straight(xy, start, i + 1, sigma, pieces)
             start = i + 1
     _shift_breaks(xy, broken, pieces)
-    _join(xy, turn, pieces, sigma)
+    _join(xy, free, pieces, sigma)
     kept = [(a, b) for a, b in pieces if _by_chance(xy, a, b, sigma) < chance]
     result = np.zeros((len(kept), 2), dtype=np.int64)
     for k in range(len(kept)):

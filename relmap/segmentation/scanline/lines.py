@@ -14,7 +14,7 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.em.mixture import WallMixture, scan_area
 from relmap.segmentation.noise import FLOOR_M
-from relmap.segmentation.wall import BEGIN, END
+from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY
 
 CHANCE = 1e-3
 """Points that form a line by chance with a greater probability are not a wall."""
@@ -23,6 +23,8 @@ MEDIAN = 0.6745
 INLIER = 5 / MEDIAN
 """Five standard deviations, in such medians: what lies farther off is not noise."""
 ROUNDS = 10
+MANY = 1 / 12
+"""Where so many of the beams meet something small by themselves the laser looks through clutter."""
 NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
 
@@ -32,18 +34,12 @@ def beam_noise(xy: Floats) -> float:
 
     Corners and ends of walls are left out; the fewer the beams, the more of them there are.
     """
+    from relmap.segmentation.scanline.beam_kernels import off_chords
+
     if len(xy) < 5:
         return FLOOR_M
-    a, b, c = xy[:-2], xy[1:-1], xy[2:]
-    chord = c - a
-    length = np.maximum(np.hypot(chord[:, 0], chord[:, 1]), 1e-12)
-    off = np.abs(chord[:, 0] * (b - a)[:, 1] - chord[:, 1] * (b - a)[:, 0]) / length
-    middle = np.median(off)
-    for _ in range(ROUNDS):
-        before, middle = middle, np.median(off[off <= INLIER * middle])
-        if middle == before:
-            break
-    return max(float(middle) / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
+    middle = off_chords(np.ascontiguousarray(xy), INLIER, ROUNDS)
+    return max(middle / (MEDIAN * math.sqrt(1.5)), FLOOR_M)
 
 
 def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
@@ -59,20 +55,53 @@ def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
     from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
 
     sigma = beam_noise(xy) if noise is None else max(noise, FLOOR_M)
-    pieces = line_pieces(np.ascontiguousarray(xy), max(sigma, NOISE_AT_LEAST_M), CHANCE)
-    walls = piece_walls(xy, pieces)
-    solid = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
-    walls, pieces = walls[solid], pieces[solid]
+    solid = _beyond_clutter(xy, max(sigma, NOISE_AT_LEAST_M))
+    own = np.ascontiguousarray(xy[solid])
+    if noise is None and len(own) < len(xy):
+        sigma = beam_noise(own)
+    pieces = line_pieces(own, solid, max(sigma, NOISE_AT_LEAST_M), CHANCE)
+    walls = piece_walls(own, pieces)
+    kept = walls[:, END] - walls[:, BEGIN] > NOISE_AT_LEAST_M
+    walls, pieces = walls[kept], pieces[kept]
     labels = np.full(len(xy), -1)
     for k, (first, last) in enumerate(pieces):
-        labels[first:last] = k
-    beam = abs(_beam_step(np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))))
+        labels[solid[first:last]] = k
+    beam = abs(_beam_step(_bearings(xy)))
     return WallMixture(walls, sigma, 0.0, scan_area(xy, sigma), beam=beam), labels
+
+
+def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
+    """Return which points are left (k,) without specks; all of them where there are but few.
+
+    Elsewhere what stands before a wall is as good a landmark as the wall is, as a door jamb.
+    """
+    from relmap.segmentation.scanline.speck_kernels import specks
+
+    speck = specks(np.ascontiguousarray(xy), sigma)
+    alone = speck[1:-1] & ~speck[:-2] & ~speck[2:]
+    return np.flatnonzero(~speck | (alone.sum() < MANY * len(xy)))
+
+
+def _bearings(xy: Floats) -> Floats:
+    """Return the bearings (n,) of points, radians, without jumps."""
+    bearing = np.arctan2(xy[:, 1], xy[:, 0])
+    turns = np.cumsum(np.rint(np.diff(bearing) / (2 * np.pi)))
+    bearing[1:] -= 2 * np.pi * turns
+    return np.asarray(bearing)
 
 
 def _beam_step(bearing: Floats) -> float:
     """Return the angle (radians) from one beam to the next, positive to the left."""
-    return float(np.median(np.diff(bearing))) if len(bearing) > 1 else 0.0
+    step = np.sort(np.diff(bearing))
+    return float(step[(len(step) - 1) // 2] + step[len(step) // 2]) / 2 if len(step) else 0.0
+
+
+def _first_and_last(labels: Ints) -> tuple[Ints, Ints]:
+    """Return the first and the last point of each wall; labels (n,) ascend, but for -1."""
+    rows = np.flatnonzero(labels >= 0)
+    bounds = np.arange(int(labels.max(initial=-1)) + 2)
+    begin = np.searchsorted(labels[rows], bounds)
+    return rows[begin[:-1]], rows[begin[1:] - 1]
 
 
 def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixture:
@@ -82,14 +111,12 @@ def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixtu
     """
     if len(mixture.walls) == 0:
         return mixture
-    bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
+    bearing, walls = _bearings(xy), mixture.walls.copy()
     step = 0.5 * _beam_step(bearing)
-    walls = mixture.walls.copy()
-    for k, wall in enumerate(walls):
-        own = np.flatnonzero(labels == k)
-        for end, i, side in ((BEGIN, own[0], -1), (END, own[-1], 1)):
-            if 0 < i < len(xy) - 1:
-                wall[end] = _where_met(wall, bearing[i] + side * step, wall[end])
+    for end, rows, side in zip((BEGIN, END), _first_and_last(labels), (-1, 1), strict=True):
+        met = _where_met(walls, bearing[rows] + side * step, walls[:, end])
+        inside = (rows > 0) & (rows < len(xy) - 1)
+        walls[:, end] = np.where(inside, met, walls[:, end])
     return mixture.with_walls(walls)
 
 
@@ -102,19 +129,19 @@ def hidden_ends(xy: Floats, labels: Ints) -> Bools:
 
     broken = range_breaks(xy, max(beam_noise(xy), NOISE_AT_LEAST_M))
     radius = np.hypot(xy[:, 0], xy[:, 1])
-    hidden = np.zeros((int(labels.max(initial=-1)) + 1, 2), dtype=np.bool_)
-    for k in range(len(hidden)):
-        own = np.flatnonzero(labels == k)
-        i, j = own[0], own[-1]
-        hidden[k, 0] = i > 0 and broken[i - 1] and radius[i - 1] < radius[i]
-        hidden[k, 1] = j + 1 < len(xy) and broken[j] and radius[j + 1] < radius[j]
-    return hidden
+    first, last = _first_and_last(labels)
+    right, left = np.maximum(first - 1, 0), np.minimum(last + 1, len(xy) - 1)
+    hidden = [
+        (broken[right] > 0) & (radius[right] < radius[first]) & (first > 0),
+        (broken[last] > 0) & (radius[left] < radius[last]),
+    ]
+    return np.column_stack(hidden)
 
 
-def _where_met(wall: Floats, bearing: float, otherwise: float) -> float:
-    """Return how far along a wall a beam meets it, where that is near its end."""
-    ray = np.array([np.cos(bearing), np.sin(bearing)])
-    across = wall[2] * ray[1] - wall[3] * ray[0]
-    if abs(across) < np.sin(np.deg2rad(3.0)):
-        return otherwise
-    return float((wall[1] * ray[0] - wall[0] * ray[1]) / across)
+def _where_met(walls: Floats, bearing: Floats, otherwise: Floats) -> Floats:
+    """Return how far along walls (k,) beams meet them, where that is near their ends."""
+    c, s = np.cos(bearing), np.sin(bearing)
+    across = walls[:, UX] * s - walls[:, UY] * c
+    steep = np.abs(across) >= np.sin(np.deg2rad(3.0))
+    met = (walls[:, PY] * c - walls[:, PX] * s) / np.where(steep, across, 1.0)
+    return np.where(steep, met, otherwise)

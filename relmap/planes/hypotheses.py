@@ -1,0 +1,167 @@
+"""Motions of consecutive scans judged together: what one pair of scans cannot tell, others may.
+
+Each scan has several candidate motions from the one before.  A hypothesis chooses one for each scan
+of a run, or a break; the likeliest hypotheses are kept from scan to scan (Reid, An algorithm for
+tracking multiple targets, IEEE Trans. Automatic Control 24, 1979).  A motion is as likely as the
+hypotheses that agree on it, some scans later.
+
+The weights were fitted to pairs of consecutive scans of ten logs of real lasers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.judging import Candidates
+from relmap.planes.motions import after, others
+
+MOST = 40
+"""Hypotheses that are kept."""
+LATER = 3
+"""Scans after which a motion is judged."""
+FOUND, PAIR = 4.8, 0.9
+"""Log odds that some motion is right rather than a break, and weight of what the two scans tell."""
+BEFORE, LOWEST, HIGHEST = 0.35, -8.0, 10.0
+"""Weight of what the scan before the last one tells of the motion from there, within bounds."""
+ASTRAY, AGAINST = -2.5, 0.38
+"""The same where it would lie elsewhere, and by the logarithm of the share that contradicts."""
+HARDLY = 0.01
+"""What is added to that share."""
+CHANGE, CHANGE_M, MOST_CHANGE = -0.7, 0.2, 1.5
+"""How unlikely a change of the step is, with heavy tails, for robots stop; of what scale; and at
+most, where the motion before is not known."""
+MARGIN = 15.0
+"""Hypotheses less likely than the best by this in log odds are not looked at closely."""
+
+Judge = Callable[[NDArray[np.float64]], tuple[float, float, bool]]
+"""What a scan and the one two before tell of a motion (3,); see `Search.judged`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Hypotheses of all scans up to one; h of them, likeliest first.
+
+    Attributes
+    ----------
+    weight : (h,) float64
+        Log likelihood, up to a constant.
+    parent : (h,) int64
+        Which hypothesis of the layer before each one goes on with.
+    motion : (h, 3) float64
+        The motion into the scan; NaN for a break.
+    """
+
+    weight: NDArray[np.float64]
+    parent: NDArray[np.int64]
+    motion: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """How likely motions into one scan are.
+
+    Attributes
+    ----------
+    motions : (h, 3) float64
+        Those of the hypotheses; NaN for a break.
+    share : (h,) float64
+        Of the likelihood.
+    """
+
+    motions: NDArray[np.float64]
+    share: NDArray[np.float64]
+
+    @property
+    def best(self) -> NDArray[np.float64] | None:
+        """The motion (3,) of the likeliest hypothesis that has any; None where none has."""
+        known = np.isfinite(self.motions[:, 0])
+        if not known.any():
+            return None
+        return np.asarray(self.motions[np.argmax(np.where(known, self.share, -1.0))])
+
+    def odds(self, motion: NDArray[np.float64]) -> float:
+        """Return the log odds of a motion (3,)."""
+        known = np.flatnonzero(np.isfinite(self.motions[:, 0]))
+        share = self.share[known[~others(self.motions[known], motion)]].sum()
+        return float(np.log(max(share, 1e-9)) - np.log(max(1 - share, 1e-9)))
+
+
+class Hypotheses:
+    """The likeliest motions into the scans of a run, one scan after the other.
+
+    Parameters
+    ----------
+    before : (3,) float64
+        The motion into the scan that the run begins with; NaN where none is believed.
+    """
+
+    def __init__(self, before: NDArray[np.float64]) -> None:
+        self._layers = [Layer(np.zeros(1), np.zeros(1, dtype=np.int64), before[None])]
+
+    def __len__(self) -> int:
+        """Return the number of scans, the first one included."""
+        return len(self._layers)
+
+    def go_on(self, found: Candidates, usual: NDArray[np.float64], judge: Judge | None) -> None:
+        """Take in the candidates of the next scan.
+
+        Parameters
+        ----------
+        found : Candidates
+        usual : (3,) float64
+            How the robot went before.
+        judge : callable or None
+            What the scan two before tells; None where it tells nothing.
+        """
+        last = self._layers[-1]
+        weight = last.weight[:, None] + FOUND + PAIR * found.evidence
+        weight += CHANGE * _change(last.motion, found.motions, usual)
+        best = max(weight.max(initial=-np.inf), last.weight.max())
+        if judge:
+            weight += _two_back(last, found, weight > best - MARGIN, judge)
+        every = np.column_stack([last.weight, weight])
+        order = np.argsort(-every.ravel(), kind="stable")[:MOST]
+        parent, choice = np.divmod(order, every.shape[1])
+        motions = np.concatenate([np.full((1, 3), np.nan), found.motions])
+        self._layers.append(Layer(every.ravel()[order], parent, motions[choice]))
+
+    def verdict(self, scan: int) -> Verdict:
+        """Return how likely the motions into a scan are, counted from the first one."""
+        last = self._layers[-1]
+        row = np.arange(len(last.weight))
+        for layer in reversed(self._layers[scan + 1 :]):
+            row = layer.parent[row]
+        share = np.exp(last.weight - last.weight.max())
+        return Verdict(self._layers[scan].motion[row], share / share.sum())
+
+
+def _change(
+    before: NDArray[np.float64], motions: NDArray[np.float64], usual: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how much the step changes from those before (h, 3) to motions (k, 3); (h, k)."""
+    known = np.isfinite(before[:, :1])
+    step = np.where(known, before[:, 1:], usual[1:])[:, None] - motions[:, 1:]
+    change = np.log1p((step**2).sum(axis=2) / CHANGE_M**2)
+    return np.asarray(np.where(known, change, np.minimum(change, MOST_CHANGE)))
+
+
+def _two_back(
+    last: Layer, found: Candidates, looked_at: NDArray[np.bool_], judge: Judge
+) -> NDArray[np.float64]:
+    """Return what the scan two before tells of each motion, if each hypothesis is right; (h, k)."""
+    told = np.zeros(looked_at.shape)
+    known = np.isfinite(last.motion[:, 0])
+    unique, which = np.unique(last.motion[known], axis=0, return_inverse=True)
+    rows = np.flatnonzero(known)
+    for u, motion in enumerate(unique):
+        own = rows[which.ravel() == u]
+        for k in np.flatnonzero(looked_at[own].any(axis=0)).tolist():
+            evidence, contradict, stays = judge(after(motion, found.motions[k][None])[0])
+            told[own, k] = BEFORE * np.clip(evidence, LOWEST, HIGHEST)
+            if not stays or not np.isfinite(evidence):
+                told[own, k] = ASTRAY + AGAINST * (np.log(contradict + HARDLY) - np.log(HARDLY))
+    return told

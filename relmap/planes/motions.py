@@ -1,0 +1,72 @@
+"""Motions in the plane as arrays: yaw, x, y from one robot frame into another."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.planes.placement import PlanarMotion
+from relmap.planes.tracks import wrapped
+
+APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
+"""Motions that differ by more are others."""
+
+
+def others(
+    motions: NDArray[np.float64],
+    motion: NDArray[np.float64],
+    apart_m: float = APART_M,
+    apart_rad: float = APART_RAD,
+) -> NDArray[np.bool_]:
+    """Tell which motions (k, 3) are others than one (3,)."""
+    off = np.hypot(*(motions[:, 1:] - motion[1:]).T)
+    return np.asarray((off > apart_m) | (np.abs(wrapped(motions[:, 0] - motion[0])) > apart_rad))
+
+
+def distinct(
+    motions: NDArray[np.float64],
+    order: NDArray[np.int64],
+    most: int,
+    apart_m: float = APART_M,
+    apart_rad: float = APART_RAD,
+) -> NDArray[np.int64]:
+    """Return the first motions in an order, so many at most, that are others than those before."""
+    kept: list[int] = []
+    for k in order.tolist():
+        if all(others(motions[kept], motions[k], apart_m, apart_rad)):
+            kept.append(k)
+        if len(kept) == most:
+            break
+    return np.array(kept, dtype=np.int64)
+
+
+def after(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a motion (3,) followed by each of others (k, 3)."""
+    c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
+    x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
+    return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
+
+
+def motion_over(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return motions (k, 3), one followed by the next, as one (3,)."""
+    whole = np.zeros(3)
+    for motion in motions:
+        whole = after(whole, motion[None])[0]
+    return whole
+
+
+def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the motion (3,) back."""
+    c, s = np.cos(motion[0]), np.sin(motion[0])
+    x, y = motion[1:]
+    return np.array([-motion[0], -c * x - s * y, s * x - c * y])
+
+
+def planar(motion: NDArray[np.float64]) -> PlanarMotion:
+    """Return a motion (3,) as a `PlanarMotion`."""
+    return PlanarMotion(float(motion[0]), motion[1:])
+
+
+def as_array(motion: PlanarMotion) -> NDArray[np.float64]:
+    """Return a motion as yaw, x, y; (3,)."""
+    return np.array([motion.yaw, *motion.t])

@@ -1,0 +1,73 @@
+"""Compiled loops that find the specks of a 2-D laser scan: beams that end before a surface."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import median
+from relmap.segmentation.scanline.beam_kernels import OFF, STRAYS, breaks, radii, turns
+
+EVEN = 1.5
+"""How much farther apart points may be on a surface than the nearer of those beside them."""
+BESIDE = 3
+"""Neighbours on either side by which a speck shows; more than half of those that are farther off
+than the next lie on one line with the next ones."""
+
+
+@helper
+def _goes_on(xy: Floats, i: int, j: int, sigma: float) -> bool:
+    """Tell whether two points are no farther apart than the beams between them account for."""
+    gap = math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1])
+    a, b = max(i - 1, 0), min(j + 1, len(xy) - 1)
+    before = math.hypot(xy[i, 0] - xy[a, 0], xy[i, 1] - xy[a, 1])
+    after = math.hypot(xy[b, 0] - xy[j, 0], xy[b, 1] - xy[j, 1])
+    return bool(gap <= EVEN * (j - i) * min(before, after) + 6 * sigma)
+
+
+@helper
+def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
+    """Find points (n,) a little before a line on which those beside them lie, either way."""
+    own = np.flatnonzero(~found)
+    for k in range(BESIDE, len(own) - BESIDE):
+        i, a, b = own[k], own[k - 1], own[k + 1]
+        dx, dy = xy[b, 0] - xy[a, 0], xy[b, 1] - xy[a, 1]
+        length = max(math.hypot(dx, dy), 1e-12)
+        side = (dx * xy[a, 1] - dy * xy[a, 0]) / length  # where the sensor is not
+        off = (dx * (xy[i, 1] - xy[a, 1]) - dy * (xy[i, 0] - xy[a, 0])) / length
+        if off * side >= 0 or abs(off) <= OFF * sigma:
+            continue
+        on_line = 0
+        for m in range(2, BESIDE + 1):
+            for j in (own[k - m], own[k + m]):
+                off = (dx * (xy[j, 1] - xy[a, 1]) - dy * (xy[j, 0] - xy[a, 0])) / length
+                on_line += abs(off) <= OFF * sigma
+        found[i] = on_line > BESIDE - 1
+
+
+@compiled
+def specks(xy: Floats, sigma: float) -> Bools:
+    """Tell which points (n,) are specks before a surface that goes on beside them."""
+    n, found = len(xy), np.zeros(len(xy), dtype=np.bool_)
+    if n < 3:
+        return found
+    turn, radius = turns(xy), radii(xy)
+    broken, usual, i = breaks(xy, turn, turn, sigma), median(turn.copy()), 0
+    while i < n - 1:
+        j, wide = i + 1, turn[i]
+        if broken[i]:
+            while j < n - 1 and j - i <= STRAYS and radius[j] < radius[i]:
+                wide += turn[j]
+                j += 1
+                hidden = wide < (j - i + 1) * usual and radius[j - 1] < radius[j]
+                if hidden and _goes_on(xy, i, j, sigma):
+                    found[i + 1 : j] = True
+                    break
+            else:
+                j = i + 1
+        i = j
+    _close_specks(xy, sigma, found)
+    return found
