@@ -84,7 +84,7 @@ def test_beams_agree_with_the_true_motion_alone() -> None:
     wrong = right + np.array([[0.0, 0.6, 0.0], [0.0, 0.0, -0.6], [0.3, 0.0, 0.0]])
     sums = compared(every[0], every[1], np.concatenate([right[None], wrong]), NEAR_M)
     assert sums.sum(axis=1) == pytest.approx(2 * 361, abs=2 * 361 / 2)
-    agree, contradict, _ = sums.T
+    agree, contradict, _, _ = sums.T
     assert contradict[0] == 0
     assert agree[0] > 0.75 * 2 * 361
     assert (contradict[1:] > 20).all()

@@ -68,7 +68,7 @@ def _compare(
     """Add up how many points of `other`, brought into the frame of `seen`, agree with its beams.
 
     `sums` are those on a surface that was seen, those of walls before one, where a beam passed
-    through, and those that nothing is known of.
+    through, those that nothing is known of, and those where nothing was looked at.
     """
     _, bearings, origin, _ = seen
     c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(bearings), 0
@@ -82,7 +82,7 @@ def _compare(
         while i > 0 and bearings[i - 1] >= bearing:
             i -= 1
         if i == 0 or i == n or bearings[i] - bearings[i - 1] > GAP_RAD:
-            sums[2] += 1
+            sums[3] += 1
             continue
         off = np.inf
         for j in range(max(i - BESIDE, 1), min(i + BESIDE + 1, n)):
@@ -97,11 +97,11 @@ def _compare(
 
 @compiled
 def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int) -> Array:
-    """Return how many points of both scans agree, contradict and are not told of; (k, 3).
+    """Return how many points of both scans agree, contradict, are not told of, and out of view.
 
-    For each of k motions; of every so many beams one is looked at.
+    (k, 4), for each of k motions; of every so many beams one is looked at.
     """
-    sums = np.zeros((len(motions), 3))
+    sums = np.zeros((len(motions), 4))
     before, after = _surfaces(earlier), _surfaces(later)
     for k in range(len(motions)):
         motion = motions[k]

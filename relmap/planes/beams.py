@@ -180,7 +180,7 @@ class BeamStore:
 def compared(
     earlier: Beams, later: Beams, motions: NDArray[np.float64], near_m: float, step: int = 1
 ) -> NDArray[np.float64]:
-    """Return how many points agree, contradict and are not told of; (k, 3).
+    """Return how many points agree, contradict, are not told of, and are out of view; (k, 4).
 
     For each of the motions (k, 3), yaw, x, y, from the frame of the earlier scan into that of the
     later one; of every so many beams one is looked at.

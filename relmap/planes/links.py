@@ -30,6 +30,8 @@ VARYING = 20
 """So many steps tell how much the speed varies."""
 UNSURE = 0.05
 """Share of a step that is not known at least, where the robot is taken to go on as before."""
+VARYING_M = 0.15
+"""Steps that vary by more are not bridged where nothing measures them."""
 TORN_M = 1.0
 """A map is torn where it disagrees with a link, or with weak links in a row, by more."""
 

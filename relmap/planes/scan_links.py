@@ -16,6 +16,7 @@ from relmap.planes.judging import View
 from relmap.planes.links import (
     USUAL,
     VARYING,
+    VARYING_M,
     believed,
     farthest_m,
     measured_along,
@@ -29,13 +30,11 @@ from relmap.planes.search import Found, Search
 from relmap.planes.tracks import PlaneTracks
 from relmap.planes.tying import Scans, judged_links
 
-VARYING_M = 0.15
-"""Steps that vary by more are not bridged where nothing measures them."""
 SURE, USUALLY = 4.0, 0.5
 """Log odds below which another scan must confirm a motion; and as a share of the usual ones."""
 TOGETHER = 5.0
 """Log odds that both must have in sum."""
-IN_DOUBT = 8.0
+IN_DOUBT = 10.0
 """Log odds below which a motion is judged once more, by the scans around."""
 VIEWS = 2
 """Last scans whose beams judge a motion."""
@@ -62,7 +61,8 @@ class ScanLinks:
     """
 
     STATE = (
-        "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence beams same_walls"
+        "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured beams "
+        "same_walls"
     )
 
     def __init__(self, bridge_m: float) -> None:
@@ -73,6 +73,7 @@ class ScanLinks:
         self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
         self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)
+        self._measured: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self.store = ObservationStore()
         self.beams = BeamStore()
 
@@ -105,6 +106,7 @@ class ScanLinks:
     ) -> None:
         """Note the motion into a scan, whether it belongs to the submap, and what tied it."""
         self._evidence.extend(np.array([found.evidence if found else np.nan]))
+        self._measured.extend(np.array([found is not None and found.measured]))
         self.beams.append(seen.beams)
         self._motions.extend(np.array([[motion.yaw, *motion.t]]))
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
@@ -121,7 +123,7 @@ class ScanLinks:
             self._unsure_m = 0.0
             return found
         if not self._unsure_m:
-            self._unsure_each_m = unsure_m(self._believed)
+            self._unsure_each_m = unsure_m(self.motions[self._measured.values])
         self._unsure_m += self._unsure_each_m
         if self._unsure_m > self._bridge_m or self._unsure_each_m > VARYING_M:
             self._unsure_m = 0.0
@@ -223,7 +225,7 @@ class ScanLinks:
         rows, _ = self.store.between(0, len(self._motions))
         first_row = np.searchsorted(self.store.iterations, np.arange(len(self._motions) + 1))
         seen, wall = seen_before(self.store, rows), self.store.column("wall")[rows]
-        return Scans(seen, wall, first_row, self.beams, self.motions)
+        return Scans(seen, wall, first_row, self.beams, self.motions, self._measured.values)
 
     def _known(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Tell the motion into which scans (i,) is believed, and which are to be judged."""

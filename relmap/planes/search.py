@@ -117,12 +117,17 @@ class Search:
         if every.evidence[best] < BELIEVED:
             return None
         motion = every.motions[best]
-        rivals = others(every.motions, motion) & (every.evidence > every.evidence[best] - RIVAL)
+        likely = every.evidence > every.evidence[best] - RIVAL
+        rivals = likely & others(every.motions, motion)
         measured = self._measured(every, best)
         if not measured:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():
             return None
+        if not measured:
+            off_m = np.hypot(*(every.motions[:, 1:] - self._before.t).T)
+            best = int(np.argmin(np.where(likely, off_m, np.inf)))
+            motion = every.motions[best]
         return Found(planar(motion), every.matches[best], measured, float(every.evidence[best]))
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
@@ -185,9 +190,8 @@ class Search:
         motions = np.tile(judged.motions[k], (len(way_m), 1))
         motions[:, 1:] += way_m[:, None] * self._along(judged.matches[k])
         sums = self._compared(self._views[:1], motions, SLIDE_NEAR_M, SLIDE_STEP)
-        return motions, (sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / np.maximum(
-            sums.sum(axis=1), 1.0
-        )
+        in_view = np.maximum(sums[:, :3].sum(axis=1), 1.0)
+        return motions, (sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / in_view
 
     def _slid(self, judged: Judged, k: int) -> list[PlanarMotion]:
         """Return a motion slid along the longest wall to where beams agree best."""
@@ -235,8 +239,8 @@ class Search:
     def _compared(
         self, views: Sequence[View], motions: NDArray[np.float64], near_m: float, step: int
     ) -> NDArray[np.float64]:
-        """Return how many points of the scan and of views agree, contradict, are not told of."""
-        sums = np.zeros((len(motions), 3))
+        """Return how many points of the scan and of views agree and so on; see `compared`."""
+        sums = np.zeros((len(motions), 4))
         for view in views:
             sums += compared(view.beams, self._beams, after(view.motion, motions), near_m, step)
         return sums

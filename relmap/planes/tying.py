@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.hypotheses import LATER, Hypotheses, Verdict
 from relmap.planes.judging import Candidates, View
-from relmap.planes.links import usual_motion
+from relmap.planes.links import VARYING_M, unsure_m, usual_motion
 from relmap.planes.motions import others, planar
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import STILL, PlanarMotion
@@ -28,8 +28,9 @@ BELIEVED = 2.5
 """Log odds from which a motion is believed where none was."""
 DOUBTED = -0.5
 """Log odds below which one that was believed is so no more."""
-SKIPPED = 2
-"""Scans in a row that fit nowhere and are passed over."""
+SKIPPED, STEP_M = 2, 0.5
+"""Scans in a row that fit nowhere and are passed over, if steps are shorter in the median: over
+longer ones too little stays in view, and 2 of 8 such links were wrong."""
 EARLIER = 2
 """Scans before one in doubt that are judged with it."""
 NONE = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.bool_), [])
@@ -50,6 +51,8 @@ class Scans:
     beams : BeamStore
     motions : (i, 3) float64
         From the frame of the scan before into that of each: yaw, x, y.
+    measured : (i,) bool
+        Which of these are known in all directions.
     """
 
     walls: PlaneObservation
@@ -57,6 +60,7 @@ class Scans:
     first_row: NDArray[np.int64]
     beams: BeamStore
     motions: NDArray[np.float64]
+    measured: NDArray[np.bool_]
 
     def rows(self, scan: int) -> slice:
         """Return the rows of the walls of a scan."""
@@ -69,6 +73,12 @@ class Scans:
     def beams_of(self, scan: int) -> Beams:
         """Return the beams of one scan."""
         return self.beams.of(scan, self.walls.ends[self.rows(scan)])
+
+    def bridged(self, link: Link) -> bool:
+        """Tell whether a link is measured, or beside one that is, and steps are steady."""
+        beside = self.measured[[link.earlier, min(link.later + 1, len(self.measured) - 1)]]
+        steady = unsure_m(self.motions[self.measured]) <= VARYING_M
+        return link.measured or (bool(beside.any()) and steady)
 
     def agree(self, link: Link) -> bool:
         """Tell whether the walls of two scans have the numbers that a link implies."""
@@ -138,7 +148,7 @@ def judged_links(
         fixed = is_tied[run[0]] and not in_doubt[run[0]]
         for judged in _judged(scans, run, fixed):
             if not is_tied[judged.later]:
-                links += _measured(judged)
+                links += [link for link in judged.believed if scans.bridged(link)]
             elif in_doubt[judged.later] and judged.odds(scans) < DOUBTED:
                 same = [link for link in judged.believed if scans.agree(link)]
                 links += same
@@ -152,6 +162,8 @@ def judged_links(
 def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
     """Return the links over a few scans that fit nowhere."""
     links, breaks, last = list[Link](), np.flatnonzero(~is_tied), 0
+    if np.median(np.hypot(*scans.motions[:, 1:].T)) > STEP_M:
+        return links
     for begin, end in product(breaks.tolist(), range(1, SKIPPED + 1)):
         earlier, later = begin - 1, begin + end
         if earlier < last or later >= len(is_tied) or is_tied[later]:
@@ -159,7 +171,8 @@ def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
         before = range(max(earlier - EARLIER, 0), begin)
         after = range(later, min(later + LATER + 1, len(is_tied)))
         judged = _judged(scans, [*before, *after], bool(is_tied[before[0]]))
-        found = [link for one in judged if one.later == later for link in _measured(one)]
+        believed = [link for one in judged if one.later == later for link in one.believed]
+        found = [link for link in believed if link.measured]
         links += found
         last = later if found else last
     return links
@@ -175,11 +188,6 @@ class _Judged(NamedTuple):
     def odds(self, scans: Scans) -> float:
         """Return the log odds of the motion that was believed before."""
         return self.verdict.odds(scans.motions[self.later])
-
-
-def _measured(judged: _Judged) -> list[Link]:
-    """Return the link that is believed, if the way is known in all directions."""
-    return [link for link in judged.believed if link.measured]
 
 
 def _believed(

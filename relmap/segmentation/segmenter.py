@@ -133,13 +133,15 @@ class PlaneSegmenter:
     def _segment(self, method: str, xyz: Floats, xy: Floats) -> tuple[Sharpened, Ints]:
         """Return accurate walls and the wall of each point."""
         from relmap.segmentation.em import search
-        from relmap.segmentation.scanline.lines import extend_to_beams, hidden_ends, scan_walls
+        from relmap.segmentation.scanline import lines
 
         rng = np.random.default_rng(self.random_state)
         if method == "scanlines":
-            mixture, labels = scan_walls(xy, self.noise)
-            sharp = meet(extend_to_beams(mixture, xy, labels), len(xy))
-            return replace(sharp, hidden=hidden_ends(xy, labels)), labels
+            mixture, labels = lines.scan_walls(xy, self.noise)
+            sharp = meet(lines.extend_to_beams(mixture, xy, labels), len(xy))
+            curved = lines.on_curves(mixture, xy, labels)
+            hidden = lines.hidden_ends(xy, labels) | curved
+            return replace(sharp, joined=sharp.joined & ~curved, hidden=hidden), labels
         if method == "em":
             mixture = search.fit_walls(xy, self.noise, rng)
             sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))

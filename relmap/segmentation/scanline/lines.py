@@ -25,6 +25,11 @@ INLIER = 5 / MEDIAN
 ROUNDS = 10
 MANY = 1 / 12
 """Where so many of the beams meet something small by themselves the laser looks through clutter."""
+BOWED, EXPLAINED = 2.0, 0.4
+"""Pieces of a curve bow by more than so many standard deviations, and turn from one to the next as
+much as they bow, but for this share."""
+NEXT = 2
+"""Numbers of the points between which one piece ends and the next begins differ by no more."""
 NOISE_AT_LEAST_M = 0.005
 """Real walls are not flatter than this."""
 
@@ -136,6 +141,42 @@ def hidden_ends(xy: Floats, labels: Ints) -> Bools:
         (broken[last] > 0) & (radius[left] < radius[last]),
     ]
     return np.column_stack(hidden)
+
+
+def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
+    """Tell which ends (k, 2) of walls are no corners, for the surface goes on along a curve.
+
+    Where a curve is cut into straight pieces depends on where it is seen from.
+    """
+    along, swing = mixture.walls[:, UX : UY + 1], _swings(mixture, xy, labels)
+    x, y = (along[:-1] * along[1:]).sum(axis=1), along[:-1, 0] * along[1:, 1]
+    turn = np.arctan2(y - along[:-1, 1] * along[1:, 0], x)
+    first, last = _first_and_last(labels)
+    goes_on = (first[1:] - last[:-1] <= NEXT) & (swing[:-1] * turn > 0) & (swing[1:] * turn > 0)
+    goes_on &= np.abs(turn - swing[:-1] - swing[1:]) < EXPLAINED * np.abs(turn)
+    return np.column_stack([np.append(False, goes_on), np.append(goes_on, False)])
+
+
+def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
+    """Return how far each wall (k,) turns from its middle to its end, radians; 0 if not surely."""
+    walls, own = mixture.walls, np.flatnonzero(labels >= 0)
+    of, n = labels[own], len(walls)
+    x, y = (xy[own] - walls[of, :2]).T
+    place = x * walls[of, UX] + y * walls[of, UY]
+    off = y * walls[of, UX] - x * walls[of, UY]
+
+    def total(values: Floats) -> Floats:
+        return np.asarray(np.bincount(of, values, minlength=n), dtype=np.float64)
+
+    count = np.bincount(of, minlength=n)
+    place -= (total(place) / count)[of]
+    # How a parabola differs from its line, and by how much of it the points are off.
+    slope, level = total(place**3) / total(place**2), total(place**2) / count
+    bend = place**2 - slope[of] * place - level[of]
+    weight = np.maximum(total(bend**2), 1e-12)
+    bow, sd = total(off * bend) / weight, max(mixture.sigma, NOISE_AT_LEAST_M) / np.sqrt(weight)
+    sure = (np.abs(bow) > BOWED * sd) & (count > 3)
+    return np.asarray(np.where(sure, bow * (walls[:, END] - walls[:, BEGIN]), 0.0))
 
 
 def _where_met(walls: Floats, bearing: Floats, otherwise: Floats) -> Floats:
