@@ -65,8 +65,3 @@ def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
 def planar(motion: NDArray[np.float64]) -> PlanarMotion:
     """Return a motion (3,) as a `PlanarMotion`."""
     return PlanarMotion(float(motion[0]), motion[1:])
-
-
-def as_array(motion: PlanarMotion) -> NDArray[np.float64]:
-    """Return a motion as yaw, x, y; (3,)."""
-    return np.array([motion.yaw, *motion.t])

@@ -224,7 +224,8 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
             search = scans.search(run[k - 1], run[k], planar(usual))
             guess = planar(scans.motions[run[k]])
             found.append(search.candidates([guess]) if search else NONE)
-            two_back = scans.search(run[max(k - 2, 0)], run[k], STILL)
+            before = run[k - 2] if k > 1 else max(run[0] - 1, 0)
+            two_back = scans.search(before, run[k], STILL)
             hypotheses.go_on(found[-1], usual, two_back.judged if two_back else None)
         if k > LATER:
             scan = k - LATER
