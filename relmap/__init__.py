@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.odometry import motion_from_velocity
 from relmap.core.sensor import range_bearing_covariances
 from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
@@ -18,5 +19,6 @@ __all__ = [
     "PointMapper",
     "RelmapError",
     "__version__",
+    "motion_from_velocity",
     "range_bearing_covariances",
 ]

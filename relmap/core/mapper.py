@@ -23,6 +23,7 @@ from relmap.core.grouping.levels import GroupLevels
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.placing import Placing
 from relmap.core.model import LandmarkModel
+from relmap.core.odometry import Motions
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.live import LiveRefinement
@@ -39,7 +40,7 @@ class RelativeMapper:
     refined: list[Refined]
     STATE = (
         "landmarks=table association observations=store schedule averaging map groups=levels "
-        "merger segments weighed live refined"
+        "merger segments weighed motions live refined"
     )
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
@@ -57,6 +58,7 @@ class RelativeMapper:
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
         self.weighed = WeighedObservations()
+        self.motions = Motions()
         self.live = LiveRefinement(self.segments, self.map)
         self.refined = []
 
@@ -65,6 +67,7 @@ class RelativeMapper:
         seen: Any,
         ids: NDArray[np.int64] | None,
         covariances: NDArray[np.float64] | None = None,
+        odometry: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
         """Take in one scan.
 
@@ -75,6 +78,8 @@ class RelativeMapper:
             Known association; negative where a landmark was not identified.
         covariances : (n, d, d) float64, optional
             Of points alone, robot frame, square metres.
+        odometry : (4, 4) float64, optional
+            Pose of the robot in its frame one iteration before.
 
         Returns
         -------
@@ -87,6 +92,7 @@ class RelativeMapper:
             Where ids come with some scans and not with others.
         """
         iteration = self.store.n_iterations
+        self.motions.append(odometry, iteration)
         # Register: match what is seen to the scans before, untransformed (section II).
         found = self.association.match(seen, ids, iteration)
         self.refined = []

@@ -13,6 +13,7 @@ from relmap.core import afterwards
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
+from relmap.core.odometry import checked_odometry
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
@@ -97,7 +98,11 @@ class PlaneMapper(Mapper):
         self._moved = np.empty(0, dtype=np.int64)
 
     def update(
-        self, points: Any, ids: ArrayLike | None = None, beams: ArrayLike | None = None
+        self,
+        points: Any,
+        ids: ArrayLike | None = None,
+        beams: ArrayLike | None = None,
+        odometry: ArrayLike | None = None,
     ) -> NDArray[np.int64]:
         """Take in one iteration.
 
@@ -113,6 +118,9 @@ class PlaneMapper(Mapper):
             Where the beams of the scan ended; the points where these are given.  Those of a 2-D
             laser, (n, 2), judge how the robot moved; those of a cloud only what is seen through.
             The sensor is at the `origin` (2,) of the planes, if they have one.
+        odometry : (3,), (7,) or (4, 4) array, optional
+            How the robot moved since the last update, see `relmap.core.odometry.checked_odometry`;
+            that of the first is not used.
 
         Returns
         -------
@@ -130,16 +138,20 @@ class PlaneMapper(Mapper):
             beams = points if beams is None else beams
             points = self._segmented(points)
         with self._guard.change():
-            return self._take_in(checked_planes(points, beams))
+            motion = None if odometry is None else checked_odometry(odometry)
+            return self._take_in(checked_planes(points, beams), motion)
 
-    def _take_in(self, seen: PlaneObservation) -> NDArray[np.int64]:
+    def _take_in(
+        self, seen: PlaneObservation, motion: NDArray[np.float64] | None
+    ) -> NDArray[np.int64]:
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = None
         self._moved = np.empty(0, dtype=np.int64)
-        walls = self.engine.update(seen, None)
+        walls = self.engine.update(seen, None, odometry=motion)
         if self._journal is not None:
-            self._journal.append(journaled(seen), None, walls, beams=seen.beams.to_bytes())
+            beams = seen.beams.to_bytes()
+            self._journal.append(journaled(seen), None, walls, beams=beams, odometry=motion)
         return walls
 
     def _finish(self) -> None:
@@ -312,7 +324,7 @@ class PlaneMapper(Mapper):
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         seen = checked_planes(of_journal(scan.values))
-        return self._take_in(replace(seen, beams=ToldBeams.from_bytes(scan.beams)))
+        return self._take_in(replace(seen, beams=ToldBeams.from_bytes(scan.beams)), scan.odometry)
 
     def _segmented(self, points: Any) -> Any:
         if self._segmenter is None:

@@ -13,6 +13,7 @@ from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.odometry import checked_odometry
 from relmap.core.readout import positions_in_largest_submap
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
 from relmap.mapper import Mapper
@@ -65,6 +66,7 @@ class PointMapper(Mapper):
         points: ArrayLike,
         ids: ArrayLike | None = None,
         covariances: ArrayLike | None = None,
+        odometry: ArrayLike | None = None,
     ) -> NDArray[np.int64]:
         """Take in the observations of one iteration.
 
@@ -79,6 +81,9 @@ class PointMapper(Mapper):
             How noisy each point is, in which direction; see `range_bearing_covariances` for
             sensors that measure range and bearing.  `refine` weighs each observation by it.  They
             come with every scan that sees anything or with none.
+        odometry : (3,), (7,) or (4, 4) array, optional
+            How the robot moved since the last update, see `relmap.core.odometry.checked_odometry`;
+            that of the first is not used.
 
         Returns
         -------
@@ -95,13 +100,15 @@ class PointMapper(Mapper):
             points_robot = checked_points(points, self.engine.store.dimension)
             known = None if ids is None else checked_ids(ids, len(points_robot))
             noise = None if covariances is None else checked_covariances(covariances, points_robot)
-            return self._take_in(points_robot, known, noise)
+            motion = None if odometry is None else checked_odometry(odometry)
+            return self._take_in(points_robot, known, noise, motion)
 
     def _take_in(
         self,
         points_robot: NDArray[np.float64],
         known: NDArray[np.int64] | None,
         noise: NDArray[np.float64] | None,
+        motion: NDArray[np.float64] | None,
     ) -> NDArray[np.int64]:
         if len(points_robot) and self._has_covariances not in (None, noise is not None):
             given = "came with" if noise is None else "did not come with"
@@ -111,11 +118,11 @@ class PointMapper(Mapper):
         if self._journal is not None:
             self._journal.ready()
         engine, self._finder = self.engine, None
-        labels = engine.update(points_robot, known, noise)
+        labels = engine.update(points_robot, known, noise, motion)
         seen = labels >= 0
         labels[seen] = engine.association.labels_of(engine.table.now(labels[seen]))
         if self._journal is not None:
-            self._journal.append(points_robot, known, labels, noise)
+            self._journal.append(points_robot, known, labels, noise, odometry=motion)
         return labels
 
     @property
@@ -236,4 +243,4 @@ class PointMapper(Mapper):
         return PointModel()
 
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
-        return self.update(scan.values, scan.ids, scan.covariances)
+        return self.update(scan.values, scan.ids, scan.covariances, scan.odometry)

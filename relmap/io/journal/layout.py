@@ -21,6 +21,9 @@ version of what follows.
 ``covariances``
     Only where covariances came with points: ``iteration``, ``row``, and ``xx``, ``xy``, ``xz``,
     ``yy``, ``yz``, ``zz``, robot frame, square metres, those of z null in a planar world.
+``odometry``
+    Only where odometry came: ``iteration``, and ``motion``, the pose of the robot in its frame one
+    iteration before, a 4 by 4 matrix row by row, 16 little-endian numbers of 8 bytes.
 ``calls``
     What else was asked of the mapper, "finish" or "refine", when it had taken in the scans before
     ``iteration``.
@@ -54,6 +57,8 @@ PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 COVARIANCES = (
     f"CREATE TABLE covariances (iteration INTEGER, row INTEGER, {' REAL, '.join(PAIRS)} REAL)"
 )
+
+ODOMETRY = "CREATE TABLE odometry (iteration INTEGER PRIMARY KEY, motion BLOB)"
 
 
 @dataclass(frozen=True)
@@ -150,16 +155,18 @@ def checksum(
     labels: Ints,
     covariances: Floats | None = None,
     beams: bytes = b"",
+    odometry: Floats | None = None,
     before: int = 0,
 ) -> int:
     """Return the CRC-32 with a scan, after that of everything before.
 
     It is that of the iteration number, n, n c, and 1 or 0 for whether ids came, the values (n, c)
     row by row, the ids where they came, the landmarks (n,), and where they came the covariances
-    (n, d, d) row by row; all as little-endian numbers of 8 bytes; and of the beams.
+    (n, d, d) row by row, and the odometry (4, 4); all as little-endian numbers of 8 bytes; and of
+    the beams.
     """
     head = struct.pack("<4q", iteration, len(labels), values.size, ids is not None)
-    came = [part for part in (ids, labels, covariances) if part is not None]
+    came = [part for part in (ids, labels, covariances, odometry) if part is not None]
     total = zlib.crc32(head, before)
     for part in (values, *came):
         kind = "<f8" if part.dtype.kind == "f" else "<i8"

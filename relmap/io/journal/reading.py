@@ -20,6 +20,7 @@ from relmap.io.journal.layout import (
     END,
     LAYOUTS,
     META,
+    ODOMETRY,
     PAIRS,
     SCHEMA,
     End,
@@ -50,6 +51,8 @@ class RecordedScan:
     covariances : (n, d, d) float64 or None
         Of points, where they came; None for a scan without observations.
     beams : bytes
+    odometry : (4, 4) float64 or None
+        How the robot moved since the scan before, where that came.
     """
 
     values: Floats
@@ -57,6 +60,7 @@ class RecordedScan:
     labels: Ints
     covariances: Floats | None = None
     beams: bytes = b""
+    odometry: Floats | None = None
 
 
 class JournalReader:
@@ -103,9 +107,9 @@ class JournalReader:
             self.read = self._before = End(0, begin)
             self.layout: Layout = LAYOUTS[self.meta["variant"]]
             self._require(self.layout.tables)
-            self._has_covariances = self._holds("covariances")
-            if self._has_covariances:
-                self._require({"covariances": COVARIANCES})
+            more = {"covariances": COVARIANCES, "odometry": ODOMETRY}
+            self._more = {name: sql for name, sql in more.items() if self._holds(name)}
+            self._require(self._more)
             self.calls = self._read_calls()
         except _WRONG as error:
             self.close()
@@ -149,18 +153,20 @@ class JournalReader:
             rows = self._connection.execute(
                 f"SELECT {self.layout.names} FROM observations ORDER BY rowid"
             )
-            covariances = self._covariances()
+            covariances, motions = self._covariances(), self._motions()
             for k, (iteration, n, known, check, *beams) in enumerate(scans):
                 if iteration != k:
                     raise ValueError("a scan is missing")
                 scan = self._scan(rows, k, n, known, beams)
                 if covariances is not None and n:
                     scan = replace(scan, covariances=_matrices(covariances, k, *scan.values.shape))
+                if k in motions:
+                    scan = replace(scan, odometry=motions.pop(k))
                 if check != checksum(k, **vars(scan), before=self._called(k)):
                     raise ValueError("its checksum does not match")
                 self.read = End(k + 1, check)
                 yield scan
-            if rows.fetchone() or (covariances is not None and covariances.fetchone()):
+            if rows.fetchone() or motions or (covariances is not None and covariances.fetchone()):
                 raise ValueError("there are observations without a scan")
             last = self.read.scans
             if self.end != End(last, self._called(last)) or max(self.calls, default=0) > last:
@@ -182,10 +188,17 @@ class JournalReader:
 
     def _covariances(self) -> sqlite3.Cursor | None:
         """Return a cursor at the first covariance; None where none came."""
-        if not self._has_covariances:
+        if "covariances" not in self._more:
             return None
         names = ", ".join(("iteration", "row", *PAIRS))
         return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
+
+    def _motions(self) -> dict[int, Floats]:
+        """Return the odometry of each scan that came with one."""
+        if "odometry" not in self._more:
+            return {}
+        rows = self._connection.execute("SELECT iteration, motion FROM odometry").fetchall()
+        return {k: np.frombuffer(motion, dtype="<f8").reshape(4, 4) for k, motion in rows}
 
     def _scan(
         self, cursor: sqlite3.Cursor, k: int, n: int, known: int, beams: list[bytes]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.io.journal.layout import COVARIANCES, PAIRS, Layout
+from relmap.io.journal.layout import COVARIANCES, ODOMETRY, PAIRS, Layout
 
 Statements = list[tuple[str, list[tuple[Any, ...]]]]
 """SQL, and the rows of values that it is executed with."""
@@ -39,9 +39,18 @@ def covariance_rows(k: int, covariances: Floats) -> Statements:
     }
     columns = [entries.get(pair, [None] * n) for pair in PAIRS]
     rows = list(zip(repeat(k, n), range(n), *columns, strict=True))
-    made = COVARIANCES.replace("TABLE", "TABLE IF NOT EXISTS", 1)
     slots = ", ".join("?" * (2 + len(PAIRS)))
-    return [(made, [()]), (f"INSERT INTO covariances VALUES ({slots})", rows)]
+    return [_made(COVARIANCES), (f"INSERT INTO covariances VALUES ({slots})", rows)]
+
+
+def odometry_rows(k: int, motion: Floats) -> Statements:
+    """Return what writes the motion (4, 4) to scan k into a table of its own."""
+    row = (k, np.ascontiguousarray(motion, dtype="<f8").tobytes())
+    return [_made(ODOMETRY), ("INSERT INTO odometry VALUES (?, ?)", [row])]
+
+
+def _made(table: str) -> tuple[str, list[tuple[Any, ...]]]:
+    return table.replace("TABLE", "TABLE IF NOT EXISTS", 1), [()]
 
 
 def _blocks(slots: str, numbers: list[float], n: int) -> Statements:

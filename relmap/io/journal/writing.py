@@ -12,7 +12,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.file import connected, create_file
 from relmap.io.journal.layout import END, End, Layout, call_checksum, checksum
-from relmap.io.journal.rows import Statements, covariance_rows, observation_rows
+from relmap.io.journal.rows import Statements, covariance_rows, observation_rows, odometry_rows
 
 if TYPE_CHECKING:
     from relmap.io.journal.reading import JournalReader
@@ -114,6 +114,7 @@ class Journal:
         labels: Ints,
         covariances: Floats | None = None,
         beams: bytes = b"",
+        odometry: Floats | None = None,
     ) -> None:
         """Take in one scan; where it cannot be written, the next `ready` or `flush` says so.
 
@@ -127,13 +128,17 @@ class Journal:
             Of points.
         beams : bytes
             Where the layout has beams.
+        odometry : (4, 4) float64, optional
         """
         k, n = self.n_scans, len(labels)
         statements = observation_rows(self._layout, k, values, ids, labels)
         if covariances is not None and n:
             statements += covariance_rows(k, covariances)
+        if odometry is not None:
+            statements += odometry_rows(k, odometry)
         kept = (beams,) * self._layout.has_beams
-        check = checksum(k, values, ids, labels, covariances, beams, self._end.checksum)
+        before = self._end.checksum
+        check = checksum(k, values, ids, labels, covariances, beams, odometry, before)
         scan = (k, n, int(ids is not None), check, *kept)
         slots = ", ".join("?" * len(scan))
         statements.append((f"INSERT INTO scans VALUES ({slots})", [scan]))

@@ -1,0 +1,112 @@
+"""Odometry, where a robot has it: how it moved from one iteration to the next, as it believes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.errors import RelmapError
+from relmap.core.scan import FARTHEST_M, numbers
+from relmap.core.state.growing import GrowingArray
+
+WANTED = (
+    "(3,) x, y, yaw; (7,) x, y, z, qx, qy, qz, qw; or a (4, 4) pose of the robot in its frame "
+    "one iteration before"
+)
+RIGID = 1e-6
+"""How far a rotation may be from orthogonal: rounding of files with six digits or more."""
+
+
+def checked_odometry(odometry: ArrayLike) -> NDArray[np.float64]:
+    """Return a motion as a new pose (4, 4) float64.
+
+    Parameters
+    ----------
+    odometry : (3,), (7,) or (4, 4) array of numbers
+        The robot's pose in its frame one iteration before, metres and radians: x, y, yaw;
+        x, y, z and a quaternion, scalar last; or a matrix.  NaN throughout: not known.
+
+    Raises
+    ------
+    RelmapError
+        Where the shape is another, a value is not finite, or the rotation is none.
+    """
+    array = numbers(odometry, "odometry", WANTED)
+    if array.shape not in ((3,), (7,), (4, 4)):
+        raise RelmapError(f"odometry has shape {array.shape}; it must be {WANTED}")
+    if np.isnan(array).all():
+        return np.full((4, 4), np.nan)
+    if not (np.abs(array) <= FARTHEST_M).all():
+        raise RelmapError(
+            f"odometry is {array.tolist()}; it must be finite, in metres and radians, and at most "
+            f"{FARTHEST_M:g}"
+        )
+    return _of_matrix(array) if array.ndim == 2 else _of_numbers(array)
+
+
+def motion_from_velocity(
+    speed_m_s: float, yaw_rate_rad_s: float, duration_s: float
+) -> NDArray[np.float64]:
+    """Return the motion (3,) x, y, yaw at constant speed and rate of turn: an arc of a circle.
+
+    Parameters
+    ----------
+    speed_m_s : float
+        Ahead; negative in reverse.
+    yaw_rate_rad_s : float
+        To the left.
+    duration_s : float
+    """
+    way, yaw = speed_m_s * duration_s, yaw_rate_rad_s * duration_s
+    along, across = np.sinc(yaw / np.pi), np.sin(yaw / 2) * np.sinc(yaw / (2 * np.pi))
+    return np.array([way * along, way * across, yaw])
+
+
+class Motions:
+    """The odometry of a run, a pose for each iteration; empty in runs without."""
+
+    STATE = "_motion _begin"
+
+    def __init__(self) -> None:
+        self._motion: GrowingArray[np.float64] = GrowingArray(np.float64, (4, 4))
+        self._begin = 0
+
+    def __len__(self) -> int:
+        """Return for how many iterations there is a row."""
+        return len(self._motion)
+
+    def append(self, motion: NDArray[np.float64] | None, iteration: int) -> None:
+        """Take in the motion (4, 4) to an iteration; None or NaN where it is not known."""
+        if motion is None and not len(self):
+            return
+        if not len(self):
+            self._begin = iteration
+        self._motion.extend(np.full((1, 4, 4), np.nan) if motion is None else motion[None])
+
+    def over(self, n_iterations: int) -> NDArray[np.float64]:
+        """Return the motion to each iteration (n_iterations, 4, 4); NaN where it is not known."""
+        before = np.full((self._begin, 4, 4), np.nan)
+        after = np.full((n_iterations - self._begin - len(self), 4, 4), np.nan)
+        return np.concatenate([before, self._motion.values, after])
+
+
+def _of_numbers(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    motion = np.eye(4)
+    if len(array) == 3:
+        motion[:2, 3] = array[:2]
+        c, s = np.cos(array[2]), np.sin(array[2])
+        motion[:2, :2] = [[c, -s], [s, c]]
+        return motion
+    if not np.linalg.norm(array[3:]) > RIGID:
+        raise RelmapError(f"odometry has the quaternion {array[3:].tolist()}, which is no rotation")
+    motion[:3, 3], motion[:3, :3] = array[:3], Rotation.from_quat(array[3:]).as_matrix()
+    return motion
+
+
+def _of_matrix(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    R = array[:3, :3]
+    rigid = np.abs(R @ R.T - np.eye(3)).max() <= RIGID and np.linalg.det(R) > 0
+    if not rigid or np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID:
+        raise RelmapError(f"odometry is {array.tolist()}; it must be a rotation and a translation")
+    return array
