@@ -1,0 +1,150 @@
+"""How far odometry can be believed: what it gets wrong always, and what it gets wrong by chance.
+
+It is held against motions that landmarks fix better.  Wheels slip, and clocks run late, so the
+fits are robust: half of the steps may be anything.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+FEWEST = 8
+"""Comparisons below which nothing can be told of odometry."""
+NORMAL = 1.4826
+"""Standard deviations in the median of absolute deviations, of a normal distribution."""
+ROUNDS = 10
+"""Steps of the least absolute deviations, by weighted least squares (Schlossmacher, 1973)."""
+SLIPPED = 6.0
+"""Standard deviations beyond which odometry was wrong in a step."""
+WRONG_SCALE, WRONG_WAY = 0.3, 0.5
+"""Error of its scale, and noise as a share of the way, beyond which odometry tells nothing."""
+STILL_M = 1e-3
+"""A shorter way is a robot that stands."""
+FLOOR_M, FLOOR_RAD = 1e-4, 1e-5
+"""Nothing is surer than this: files are rounded."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionNoise:
+    """Odometry's constant errors, and the standard deviations of what is left in a step.
+
+    Attributes
+    ----------
+    scale : float
+        Way of the robot over the way of its odometry.
+    turn_per_m : (3,) float64
+        What odometry lacks of the turn (a rotation vector) on each metre, radians.
+    turn_scale : (3,) float64
+        Turn over the turn of odometry, about each axis.
+    sigma_way : float
+        Standard deviation of each coordinate, as a share of the way.
+    sigma_m, sigma_rad : float
+        What else they have, and that of the angle about each axis, in each step.
+    """
+
+    scale: float = 1.0
+    turn_per_m: Array = field(default_factory=lambda: np.zeros(3))
+    turn_scale: Array = field(default_factory=lambda: np.ones(3))
+    sigma_way: float = 0.05
+    sigma_m: float = 0.02
+    sigma_rad: float = 0.02
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether odometry is not that of this robot, or of another time."""
+        return abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY
+
+    def corrected(self, odometry: Array) -> Array:
+        """Return motions (k, 4, 4) without the constant errors."""
+        found = odometry.copy()
+        found[:, :3, 3] *= self.scale
+        way = np.linalg.norm(odometry[:, :3, 3], axis=1)
+        turn = _turns(odometry) * self.turn_scale + way[:, None] * self.turn_per_m
+        known = np.isfinite(way)
+        found[known, :3, :3] = Rotation.from_rotvec(turn[known]).as_matrix()
+        return found
+
+    def sigmas(self, odometry: Array) -> tuple[Array, Array]:
+        """Return the standard deviations (k,) of a coordinate, metres, and an angle, radians."""
+        way = np.linalg.norm(odometry[:, :3, 3], axis=1)
+        return np.hypot(self.sigma_way * way, self.sigma_m), np.full(len(way), self.sigma_rad)
+
+    def slipped(self, odometry: Array, measured: Array) -> NDArray[np.bool_]:
+        """Tell in which steps (k,) odometry went another way than what was measured (k, 4, 4)."""
+        off_m, off_rad = _apart(self.corrected(odometry), measured)
+        sigma_m, sigma_rad = self.sigmas(odometry)
+        return np.asarray((off_m > SLIPPED * sigma_m) | (off_rad > SLIPPED * sigma_rad))
+
+
+def motion_noise(odometry: Array, measured: Array) -> MotionNoise | None:
+    """Return what is wrong with odometry where motions are known better; None of too few.
+
+    Parameters
+    ----------
+    odometry, measured : (k, 4, 4) float64
+        Pose of the robot in its frame before; NaN where it is not known.
+    """
+    both = np.isfinite(odometry[:, 0, 0]) & np.isfinite(measured[:, 0, 0])
+    if both.sum() < FEWEST:
+        return None
+    odometry, measured = odometry[both], measured[both]
+    t, way = odometry[:, :3, 3], np.linalg.norm(odometry[:, :3, 3], axis=1)
+    goes = way > STILL_M
+    scale = 1.0
+    if goes.sum() >= FEWEST:
+        scale = float(_least_deviations(t[goes].reshape(-1, 1), measured[goes, :3, 3].ravel())[0])
+    turn, true_turn = _turns(odometry), _turns(measured)
+    fits = [
+        _least_deviations(np.column_stack([turn[:, a], way]), true_turn[:, a]) for a in range(3)
+    ]
+    per_m = np.array([fit[1] for fit in fits])
+    turn_scale = np.array([fit[0] if np.ptp(turn[:, a]) else 1.0 for a, fit in enumerate(fits)])
+    found = MotionNoise(scale, per_m, turn_scale)
+    corrected, axes = found.corrected(odometry), _axes(odometry, measured)
+    off = np.abs(corrected[:, :3, 3] - measured[:, :3, 3])[:, :axes]
+    rad = _apart(corrected, measured)[1]
+    still_m = NORMAL * float(np.median(off[~goes])) if (~goes).sum() >= FEWEST else 0.0
+    off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
+    sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
+    return MotionNoise(
+        scale, per_m, turn_scale, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD)
+    )
+
+
+def _least_deviations(columns: Array, values: Array) -> Array:
+    """Return the coefficients (c,) of columns (n, c) whose absolute deviations are least."""
+    weight = np.ones(len(values))
+    found = np.zeros(columns.shape[1])
+    least = 1e-6 * max(float(np.abs(values).max(initial=0.0)), 1e-12)
+    for _ in range(ROUNDS):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(root[:, None] * columns, root * values, rcond=None)[0]
+        weight = 1 / np.maximum(np.abs(values - columns @ found), least)
+    return np.asarray(found)
+
+
+def _turns(motions: Array) -> Array:
+    """Return the rotation vectors (k, 3) of motions; NaN where they are not known."""
+    found = np.full((len(motions), 3), np.nan)
+    known = np.isfinite(motions[:, 0, 0])
+    if known.any():
+        found[known] = Rotation.from_matrix(motions[known, :3, :3]).as_rotvec()
+    return found
+
+
+def _apart(first: Array, second: Array) -> tuple[Array, Array]:
+    """Return how far motions (k, 4, 4) are from others, metres, and by what angle, radians."""
+    off_m = np.linalg.norm(first[:, :3, 3] - second[:, :3, 3], axis=1)
+    turn = np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3]
+    return off_m, np.linalg.norm(Rotation.from_matrix(turn).as_rotvec(), axis=1)
+
+
+def _axes(*motions: Array) -> int:
+    """Return how many axes motions have: 2 where all are in the plane."""
+    return 3 if any((np.abs(motion[:, 2, 3]) > 0).any() for motion in motions) else 2

@@ -1,0 +1,84 @@
+"""What is found of odometry's errors, against odometry whose errors are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from relmap.core.motion_noise import motion_noise
+from relmap.core.odometry import checked_odometry
+
+Array = NDArray[np.float64]
+SLIPS = 0.1
+
+
+def drive(rng: np.random.Generator) -> Array:
+    steps = zip(rng.uniform(0.5, 0.7, 300), rng.normal(0, 0.1, 300), strict=True)
+    return np.array([checked_odometry([x, 0.02, yaw]) for x, yaw in steps])
+
+
+def odometry_of(true: Array, rng: np.random.Generator, way: float, yaw: float) -> Array:
+    """Return odometry 3 % short, that misses 0.02 rad on each metre, with noise."""
+    found = []
+    for motion in true:
+        t, turn = motion[:2, 3], np.arctan2(motion[1, 0], motion[0, 0])
+        length = np.linalg.norm(t)
+        off = way * length * rng.normal(size=2)
+        turn += yaw * rng.normal() - 0.02 * length / 1.03
+        found.append(checked_odometry([*(t / 1.03 + off), turn]))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_constant_errors_and_noise_are_found(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = drive(rng)
+    found = motion_noise(odometry_of(true, rng, way=0.01, yaw=0.002), true)
+    assert found is not None and not found.is_wrong
+    assert_allclose(found.scale, 1.03, atol=0.003)
+    assert_allclose(found.turn_per_m, [0, 0, 0.02], atol=0.001)
+    assert_allclose([found.sigma_way, found.sigma_rad], [0.01, 0.002], rtol=0.25)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_steps_in_which_wheels_slip_are_told_and_spoil_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    true = drive(rng)
+    odometry = odometry_of(true, rng, way=0.01, yaw=0.002)
+    slips = rng.random(len(true)) < SLIPS
+    odometry[slips, :2, 3] *= 2
+    found = motion_noise(odometry, true)
+    assert found is not None and not found.is_wrong
+    assert_allclose(found.scale, 1.03, atol=0.01)
+    assert (found.slipped(odometry, true) == slips).all()
+
+
+def reversed_sign(odometry: Array) -> Array:
+    odometry[:, :2, 3] *= -1
+    return odometry
+
+
+@pytest.mark.parametrize("spoil", [reversed_sign, lambda odometry: odometry[::-1]])
+def test_odometry_of_another_robot_is_told(spoil: Callable[[Array], Array]) -> None:
+    rng = np.random.default_rng(0)
+    true = drive(rng)
+    true[::2, :2, 3] *= 0.05  # so that another step is another motion
+    found = motion_noise(spoil(odometry_of(true, rng, way=0.01, yaw=0.002)), true)
+    assert found is not None and found.is_wrong
+
+
+def test_without_odometry_and_of_few_steps_nothing_is_told() -> None:
+    true = drive(np.random.default_rng(0))
+    assert motion_noise(np.full_like(true, np.nan), true) is None
+    assert motion_noise(true[:7], true[:7]) is None
+
+
+def test_a_robot_that_stands_still_has_exact_odometry() -> None:
+    still = np.tile(np.eye(4), (20, 1, 1))
+    found = motion_noise(still, still)
+    assert found is not None and not found.is_wrong
+    assert found.sigma_m <= 1e-3 and found.sigma_rad <= 1e-3
