@@ -20,6 +20,7 @@ from relmap.core.guard import ChangeGuard
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
+from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 
@@ -178,6 +179,11 @@ class Mapper(ABC):
     def n_undone(self) -> int:
         """How many merges were undone because the refined map contradicted them."""
         return self.engine.merger.n_undone
+
+    @property
+    def odometry(self) -> OdometryUse | None:
+        """What was made of odometry at the last `finish` or `refine`; None where none came."""
+        return self.engine.odometry
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

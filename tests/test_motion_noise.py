@@ -38,7 +38,8 @@ def test_constant_errors_and_noise_are_found(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = drive(rng)
     found = motion_noise(odometry_of(true, rng, way=0.01, yaw=0.002), true)
-    assert found is not None and not found.is_wrong
+    assert found is not None
+    assert not found.is_wrong
     assert_allclose(found.scale, 1.03, atol=0.003)
     assert_allclose(found.turn_per_m, [0, 0, 0.02], atol=0.001)
     assert_allclose([found.sigma_way, found.sigma_rad], [0.01, 0.002], rtol=0.25)
@@ -52,7 +53,8 @@ def test_steps_in_which_wheels_slip_are_told_and_spoil_nothing(seed: int) -> Non
     slips = rng.random(len(true)) < SLIPS
     odometry[slips, :2, 3] *= 2
     found = motion_noise(odometry, true)
-    assert found is not None and not found.is_wrong
+    assert found is not None
+    assert not found.is_wrong
     assert_allclose(found.scale, 1.03, atol=0.01)
     assert (found.slipped(odometry, true) == slips).all()
 
@@ -68,7 +70,8 @@ def test_odometry_of_another_robot_is_told(spoil: Callable[[Array], Array]) -> N
     true = drive(rng)
     true[::2, :2, 3] *= 0.05  # so that another step is another motion
     found = motion_noise(spoil(odometry_of(true, rng, way=0.01, yaw=0.002)), true)
-    assert found is not None and found.is_wrong
+    assert found is not None
+    assert found.is_wrong
 
 
 def test_without_odometry_and_of_few_steps_nothing_is_told() -> None:
@@ -80,5 +83,7 @@ def test_without_odometry_and_of_few_steps_nothing_is_told() -> None:
 def test_a_robot_that_stands_still_has_exact_odometry() -> None:
     still = np.tile(np.eye(4), (20, 1, 1))
     found = motion_noise(still, still)
-    assert found is not None and not found.is_wrong
-    assert found.sigma_m <= 1e-3 and found.sigma_rad <= 1e-3
+    assert found is not None
+    assert not found.is_wrong
+    assert found.sigma_m <= 1e-3
+    assert found.sigma_rad <= 1e-3

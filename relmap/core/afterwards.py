@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.association.loops import LoopFinder
+from relmap.core.association.loops import TIED, Loop, LoopFinder
 from relmap.core.association.merging import merge_doubles
+from relmap.core.association.revisits import RevisitFinder, lying_together, seen_with_both
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.strays import find_strays
 from relmap.core.association.tying import CLEAR, tie_submaps
 from relmap.core.association.undoing import contradicted, pieces, places_of
+from relmap.core.gaps import bridge_gaps, is_bridged
 from relmap.core.grouping.chart import PointChart
 from relmap.core.map.bending import bend
 from relmap.core.mapper import RelativeMapper
@@ -72,16 +75,43 @@ def tie(engine: RelativeMapper) -> None:
     merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
         merge_doubles(engine.table, merger, engine.merge)
-    finder = LoopFinder(engine.table, noise_m)
-    while (loop := finder.next()) is not None:
+    for loop in _loops(engine, noise_m):
         pairs = loop.pairs[merger.allowed(loop.pairs)]
         if len(pairs) > CLEAR * len(loop.pairs):
             bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
             engine.merge_pairs(pairs)
             merge_doubles(engine.table, merger, engine.merge)
+    _merge_in_place(engine)
     if engine.refined:  # Before that what lies together may not be one.
         merge_doubles(engine.table, merger, engine.merge)
     merger.sightings = None
+
+
+def _merge_in_place(engine: RelativeMapper) -> None:
+    """Merge landmarks of a map that odometry ties and that lie in one place, seen apart."""
+    merger, found = engine.merger, is_bridged(engine)
+    while found and merger.sightings is not None:
+        noise_m = max(refined.noise_m for refined in engine.refined)
+        pairs = lying_together(engine.table, noise_m)
+        pairs = pairs[merger.allowed(pairs)]
+        apart = [not merger.sightings.together(new, old) for new, old in pairs.tolist()]
+        pairs = pairs[np.array(apart, dtype=bool)]
+        landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
+        both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
+        found = engine.merge_pairs(pairs[both >= TIED]) > 0
+
+
+def _loops(engine: RelativeMapper, noise_m: float) -> Iterator[Loop]:
+    """Yield places that the map shows twice, each to be merged before the next is looked for."""
+    finder: LoopFinder | RevisitFinder = LoopFinder(engine.table, noise_m)
+    use = engine.odometry
+    if use is not None and use.is_used:
+        noise_m = max(refined.noise_m for refined in engine.refined)
+        motions = engine.motions.over(engine.store.n_iterations)
+        way_m = float(np.nanmedian(np.linalg.norm(motions[:, :3, 3], axis=1)))
+        finder = RevisitFinder(engine.table, noise_m, use.noise, way_m)
+    while (loop := finder.next()) is not None:
+        yield loop
 
 
 def find_again(engine: RelativeMapper) -> None:
@@ -135,7 +165,7 @@ def _repair(engine: RelativeMapper) -> None:
             break
     undone, rare = undo(engine), _rare(engine) & ~grouped
     engine.table.take_off_map(np.flatnonzero(rare))
-    if undone or rare.any() or engine.config.keep_observations:
+    if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         _refine(engine)
 
 
@@ -157,6 +187,12 @@ def _extent(engine: RelativeMapper) -> tuple[int, int]:
     return int(engine.table.is_own.sum()), int((engine.table.weight > 0).sum())
 
 
+def leave_out_rare(engine: RelativeMapper) -> None:
+    """Take off the map what odometry tied to it, and was seen less often than a group needs."""
+    if is_bridged(engine):
+        engine.table.take_off_map(np.flatnonzero(_rare(engine)))
+
+
 def _rare(engine: RelativeMapper) -> NDArray[np.bool_]:
     """Tell which landmarks (m,) are mapped though they were seen less often than a group needs."""
     table, rows = engine.table, engine.rows
@@ -171,7 +207,8 @@ def undo(engine: RelativeMapper) -> int:
     """
     table = engine.table
     rows = rows_of_tracks(engine.rows, table)
-    each = [contradicted(refined, table, rows) for refined in engine.refined]
+    usual = np.inf if is_bridged(engine) else 1.0
+    each = [contradicted(refined, table, rows, usual) for refined in engine.refined]
     tracks = np.concatenate([np.empty(0, dtype=np.int64), *each])
     if len(tracks):
         _part(engine, rows, tracks)
@@ -202,6 +239,8 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: NDArray[np.int64]) 
 
 def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
     """Refine what is mapped, to the last by what bounded noise tells, if that is asked for."""
+    if bridge_gaps(engine, to_the_last):
+        return
     kept = engine.store if to_the_last and engine.config.keep_observations else None
     rows = engine.rows if engine.association.has_ids else rows_of_tracks(engine.rows, engine.table)
     again = bool(engine.refined)

@@ -23,10 +23,11 @@ from relmap.core.grouping.levels import GroupLevels
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.map.placing import Placing
 from relmap.core.model import LandmarkModel
-from relmap.core.odometry import Motions
+from relmap.core.odometry import Motions, OdometryUse
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.live import LiveRefinement
+from relmap.core.state.kept import KeptObservations
 from relmap.core.state.schedule import GroupingSchedule
 from relmap.core.state.store import ObservationStore
 from relmap.core.state.table import LandmarkState
@@ -38,9 +39,10 @@ class RelativeMapper:
     """Builds a global map of one kind of landmark out of relative maps, one scan at a time."""
 
     refined: list[Refined]
+    odometry: OdometryUse | None
     STATE = (
         "landmarks=table association observations=store schedule averaging map groups=levels "
-        "merger segments weighed motions live refined"
+        "merger segments weighed motions kept odometry live refined"
     )
 
     def __init__(self, model: LandmarkModel, config: MapperConfig) -> None:
@@ -58,7 +60,8 @@ class RelativeMapper:
         self.merger = Merger(self.table, model, config.group_after)
         self.segments = CondensedSegments()
         self.weighed = WeighedObservations()
-        self.motions = Motions()
+        self.motions, self.kept = Motions(), KeptObservations()
+        self.odometry = None
         self.live = LiveRefinement(self.segments, self.map)
         self.refined = []
 
@@ -94,8 +97,9 @@ class RelativeMapper:
         iteration = self.store.n_iterations
         self.motions.append(odometry, iteration)
         # Register: match what is seen to the scans before, untransformed (section II).
-        found = self.association.match(seen, ids, iteration)
+        found = self.association.match(seen, ids, iteration, odometry)
         self.refined = []
+        self.odometry = None
         rows = self.model.rows(seen, found)
         landmarks = self.table.enter(*self.model.points(rows)[:2], iteration)
         # Store every observation as it was made (Fig. 3).
@@ -104,6 +108,9 @@ class RelativeMapper:
         if covariances is not None:
             named = found >= 0
             self.weighed.append(landmarks, seen[named], covariances[named], iteration)
+        if len(self.motions) and len(landmarks):
+            named = found >= 0
+            self.kept.append(found[named], seen[named], iteration)
         left = self.schedule.see(landmarks, iteration)
         # Group who is due, merge and forget (section III).
         take_turns(self, landmarks, left)

@@ -40,8 +40,6 @@ class MotionNoise:
         Way of the robot over the way of its odometry.
     turn_per_m : (3,) float64
         What odometry lacks of the turn (a rotation vector) on each metre, radians.
-    turn_scale : (3,) float64
-        Turn over the turn of odometry, about each axis.
     sigma_way : float
         Standard deviation of each coordinate, as a share of the way.
     sigma_m, sigma_rad : float
@@ -50,7 +48,6 @@ class MotionNoise:
 
     scale: float = 1.0
     turn_per_m: Array = field(default_factory=lambda: np.zeros(3))
-    turn_scale: Array = field(default_factory=lambda: np.ones(3))
     sigma_way: float = 0.05
     sigma_m: float = 0.02
     sigma_rad: float = 0.02
@@ -65,7 +62,7 @@ class MotionNoise:
         found = odometry.copy()
         found[:, :3, 3] *= self.scale
         way = np.linalg.norm(odometry[:, :3, 3], axis=1)
-        turn = _turns(odometry) * self.turn_scale + way[:, None] * self.turn_per_m
+        turn = _turns(odometry) + way[:, None] * self.turn_per_m
         known = np.isfinite(way)
         found[known, :3, :3] = Rotation.from_rotvec(turn[known]).as_matrix()
         return found
@@ -98,35 +95,30 @@ def motion_noise(odometry: Array, measured: Array) -> MotionNoise | None:
     goes = way > STILL_M
     scale = 1.0
     if goes.sum() >= FEWEST:
-        scale = float(_least_deviations(t[goes].reshape(-1, 1), measured[goes, :3, 3].ravel())[0])
-    turn, true_turn = _turns(odometry), _turns(measured)
-    fits = [
-        _least_deviations(np.column_stack([turn[:, a], way]), true_turn[:, a]) for a in range(3)
-    ]
-    per_m = np.array([fit[1] for fit in fits])
-    turn_scale = np.array([fit[0] if np.ptp(turn[:, a]) else 1.0 for a, fit in enumerate(fits)])
-    found = MotionNoise(scale, per_m, turn_scale)
+        lacks = (measured[goes, :3, 3] - t[goes]).ravel()
+        scale = 1 + float(_least_deviations(t[goes].reshape(-1, 1), lacks)[0])
+    lacks = _turns(measured) - _turns(odometry)
+    per_m = np.array([_least_deviations(way[:, None], lacks[:, a])[0] for a in range(3)])
+    found = MotionNoise(scale, per_m)
     corrected, axes = found.corrected(odometry), _axes(odometry, measured)
     off = np.abs(corrected[:, :3, 3] - measured[:, :3, 3])[:, :axes]
     rad = _apart(corrected, measured)[1]
     still_m = NORMAL * float(np.median(off[~goes])) if (~goes).sum() >= FEWEST else 0.0
     off_m = NORMAL * np.median(off[goes] / way[goes, None]) if goes.any() else 0.0
     sigma_rad = NORMAL * float(np.median(rad)) / (1.0 if axes == 2 else np.sqrt(3))
-    return MotionNoise(
-        scale, per_m, turn_scale, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD)
-    )
+    return MotionNoise(scale, per_m, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD))
 
 
 def _least_deviations(columns: Array, values: Array) -> Array:
     """Return the coefficients (c,) of columns (n, c) whose absolute deviations are least."""
     weight = np.ones(len(values))
-    found = np.zeros(columns.shape[1])
+    found: Array = np.zeros(columns.shape[1])
     least = 1e-6 * max(float(np.abs(values).max(initial=0.0)), 1e-12)
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
-        found = np.linalg.lstsq(root[:, None] * columns, root * values, rcond=None)[0]
+        found = np.asarray(np.linalg.lstsq(root[:, None] * columns, root * values, rcond=None)[0])
         weight = 1 / np.maximum(np.abs(values - columns @ found), least)
-    return np.asarray(found)
+    return found
 
 
 def _turns(motions: Array) -> Array:
@@ -142,7 +134,7 @@ def _apart(first: Array, second: Array) -> tuple[Array, Array]:
     """Return how far motions (k, 4, 4) are from others, metres, and by what angle, radians."""
     off_m = np.linalg.norm(first[:, :3, 3] - second[:, :3, 3], axis=1)
     turn = np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3]
-    return off_m, np.linalg.norm(Rotation.from_matrix(turn).as_rotvec(), axis=1)
+    return off_m, np.linalg.norm(_turns(turn), axis=1)
 
 
 def _axes(*motions: Array) -> int:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
+from relmap.core.motion_noise import MotionNoise
 from relmap.core.scan import FARTHEST_M, numbers
 from relmap.core.state.growing import GrowingArray
 
@@ -61,6 +64,48 @@ def motion_from_velocity(
     way, yaw = speed_m_s * duration_s, yaw_rate_rad_s * duration_s
     along, across = np.sinc(yaw / np.pi), np.sin(yaw / 2) * np.sinc(yaw / (2 * np.pi))
     return np.array([way * along, way * across, yaw])
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryUse:
+    """What was made of odometry.
+
+    Attributes
+    ----------
+    noise : MotionNoise
+        Its constant errors and noise, as landmarks tell them.
+    is_used : bool
+        Whether the map rests on it anywhere; not where landmarks tie every scan, nor where it
+        is wrong throughout.
+    left_out : (l,) int64
+        Iterations to which it was not believed.
+    hanging : (h,) int64
+        Iterations that nothing but odometry ties to the one before.
+    poses : (k, 4, 4) float64, metres
+        ``T_map_robot`` where it is used; NaN in other submaps.
+    sigmas : (3,) float64
+        Noise of observations, and of odometry's ways and turns, over what `noise` has them.
+    """
+
+    noise: MotionNoise
+    is_used: bool
+    left_out: NDArray[np.int64]
+    hanging: NDArray[np.int64]
+    poses: NDArray[np.float64]
+    sigmas: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, noise: MotionNoise, slipped: NDArray[np.bool_]) -> OdometryUse:
+        """Return that of odometry of which nothing was made but that it was looked at.
+
+        Parameters
+        ----------
+        noise : MotionNoise
+        slipped : (k,) bool
+            Iterations to which it is contradicted by landmarks.
+        """
+        none = np.empty(0, dtype=np.int64)
+        return cls(noise, False, np.flatnonzero(slipped), none, np.empty((0, 4, 4)), np.ones(3))
 
 
 class Motions:

@@ -100,6 +100,8 @@ def mapped_groups(engine: RelativeMapper) -> list[MappedGroup]:
 
 def path(engine: RelativeMapper) -> NDArray[np.float64]:
     """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where it is not fixed."""
+    if engine.odometry is not None and engine.odometry.is_used:
+        return engine.odometry.poses
     positions = positions_in_largest_submap(engine.table)
     return trajectory(engine.rows, positions, engine.table.landmark_of)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 import relmap
 from relmap.core.arrays import Ints
 from relmap.core.landmarks import Submap
+from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -68,12 +69,28 @@ def summary_of(
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
     }
+    told["odometry"] = _odometry(mapper.odometry, offset)
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
         return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
     told["rejected_iterations"] = ends_of(mapper.rejected + offset, "iterations")
     told["rejected_observations"] = ends_of(_rejected_rows(mapper, log, offset), "rows")
     return told
+
+
+def _odometry(use: OdometryUse | None, offset: int) -> dict[str, Any] | None:
+    """Return what was made of odometry, and how good it was found to be; None where none came."""
+    if use is None:
+        return None
+    return {
+        "used": use.is_used,
+        "wrong_throughout": use.noise.is_wrong,
+        "scale": float(use.noise.scale),
+        "sigma_share_of_way": float(use.noise.sigma_way),
+        "sigma_rad": float(use.noise.sigma_rad),
+        "tied_by_it_alone": ends_of(use.hanging + offset, "iterations"),
+        "left_out": ends_of(use.left_out + offset, "iterations"),
+    }
 
 
 def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:

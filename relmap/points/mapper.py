@@ -13,6 +13,7 @@ from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import PlaceFinder
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
+from relmap.core.gaps import bridge_gaps
 from relmap.core.odometry import checked_odometry
 from relmap.core.readout import positions_in_largest_submap
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
@@ -168,8 +169,10 @@ class PointMapper(Mapper):
         if self.config.refine_live:
             self.engine.live.complete()
             self.engine.merger.look_again()
+        bridge_gaps(self.engine)
         if not self.engine.association.has_ids:
             afterwards.tie(self.engine)
+            afterwards.leave_out_rare(self.engine)
 
     def localise(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return where a scan was taken, found from the map alone; the mapper stays as it is.

@@ -39,7 +39,13 @@ class DataAssociation:
         self._model = model
         self._config = config
 
-    def match(self, seen: Any, ids: NDArray[np.int64] | None, iteration: int) -> NDArray[np.int64]:
+    def match(
+        self,
+        seen: Any,
+        ids: NDArray[np.int64] | None,
+        iteration: int,
+        motion: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.int64]:
         """Return whom each observation (n,) of an iteration is of; negative where nobody knows.
 
         Raises
@@ -56,6 +62,8 @@ class DataAssociation:
         if self.is_known != (ids is not None) or self.registration is None:
             given = "came with" if ids is None else "did not come with"
             raise RelmapError(f"ids {given} the scans before; give them with every scan or none")
+        if isinstance(self.registration, Constellation):
+            self.registration.guide.note(motion)
         return self.registration.match(seen, ids)
 
     @property

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.association.base import UNIDENTIFIED, Numbered
+from relmap.core.association.guiding import OdometryGuide
+from relmap.core.association.placement import Placement
 from relmap.core.association.registering import ENOUGH, TrackPlacing
 from relmap.core.association.scale import Scale, spacing_of
 from relmap.core.association.tracks import LiveTracks
@@ -20,6 +22,11 @@ CONTINUITY = 0.15
 """How far a moving landmark may stray in an iteration, in spacings."""
 YOUNG = 3
 """A track seen less often than this may turn out to be moving."""
+
+NEAR = 0.3
+"""How far from where odometry expects it a landmark may be, in spacings: nearer are others."""
+TINY_M = 1e-6
+"""Least noise of matches that odometry is weighed against."""
 
 
 class Constellation(Numbered):
@@ -38,7 +45,7 @@ class Constellation(Numbered):
     _stray_since: int | None
     STATE = (
         "n_landmarks _tracks _stray _scale _idle _n_scans _n_open _n_unique _alone _tracks_since "
-        "_stray_since"
+        "_stray_since guide"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -50,13 +57,16 @@ class Constellation(Numbered):
         self._n_scans = self._n_open = self._n_unique = 0
         self._alone = []
         self._tracks_since = self._stray_since = None
+        self.guide = OdometryGuide()
 
     def match(
         self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
     ) -> NDArray[np.int64]:
         """Match points (n, d) to the live tracks; the rest are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
-        continued = self._continue(points_robot, landmarks) if len(points_robot) else None
+        continued = None
+        if len(points_robot) or self.guide.knows:
+            continued = self._continue(points_robot, landmarks)
         new = self.number_new(landmarks)
         begun = LiveTracks.begun(landmarks[new], points_robot[new])
         if continued is None:
@@ -67,6 +77,7 @@ class Constellation(Numbered):
         else:
             self._tracks, self._stray, self._idle = continued.joined(begun), None, 0
             self._tracks_since = None
+            self.guide.forget()
         self._n_scans += 1
         return landmarks
 
@@ -103,9 +114,16 @@ class Constellation(Numbered):
             if tracks is None:
                 continue
             placing = TrackPlacing(self._scale, self._idle)
-            placement = placing.placement(tracks, points_robot)
+            seen = len(points_robot) and len(tracks)
+            placement = placing.placement(tracks, points_robot) if seen else None
             if placement is not None:
-                self._n_unique += placing.is_unique(placement, tracks, points_robot)
+                is_unique = placing.is_unique(placement, tracks, points_robot)
+                self._n_unique += is_unique
+                if is_unique and tracks is self._tracks:
+                    self.guide.learn(placement)
+            elif self.guide.knows and tracks is self._tracks:
+                placement = self._guided(tracks, points_robot)
+            if placement is not None:
                 carried = tracks.carried(
                     placement.apply(tracks.expected), placement.apply(tracks.latest)
                 )
@@ -119,12 +137,20 @@ class Constellation(Numbered):
                 return carried.kept(carried.missed <= self._max_missed)
         return None
 
+    def _guided(self, tracks: LiveTracks, points_robot: NDArray[np.float64]) -> Placement:
+        """Return where odometry has the tracks, corrected by the few that are in view."""
+        if not len(points_robot):
+            return self.guide.predicted(tracks.expected.shape[1])
+        noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
+        most_m = NEAR * self._scale.spacing_m
+        return self.guide.placement(tracks.expected, points_robot, noise_m, most_m)
+
     def _begin_anew(self, begun: LiveTracks) -> None:
         """Wait with a scan that could not be tied to the tracks: the next one may tie to either.
 
         A scan of next to nothing does not tell that the tracks are over.
         """
-        if self._tracks is None:
+        if self._tracks is None or not len(self._tracks):
             if len(begun):
                 self._tracks, self._tracks_since = begun, self._n_scans
             self._scale.spacing_m = spacing_of(begun.expected)

@@ -21,11 +21,16 @@ BY_CHANCE = 1e-3
 """How many right merges of a map may be taken for wrong."""
 TORN = 3.0
 """How many times as far as usual a segment is off that was laid in a wrong place."""
+SPREAD = 4.0
+"""How many times as far off as usual a track must be, where noise does not explain what is usual.
+"""
 WORST = 0.5
 """Share of the worst deviation from which on others are undone with it: they may follow from it."""
 
 
-def contradicted(refined: Refined, table: LandmarkState, rows: SegmentRows) -> NDArray[np.int64]:
+def contradicted(
+    refined: Refined, table: LandmarkState, rows: SegmentRows, usual: float = 1.0
+) -> NDArray[np.int64]:
     """Return the merged tracks (k,) that a refined map contradicts.
 
     Those that are farther off their landmarks than noise explains, and those that began in
@@ -38,10 +43,16 @@ def contradicted(refined: Refined, table: LandmarkState, rows: SegmentRows) -> N
     table : LandmarkState
     rows : SegmentRows
         By tracks.
+    usual : float
+        Most that segments usually deviate from the map, in units of what noise explains.  Where
+        odometry ties them they may deviate more, and from one side landmarks are not seen where
+        they are from another: a wrong one is off by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
-    usual = min(float(np.median(segments.residual)), 1.0)
+    most, usual = usual, min(float(np.median(segments.residual)), usual)
     limit = usual * np.sqrt(chi2.isf(BY_CHANCE / max(len(merges.track), 1), d) / d)
+    if most > 1 and len(merges.track):
+        limit = max(limit, SPREAD * float(np.median(merges.residual)))
     off = merges.residual > max(limit, WORST * merges.residual.max(initial=0))
     torn = segments.first_iteration[segments.residual > TORN * usual]
     within = np.isin(rows.first_iteration[rows.segment], torn)

@@ -201,11 +201,30 @@ class Pattern:
 
     def parts(self, inverse: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
+        return np.asarray(inverse[self._places(chosen)])
+
+    def lower(
+        self, chosen: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+        """Return where parts (k, m, m) over unknowns (k, m) go, and which entries of the parts do.
+
+        Of two that mirror one another one goes.
+        """
+        goes = chosen[:, :, None] >= chosen[:, None]
+        return self._places(chosen)[goes], np.nonzero(goes)
+
+    def add_diagonal(
+        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], value: float
+    ) -> None:
+        """Add a value to the diagonal of a matrix (size,), at unknowns (n,)."""
+        values[self._diagonal[unknowns]] += value
+
+    def _places(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return where the entries (k, m, m) of parts over unknowns (k, m) stand."""
         start, column_of, row_begin, rows, offset = self.layout
         earlier = np.minimum(chosen[:, :, None], chosen[:, None])
         p, u = column_of[earlier], self.n_unknowns
         keys = np.repeat(np.arange(len(row_begin) - 1), np.diff(row_begin)) * u + rows
         later = np.maximum(chosen[:, :, None], chosen[:, None])
         row = np.searchsorted(keys, p * u + later) - row_begin[p]
-        at = offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p]
-        return np.asarray(inverse[at])
+        return np.asarray(offset[p] + row * (start[p + 1] - start[p]) + earlier - start[p])

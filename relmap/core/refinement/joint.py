@@ -157,7 +157,7 @@ def _solved(
     landmark: NDArray[np.int64],
     others: NDArray[np.bool_],
 ) -> Refined | None:
-    joint, start = _joint_rows(rows, positions, chosen, landmark, others)
+    joint, start = joint_rows(rows, positions, chosen, landmark, others)
     anchor = _anchor(joint)
     if anchor is None:
         return None
@@ -232,7 +232,7 @@ def laid_on(
     return placed, fixed[rows.segment]
 
 
-def _joint_rows(
+def joint_rows(
     rows: SegmentRows,
     positions: NDArray[np.float64],
     chosen: NDArray[np.bool_],

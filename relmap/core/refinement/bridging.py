@@ -1,0 +1,141 @@
+"""Where landmarks leave gaps, odometry bridges them: all scans in one frame, to be refined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.map.pose import trajectory
+from relmap.core.motion_noise import MotionNoise, motion_noise
+from relmap.core.refinement.condensing import NOWHERE, SegmentRows
+from relmap.core.state.table import NONE, LandmarkState
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Bridged:
+    """All scans, laid by what landmarks and odometry say.
+
+    Attributes
+    ----------
+    poses : (k, 4, 4) float64, metres
+    part : (k,) int64
+        Scans of different parts have different frames: no odometry came between them.
+    hanging : (h,) int64
+        Iterations that landmarks do not tie to the one before.
+    """
+
+    poses: Array
+    part: Indices
+    hanging: Indices
+
+
+def measured_motions(rows: SegmentRows) -> Array:
+    """Return the motion to each iteration (k, 4, 4) by landmarks alone; NaN where it is not known.
+
+    Within segments: they tell of consecutive scans.
+    """
+    k, d = len(rows.iteration_segment), rows.points.shape[1]
+    placed = np.tile(np.eye(4), (k, 1, 1))
+    placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
+    found = np.full((k, 4, 4), np.nan)
+    segment = rows.iteration_segment
+    tied = 1 + np.flatnonzero((segment[1:] == segment[:-1]) & (segment[1:] != NOWHERE))
+    found[tied] = np.linalg.inv(placed[tied - 1]) @ placed[tied]
+    return found
+
+
+def noise_of(
+    odometry: Array, measured: Array, rows: SegmentRows
+) -> tuple[MotionNoise, NDArray[np.bool_]]:
+    """Return how noisy odometry is, as far as landmarks tell, and the steps (k,) it got wrong.
+
+    Landmarks tell more of several iterations than of one, in which their own noise counts as much;
+    but of one they tell which it was.
+    """
+    single = motion_noise(odometry, measured) or MotionNoise()
+    slipped = single.slipped(odometry, measured)
+    believed = odometry.copy()
+    believed[slipped] = np.nan
+    composed, seen, steps = _stretches(believed, rows)
+    wide = motion_noise(composed, seen)
+    if wide is None:
+        return single, slipped
+    root = np.sqrt(steps)
+    return replace(
+        wide,
+        sigma_way=wide.sigma_way * root,
+        sigma_m=wide.sigma_m / root,
+        sigma_rad=wide.sigma_rad / root,
+    ), slipped
+
+
+def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]:
+    """Return odometry over segments (s, 4, 4), what landmarks tell of it, and its steps, typical.
+
+    Of segments that hold all their iterations.
+    """
+    d = rows.points.shape[1]
+    segment = rows.iteration_segment
+    inside = np.flatnonzero(segment != NOWHERE)
+    _, first, counts = np.unique(segment[inside], return_index=True, return_counts=True)
+    first = inside[first]
+    steps = int(np.median(counts)) - 1 if len(counts) else 0
+    first = first[(counts == steps + 1) & (first + steps < len(segment))]
+    first = first[segment[first] == segment[first + steps]] if steps > 0 else first[:0]
+    composed = np.tile(np.eye(4), (len(first), 1, 1))
+    for step in range(1, steps + 1):
+        composed = composed @ odometry[first + step]
+    placed = np.tile(np.eye(4), (len(segment), 1, 1))
+    placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
+    return composed, np.linalg.inv(placed[first]) @ placed[first + steps], max(steps, 1)
+
+
+def bridge(table: LandmarkState, rows: SegmentRows, motions: Array) -> Bridged:
+    """Lay all scans in one frame: by submaps where these fix them, else by odometry.
+
+    Parameters
+    ----------
+    table : LandmarkState
+    rows : SegmentRows
+    motions : (k, 4, 4) float64
+        Odometry, without its constant errors; NaN where it is not known.
+    """
+    k = len(motions)
+    poses, part = np.tile(np.eye(4), (k, 1, 1)), np.zeros(k, dtype=np.int64)
+    own, submap_of = _poses_in_submaps(table, rows)
+    frames: dict[int, tuple[int, Array]] = {}
+    for i in range(k):
+        submap = int(submap_of[i])
+        if submap in frames:
+            part[i], frame = frames[submap]
+            poses[i] = frame @ own[i]
+            continue
+        if i and np.isfinite(motions[i, 0, 0]):
+            part[i], poses[i] = part[i - 1], poses[i - 1] @ motions[i]
+        elif i:
+            part[i] = part.max() + 1
+        if submap != NONE:
+            frames[submap] = int(part[i]), poses[i] @ np.linalg.inv(own[i])
+    tied = (submap_of[1:] == submap_of[:-1]) & (submap_of[1:] != NONE)
+    return Bridged(poses, part, 1 + np.flatnonzero(~tied))
+
+
+def _poses_in_submaps(table: LandmarkState, rows: SegmentRows) -> tuple[Array, Indices]:
+    """Return the pose of each iteration (k, 4, 4) in the largest submap that fixes it, and which.
+
+    NONE where none does.
+    """
+    k = len(rows.iteration_segment)
+    poses, submap_of = np.full((k, 4, 4), np.nan), np.full(k, NONE)
+    submaps, sizes = np.unique(table.submap[table.submap != NONE], return_counts=True)
+    for submap in submaps[np.argsort(-sizes, kind="stable")].tolist():
+        positions = np.where((table.submap == submap)[:, None], table.position, np.nan)
+        found = trajectory(rows, positions, table.landmark_of)
+        new = np.isfinite(found[:, 0, 0]) & (submap_of == NONE)
+        poses[new], submap_of[new] = found[new], submap
+    return poses, submap_of

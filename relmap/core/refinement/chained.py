@@ -1,0 +1,290 @@
+"""Refinement by single observations and odometry: a chain of poses ties what no scan ties.
+
+Odometry is one more relative location, believed as far as it deserves.  What it gets wrong always
+(its scale, and what it turns on each metre) is solved for with the map; how noisy it is, and how
+noisy the observations are, is estimated from what is left (variance components; Foerstner, 1979).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.core.linalg.cholesky import Pattern
+from relmap.core.refinement.equations import ROUNDING, derivatives, rotations
+from relmap.core.refinement.schur import NormalEquations
+from relmap.core.refinement.settling import size_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+CONSTANT = 0.1
+"""Standard deviation of odometry's errors of scale, and of the turn it misses on each metre, before
+anything is known of them."""
+
+LOOSE, STIFF = 1e-14, 1e3
+"""What holds everything a little, and the pose that makes the frame, as shares of what holds most.
+"""
+
+
+class Chain(NamedTuple):
+    """What there is to know: observations, and odometry between iterations.
+
+    Attributes
+    ----------
+    points : (n, d) float64, robot frame, metres
+    landmark : (n,) int64
+        0 to m - 1.
+    iteration : (n,) int64
+        0 to k - 1.
+    root : (n, d, d) float64
+        What brings a residual to standard deviations.
+    motion : (k - 1, 4, 4) float64
+        Odometry from each iteration to the next; NaN where it is not known.
+    """
+
+    points: Array
+    landmark: Indices
+    iteration: Indices
+    root: Array
+    motion: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Chained:
+    """Where landmarks, the robot in each iteration, and odometry's constant errors are.
+
+    Attributes
+    ----------
+    positions : (m, d) float64, metres
+    R : (k, d, d) float64
+    t : (k, d) float64
+    constant : (q + 2,) float64
+        Error of the scale of ways and of turns, and turn missed on each metre.
+    """
+
+    positions: Array
+    R: Array
+    t: Array
+    constant: Array
+
+
+class Sigmas(NamedTuple):
+    """Standard deviations, as multiples of what the residuals are weighed by.
+
+    Attributes
+    ----------
+    seen, way, turn : float
+        Of observations, and of odometry's two parts.
+    """
+
+    seen: float = 1.0
+    way: float = 1.0
+    turn: float = 1.0
+
+
+class ChainProblem:
+    """The residuals of observations and of odometry, in their standard deviations; a `Problem`.
+
+    Parameters
+    ----------
+    chain : Chain
+    odds : tuple of (k - 1,) float64
+        Standard deviations of odometry: of a coordinate, metres, and of an angle, radians.
+    sigmas : Sigmas
+    positions : (m, d) float64, metres
+        About where landmarks are.
+    anchor : int
+        The iteration whose placement makes the frame.
+    """
+
+    def __init__(
+        self,
+        chain: Chain,
+        odds: tuple[Array, Array],
+        sigmas: Sigmas,
+        positions: Array,
+        anchor: int,
+        pattern: Pattern | None = None,
+    ) -> None:
+        n, d = chain.points.shape
+        m, k, q = len(positions), len(chain.motion) + 1, 3 if d == 3 else 1
+        self.chain, self.sigmas, self._anchor, self._q = chain, sigmas, anchor, q
+        self._root = chain.root / sigmas.seen
+        self.moved = np.flatnonzero(np.isfinite(chain.motion[:, 0, 0]))
+        motion = chain.motion[self.moved]
+        self._t, R = motion[:, :d, 3], motion[:, :3, :3]
+        self._way = np.linalg.norm(self._t, axis=1)
+        turn = Rotation.from_matrix(R).as_rotvec() if len(R) else np.empty((0, 3))
+        self._turn = turn if d == 3 else turn[:, 2:]
+        self._odds = odds[0][self.moved] * sigmas.way, odds[1][self.moved] * sigmas.turn
+        self.freedoms = max(n * d + len(self.moved) * (d + q) - m * d - (k - 1) * (d + q), 1)
+        self.rounding = float(np.sum(self._root**2)) * (ROUNDING * size_of(positions)) ** 2
+        self.pattern = pattern or _pattern(chain, self.moved, m, k, d, q)
+        first = self.pattern.first
+        pose = first[m : m + k, None] + np.arange(d + q)
+        constant = np.broadcast_to(first[-1] + np.arange(q + 2), (len(self.moved), q + 2))
+        self.unknown = first[:m, None] + np.arange(d)
+        self.pose = pose
+        self._of_seen = np.concatenate(
+            [pose[chain.iteration], self.unknown[chain.landmark]], axis=1
+        )
+        self._of_moved = np.concatenate([pose[self.moved], pose[self.moved + 1], constant], axis=1)
+        self._constant = first[-1] + np.arange(q + 2)
+        self._at_seen = self.pattern.lower(self._of_seen)
+        self._at_moved = self.pattern.lower(self._of_moved)
+
+    @property
+    def parts(self) -> tuple[slice, slice, slice]:
+        """Which residuals are observations, and odometry's ways and turns."""
+        n, o = len(self.chain.points), len(self.moved)
+        return slice(0, n), slice(n, n + o), slice(n + o, n + 2 * o)
+
+    def residuals(self, state: Chained) -> Array:
+        """Return the lengths of what is left, in standard deviations, in the order of `parts`."""
+        way, turn, _ = self._left_of_odometry(state)
+        parts = (self._left_of_seen(state)[0], way, turn)
+        return np.concatenate([np.linalg.norm(part, axis=1) for part in parts])
+
+    def equations(
+        self, state: Chained, weight: Array, with_matrix: bool, damping: float
+    ) -> NormalEquations:
+        """Return the normal equations of everything."""
+        pattern, right, cost = self.pattern, np.zeros(self.pattern.n_unknowns), 0.0
+        matrix = np.zeros(pattern.size if with_matrix else 0)
+        for rows, jacobian, unknowns, at, each in self._linearised(state, weight):
+            weighed = jacobian * each[:, None, None]
+            np.add.at(right, unknowns, -np.einsum("nri,nr->ni", weighed, rows))
+            cost += float(np.einsum("nr,nr,n->", rows, rows, each))
+            if with_matrix:
+                block = np.einsum("nri,nrj->nij", weighed, jacobian)
+                matrix += np.bincount(at[0], block[at[1]], minlength=pattern.size)
+        right[self._constant] -= state.constant / CONSTANT**2
+        if with_matrix:
+            pattern.add_diagonal(matrix, self._constant, 1 / CONSTANT**2)
+            pattern.hold(matrix, damping, LOOSE * pattern.largest(matrix))
+            pattern.add_diagonal(matrix, self.pose[self._anchor], STIFF * pattern.largest(matrix))
+        return NormalEquations(right, matrix, cost, lambda step: step[self.pose])
+
+    def stepped(
+        self, state: Chained, equations: NormalEquations, step: Array, weight: Array
+    ) -> Chained:
+        """Return the state after a step."""
+        moves = equations.eliminated_steps(step)
+        turn, shift = moves[:, : self._q], moves[:, self._q :]
+        return Chained(
+            state.positions + step[self.unknown],
+            rotations(turn) @ state.R,
+            state.t + shift,
+            state.constant + step[self._constant],
+        )
+
+    def inverse(self, state: Chained, weight: Array) -> Array:
+        """Return the covariances of all unknowns that are tied, as the pattern lays them out."""
+        matrix = self.equations(state, weight, True, 0.0).matrix
+        self.pattern.factorise(matrix)
+        return self.pattern.inverse(matrix)
+
+    def covariances(self, state: Chained, weight: Array) -> Array:
+        """Return the covariances (m, d, d) of the landmarks."""
+        return self.pattern.parts(self.inverse(state, weight), self.unknown)
+
+    def components(self, state: Chained, weight: Array) -> Sigmas:
+        """Return the standard deviations by what is left, each kind by its own freedoms."""
+        inverse = self.inverse(state, weight)
+        sums = np.zeros((3, 2))
+        d = self.chain.points.shape[1]
+        for rows, jacobian, unknowns, _, each in self._linearised(state, weight):
+            covariance = self.pattern.parts(inverse, unknowns)
+            told = np.einsum("nri,nij,nrj->nr", jacobian, covariance, jacobian) * each[:, None]
+            free = np.where(each[:, None] == 1, 1 - told, 0.0)
+            squares = np.where(each[:, None] == 1, rows**2, 0.0)
+            kinds = (
+                [(0, slice(0, d))]
+                if unknowns is self._of_seen
+                else [(1, slice(0, d)), (2, slice(d, None))]
+            )
+            for kind, of in kinds:
+                sums[kind] += squares[:, of].sum(), free[:, of].sum()
+        factors = [np.sqrt(squares / free) if free > FREE else 1.0 for squares, free in sums]
+        return Sigmas(*(float(old * new) for old, new in zip(self.sigmas, factors, strict=True)))
+
+    def _linearised(
+        self, state: Chained, weight: Array
+    ) -> list[tuple[Array, Array, Indices, tuple[Indices, tuple[Indices, ...]], Array]]:
+        """Return residuals, Jacobians, unknowns, their places and weights, of both kinds."""
+        seen, way, turn = self.parts
+        left, by_landmark, away = self._left_of_seen(state)
+        by_pose = -(by_landmark @ derivatives(away))
+        jacobian = np.concatenate([by_pose, by_landmark], axis=2)
+        found = [(left, jacobian, self._of_seen, self._at_seen, weight[seen])]
+        off_way, off_turn, jacobian = self._left_of_odometry(state)
+        off = np.concatenate([off_way, off_turn], axis=1)
+        # A step of which one part cannot be believed is not believed.
+        each = np.minimum(weight[way], weight[turn])
+        return [*found, (off, jacobian, self._of_moved, self._at_moved, each)]
+
+    def _left_of_seen(self, state: Chained) -> tuple[Array, Array, Array]:
+        """Return what is left (n, d) of the observations, its derivative by the landmark, and ways.
+
+        The ways (n, d) go from robot to landmark, map frame, metres.
+        """
+        at = self.chain.iteration
+        away = state.positions[self.chain.landmark] - state.t[at]
+        back = np.swapaxes(state.R[at], 1, 2)
+        off = np.einsum("nij,nj->ni", back, away) - self.chain.points
+        return np.einsum("nij,nj->ni", self._root, off), self._root @ back, away
+
+    def _left_of_odometry(self, state: Chained) -> tuple[Array, Array, Array]:
+        """Return what is left of ways (o, d) and turns (o, q), and their Jacobian."""
+        a, d, q = self.moved, self._t.shape[1], self._q
+        R_a, R_b = state.R[a], state.R[a + 1]
+        back, between = np.swapaxes(R_a, 1, 2), state.t[a + 1] - state.t[a]
+        scale, turn_scale, per_m = 1 + state.constant[0], 1 + state.constant[1], state.constant[2:]
+        went, turned = np.einsum("nij,nj->ni", back, between), _angles(back @ R_b)
+        off_way = scale * went - self._t
+        missed = rotations(self._turn + self._way[:, None] * per_m)
+        off_turn = _angles(np.swapaxes(missed, 1, 2) @ rotations(turn_scale * turned))
+        jacobian = np.zeros((len(a), d + q, 2 * (d + q) + q + 2))
+        jacobian[:, :d, : d + q] = -scale * (back @ derivatives(between))
+        jacobian[:, :d, d + 2 * q : 2 * (d + q)] = scale * back
+        jacobian[:, :d, 2 * (d + q)] = went
+        by_turn = np.swapaxes(R_b, 1, 2) if q == 3 else np.ones((len(a), 1, 1))
+        by_turn = turn_scale * by_turn
+        jacobian[:, d:, :q], jacobian[:, d:, d + q : d + 2 * q] = -by_turn, by_turn
+        jacobian[:, d:, 2 * (d + q) + 1] = turned
+        jacobian[:, d:, 2 * (d + q) + 2 :] = -self._way[:, None, None] * np.eye(q)
+        way, angle = self._odds[0][:, None], self._odds[1][:, None]
+        jacobian[:, :d] /= way[:, None]
+        jacobian[:, d:] /= angle[:, None]
+        return off_way / way, off_turn / angle, jacobian
+
+
+FREE = 4.0
+"""Freedoms below which what is left does not tell how noisy something is."""
+
+
+def _angles(R: Array) -> Array:
+    """Return the angles (n, 1) or rotation vectors (n, 3) of rotations (n, d, d)."""
+    if R.shape[1] == 3:
+        return np.asarray(Rotation.from_matrix(R).as_rotvec()) if len(R) else np.empty((0, 3))
+    return np.arctan2(R[:, 1, 0], R[:, 0, 0])[:, None]
+
+
+def _pattern(chain: Chain, moved: Indices, m: int, k: int, d: int, q: int) -> Pattern:
+    """Return an order of landmarks, poses and constant errors in which little fills."""
+    width = np.concatenate([np.full(m, d), np.full(k, d + q), [q + 2]])
+    pairs = np.unique(np.column_stack([m + chain.iteration, chain.landmark]), axis=0)
+    poses, begin = np.unique(pairs[:, 0], return_index=True)
+    cliques = [
+        np.append(of, pose)
+        for pose, of in zip(poses, np.split(pairs[:, 1], begin[1:]), strict=True)
+    ]
+    cliques += list(np.column_stack([m + moved, m + moved + 1, np.full(len(moved), m + k)]))
+    cliques += [np.array([b]) for b in range(m + k + 1)]
+    begin = np.append(0, np.cumsum([len(clique) for clique in cliques]))
+    return Pattern.of_cliques(width, begin, np.concatenate(cliques).astype(np.int64))

@@ -1,0 +1,151 @@
+"""Points with odometry: sparse landmarks in one frame, and faults of odometry noticed."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap import PointMapper
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.simulation.figure_eight import FigureEight, simulate_figure_eight
+
+Array = NDArray[np.float64]
+SPARSE, DENSE = 3.0, 25.0
+WAY, ANGLE = 0.01, np.deg2rad(0.1)
+"""Noise of odometry: share of the way, and angle about each axis in a step."""
+
+
+@cache
+def world(density: float, iterations: int) -> FigureEight:
+    return simulate_figure_eight(density=density, iterations=iterations, seed=1)
+
+
+def odometry_of(run: FigureEight, seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    poses = run.trajectory
+    motions = np.tile(np.eye(4), (len(poses), 1, 1))
+    motions[1:] = np.linalg.inv(poses[:-1]) @ poses[1:]
+    way = np.linalg.norm(motions[:, :3, 3], axis=1)
+    motions[:, :3, 3] += WAY * way[:, None] * rng.normal(size=(len(poses), 3))
+    turns = Rotation.from_rotvec(ANGLE * rng.normal(size=(len(poses), 3))).as_matrix()
+    motions[:, :3, :3] = motions[:, :3, :3] @ turns
+    return motions
+
+
+def mapped(
+    run: FigureEight, motions: Array | None, known: bool, journal: Path | None = None
+) -> tuple[PointMapper, NDArray[np.int64]]:
+    mapper, labels = PointMapper(journal=journal), []
+    for k, scan in enumerate(run.log.scans()):
+        motion = None if motions is None else motions[k]
+        ids = scan.ids if known else None
+        labels.append(mapper.update(scan.points_robot, ids=ids, odometry=motion))
+    mapper.finish()
+    mapper.refine()
+    return mapper, np.concatenate(labels)
+
+
+def rmse_m(run: FigureEight, positions: Array, ids: NDArray[np.int64]) -> float:
+    true = run.landmarks_map[np.searchsorted(run.landmark_ids, ids)]
+    R, t = fit_rigid(positions, true)
+    return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - true) ** 2, axis=1))))
+
+
+def test_sparse_landmarks_with_ids_are_one_map_with_odometry_and_several_without() -> None:
+    run = world(SPARSE, 400)
+    mapper, _ = mapped(run, odometry_of(run, 0), known=True)
+    often = np.bincount(run.log.ids) >= 2  # type: ignore[arg-type]
+    assert len(mapper.submaps) == 1
+    assert_array_equal(mapper.map.landmark_ids, np.flatnonzero(often))
+    assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.3
+    assert np.isfinite(mapper.trajectory).all()
+    assert mapper.odometry is not None
+    assert mapper.odometry.is_used
+    assert len(mapper.odometry.hanging) > 0
+    without, _ = mapped(run, None, known=True)
+    assert len(without.map.landmark_ids) < len(mapper.map.landmark_ids)
+    assert without.odometry is None
+
+
+def test_sparse_landmarks_without_ids_are_told_apart_with_odometry() -> None:
+    run = world(SPARSE, 400)
+    mapper, labels = mapped(run, odometry_of(run, 0), known=False)
+    now, true = mapper.landmarks_of(labels), run.log.ids
+    assert true is not None
+    own = mapper.map.landmark_ids
+    of = np.array([np.bincount(true[now == landmark]).argmax() for landmark in own])
+    pure = [np.mean(true[now == landmark] == name) for landmark, name in zip(own, of, strict=True)]
+    assert len(mapper.submaps) == 1
+    assert min(pure) == 1
+    assert len(set(of.tolist())) == len(own)
+    assert set(np.flatnonzero(np.bincount(true) >= 10)) <= set(of.tolist())
+    assert rmse_m(run, mapper.map.positions, of) < 0.3
+
+
+def test_where_landmarks_tie_every_scan_odometry_changes_nothing() -> None:
+    run = world(DENSE, 120)
+    with_it, labels = mapped(run, odometry_of(run, 0), known=False)
+    without, same = mapped(run, None, known=False)
+    assert_array_equal(labels, same)
+    assert_array_equal(with_it.map.positions, without.map.positions)
+    assert with_it.odometry is not None
+    assert not with_it.odometry.is_used
+
+
+def test_reversed_odometry_is_noticed_and_left_out() -> None:
+    run = world(DENSE, 120)
+    backwards: Array = np.asarray(np.linalg.inv(odometry_of(run, 0)))
+    mapper, labels = mapped(run, backwards, known=False)
+    without, same = mapped(run, None, known=False)
+    assert mapper.odometry is not None
+    assert mapper.odometry.noise.is_wrong
+    assert_array_equal(labels, same)
+    assert_array_equal(mapper.map.positions, without.map.positions)
+
+
+def test_slips_are_named_where_landmarks_show_them() -> None:
+    run = world(DENSE, 200)
+    motions = odometry_of(run, 0)
+    slips = np.flatnonzero(np.random.default_rng(2).random(len(motions)) < 0.1)
+    motions[slips, :3, 3] *= 2
+    mapper, _ = mapped(run, motions, known=False)
+    assert mapper.odometry is not None
+    assert not mapper.odometry.noise.is_wrong
+    assert set(mapper.odometry.left_out) <= set(slips)
+    assert len(mapper.odometry.left_out) >= 0.7 * len(slips)
+
+
+def test_a_gap_without_odometry_leaves_two_submaps() -> None:
+    run = world(SPARSE, 400)
+    motions = odometry_of(run, 0)
+    motions[200] = np.nan
+    mapper, _ = mapped(run, motions, known=False)
+    assert mapper.odometry is not None
+    assert len(mapper.submaps) <= 2
+    largest = max(len(submap.landmark_ids) for submap in mapper.submaps)
+    assert largest == len(mapper.map.landmark_ids)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_resumed_run_with_odometry_is_the_same(tmp_path: Path, known: bool) -> None:
+    run = world(SPARSE, 250)
+    journal = tmp_path / "journal.sqlite"
+    mapper, _ = mapped(run, odometry_of(run, 0), known, journal)
+    mapper.close()
+    again = PointMapper.resume(journal)
+    again.finish()
+    again.refine()
+    assert_array_equal(again.map.positions, mapper.map.positions)
+    assert_array_equal(again.trajectory, mapper.trajectory)
+    again.save(tmp_path / "mapper.npz")
+    loaded = PointMapper.load(tmp_path / "mapper.npz")
+    assert_array_equal(loaded.trajectory, mapper.trajectory)
+    assert loaded.odometry is not None
+    assert loaded.odometry.is_used
+    again.close()
