@@ -31,9 +31,9 @@ class VariantRun:
         Noise is sigma in units of the spacing.
     seed : int
     map_rmse_m : float or None
-        Of corners or points after rigid alignment; None where nothing could be compared.
+        Of corners or points after rigid alignment; None if nothing could be compared.
     coverage : float
-        Share of the corners or points seen ten times that stand in the map.
+        Share of the corners or points seen ten times that are in the map.
     ate_m : float or None
         Absolute trajectory error, over the poses that there are.
     poses : float

@@ -32,7 +32,7 @@ def run_noisy_maps(
         Sigma in units of the spacing.
     seed : int
     iterations : int, optional
-        Scans; one loop where left out.
+        Scans; one loop if omitted.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Beyond figure 7: from which noise on planes have the better map, from the same points.
 
-The points lie fixed on the walls of a building (`surface_points`).  The plane mapper segments each
+The points are fixed on the walls of a building (`surface_points`).  The plane mapper segments each
 scan; the point mapper takes the points themselves for landmarks.  Both have default settings and no
 odometry.  Points with given ids show what is lost where the association has to be found.
 """
@@ -69,7 +69,7 @@ class Crossing:
 
         Of several such intervals it is the longest.  It begins where the medians of the map error
         cross, on straight lines between two noises, or at the first noise at which points fail; it
-        ends with the last noise at which planes are still ahead.  None where they never are.
+        ends with the last noise at which planes are still ahead.  None if they never are.
         """
         planes, points = (
             np.where(self.failed(which), np.inf, self.median("map_rmse_m", which))
@@ -110,7 +110,7 @@ def run_crossing(
     seeds : iterable of int
         Of building, points and noise.
     iterations : int, optional
-        Scans of a run; one loop where left out.
+        Scans of a run; one loop if omitted.
     progress : callable, optional
         Wraps the list of cells, to show progress.
 

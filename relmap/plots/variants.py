@@ -39,7 +39,7 @@ class PlacedMap:
 
     @property
     def said(self) -> str:
-        """How good it is, in one line."""
+        """Its quality, in one line."""
         run, what = self.run, "corner" if self.run.method == "planes" else "point"
         covered = f"{run.coverage:.0%} of the {what}s mapped"
         if run.map_rmse_m is None:
@@ -91,7 +91,7 @@ def plot_both(maps: BothMaps, title: str) -> Figure:
 
 
 def both_maps(seen: SurfacePoints) -> BothMaps:
-    """Map what is seen as planes, and as points without their ids."""
+    """Map the same scans as planes, and as points without ids."""
     truth = seen.walls_truth
     planes, points = (_placed(*map_of(method, seen), truth) for method in METHODS[:2])
     return BothMaps(planes, points, truth.ends)
