@@ -1,6 +1,6 @@
 """Planes and points from the same scans, over spacing and noise: the table of docs/benchmarks.md.
 
-    OMP_NUM_THREADS=1 python benchmarks/crossing.py [--seeds 1]
+    OMP_NUM_THREADS=1 python benchmarks/crossing.py [--seeds 1] [--spacing 0.3]
 
 Fixed points on the walls of a building; `relmap figures crossing` draws the same.  Median of the
 seeds: RMSE of corners or points, in brackets the share of those seen ten times that is mapped.
@@ -24,10 +24,12 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=1)
-    seeds = range(parser.parse_args().seeds)
+    parser.add_argument("--spacing", type=float, nargs="+", default=SPACINGS_M)
+    given = parser.parse_args()
+    seeds = range(given.seeds)
     print(f"| spacing [m] | sigma / spacing | {' | '.join(f'{name} [m]' for name in METHODS)} |")
     print("|---" * (2 + len(METHODS)) + "|")
-    for spacing_m, noise in product(SPACINGS_M, NOISES):
+    for spacing_m, noise in product(given.spacing, NOISES):
         seen = [wall_points(spacing_m, noise, seed) for seed in seeds]
         cells = (_cell([map_of(method, each)[1] for each in seen]) for method in METHODS)
         print(f"| {spacing_m} | {noise} | {' | '.join(cells)} |", flush=True)
