@@ -17,12 +17,13 @@ if TYPE_CHECKING:
     from relmap.evaluation.run import Run
     from relmap.plots.variants import BothMaps
 
-HELP = """See relmap at work: both variants on simulated scans, compared with the truth.
+HELP = """See relmap at work on simulated scans.
 
-First a robot flies a figure eight of 740 m past 185 point landmarks and sees them with a noise of
-5 cm.  It is mapped twice: with the identity of each landmark given ('known'), and without
-('nearest').  Then a robot drives through a building and sees fixed points of its walls, with little
-noise and with much.  The same scans are mapped as planes and as points.
+Both variants are compared with the truth.  First a robot flies a figure eight of 740 m past 185
+point landmarks and sees them with a noise of 5 cm.  It is mapped twice: with the identity of each
+landmark given ('known'), and without ('nearest').  Then a robot drives through a building and sees
+fixed points of its walls, with little noise and with much.  The same scans are mapped as planes and
+as points.
 
 DIR/index.html shows all pictures.  DIR holds the files of 'relmap simulate' and 'relmap map', and
 DIR/nearest those of the map without identities.

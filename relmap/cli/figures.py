@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-HELP = """Reproduce the paper's figures from runs of relmap, beside the paper's claims.
+HELP = """Reproduce the paper's figures, beside what it claims.
 
 NUMBER is 4 to 7 or 9 to 17; all of them by default.  The others are sketches without
 results.  'crossing' names a picture that the paper does not have: planes and points over the noise.

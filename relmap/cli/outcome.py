@@ -67,7 +67,7 @@ def torn(summary: dict[str, Any]) -> str:
     if len(submaps) > 1:
         scans, metres = submaps[0]["scans"], submaps[0]["metres"]
         told += (
-            f"; the run broke into {len(submaps)} separate submaps: the largest, of {scans} "
+            f"; the run broke into {len(submaps)} submaps: the largest, of {scans} "
             f"scans and {metres:.1f} m, is the map"
         )
     if failed:

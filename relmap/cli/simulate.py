@@ -44,7 +44,7 @@ Example:
     rich_markup_mode=None,
 )
 
-_FIGURE_EIGHT = """Simulate a robot flying past point landmarks.
+_FIGURE_EIGHT = """Simulate a flight past point landmarks.
 
 It writes DIR/observations.csv (the observations, with the true identity of each landmark) and
 the truth: DIR/truth/landmarks.csv and DIR/truth/trajectory.tum.  The path is a figure eight of
@@ -55,7 +55,7 @@ Example:
   relmap simulate figure-eight -o eight --sigma 0.1
 """
 
-_WORLD = """Simulate a robot in a world whose landmarks are hard to tell apart.
+_WORLD = """Simulate landmarks that are hard to tell apart.
 
 It writes DIR/observations.csv (ids as they were read, -1 for false detections) and the truth:
 DIR/truth/landmarks.csv, DIR/truth/trajectory.tum and DIR/truth/ids.csv (the true landmark of each
@@ -66,7 +66,7 @@ Example:
   relmap simulate world --kind corridor -o corridor --missed 0.3 --spurious 0.1
 """
 
-_BUILDING = """Simulate a robot that drives through a building and sees points on its walls.
+_BUILDING = """Simulate a drive past the walls of a building.
 
 It writes DIR/scans.npz (the points of every scan, robot frame; x and y only for a laser), a picture
 building.png, and the truth: DIR/truth/planes.csv (one row for each side of a wall) and
