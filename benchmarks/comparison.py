@@ -1,4 +1,4 @@
-"""relmap beside other methods: the figures of the README.
+"""relmap beside other methods: the figures of docs/benchmarks.md.
 
     OMP_NUM_THREADS=1 python benchmarks/comparison.py [--seeds 10]
 

@@ -1,4 +1,4 @@
-"""What refinement by the shape of the noise gains over least squares: the figures of the README.
+"""What refinement by the shape of the noise gains over least squares, for docs/benchmarks.md.
 
     python benchmarks/flat_noise.py
 

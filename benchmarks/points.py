@@ -1,4 +1,4 @@
-"""Accuracy and time of the point mapper: the figures of the README.
+"""Accuracy and time of the point mapper: the figures of docs/benchmarks.md.
 
     python benchmarks/points.py [DATA]
 

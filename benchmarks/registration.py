@@ -1,4 +1,4 @@
-"""How well landmarks are told apart without ids: the figures of the README.
+"""How well landmarks are told apart without ids: the figures of docs/benchmarks.md.
 
     python benchmarks/registration.py [DATA]
 

@@ -1,4 +1,4 @@
-"""How well the planes of a scan are found: the figures of the README.
+"""How well the planes of a scan are found: the figures of docs/benchmarks.md.
 
     python benchmarks/segmentation.py [DATA] [-o DIR]
 

@@ -1,4 +1,8 @@
-"""Maps from relative locations: SLAM with no probability, scan matching or odometry."""
+"""Maps of landmarks, without odometry, from their relative locations.
+
+No motion or pose estimate enters the map: scans are registered by matching landmarks, and
+probability is used only in weights and in the optional refinement.
+"""
 
 from __future__ import annotations
 

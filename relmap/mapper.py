@@ -49,7 +49,7 @@ class Mapper(ABC):
     Raises
     ------
     RelmapError
-        Where the journal is there already or cannot be written.
+        If the journal already exists or cannot be written.
     """
 
     _variant: ClassVar[str]
@@ -86,7 +86,7 @@ class Mapper(ABC):
         Raises
         ------
         RelmapError
-            Where an update was interrupted half way, or another thread is in one.
+            If an update was interrupted half way, or another thread is in one.
         """
         self._guard.check()
         return self._engine
@@ -162,7 +162,7 @@ class Mapper(ABC):
 
         The others began tracks, and perhaps submaps, of their own.  Rivals are looked for only
         where nearest neighbours do not agree at once, so it does not tell that ties are right.
-        None where nothing was matched
+        None if nothing was matched
         so: with ids, of walls, by another registration.
         """
         return self.engine.association.tied_share
@@ -171,7 +171,7 @@ class Mapper(ABC):
     def unique_share(self) -> float | None:
         """Share of the scans whose matches are more than chance brings in any placement.
 
-        Of points without ids, else None.  It does not tell of places that look alike.
+        Of points without ids, else None.  It does not reveal places that look alike.
         """
         return self.engine.association.unique_share
 
@@ -213,7 +213,7 @@ class Mapper(ABC):
         Raises
         ------
         RelmapError
-            Where there is no journal, it is of another variant or a newer relmap, or damaged, or
+            If there is no journal, it is of another variant or a newer relmap, or damaged, or
             where mapping the scans again gives something else than was noted.
         """
         from relmap.io.journal import Journal, JournalReader
@@ -244,7 +244,7 @@ class Mapper(ABC):
         Raises
         ------
         RelmapError
-            Where it cannot be written.
+            If it cannot be written.
         """
         from relmap.io.saving import save_state
 
@@ -265,7 +265,7 @@ class Mapper(ABC):
         Raises
         ------
         RelmapError
-            Where there is no such file, it is damaged, or holds a mapper of another variant or of
+            If there is no such file, it is damaged, or holds a mapper of another variant or of
             a relmap with other parts.
         """
         from relmap.io.saving import load_state
@@ -288,7 +288,7 @@ class Mapper(ABC):
         Raises
         ------
         RelmapError
-            Where it cannot be written.
+            If it cannot be written.
         """
         if self._journal is not None:
             with self._guard.change():
@@ -300,7 +300,7 @@ class Mapper(ABC):
         Raises
         ------
         RelmapError
-            Where it cannot be written.
+            If it cannot be written.
         """
         if self._journal is not None:
             self._journal.close()

@@ -1,4 +1,4 @@
-"""The figures that the README promises, on simulated and on real data."""
+"""The figures that the documents promise, on simulated and on real data."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ def test_batch_says_what_it_cannot_solve() -> None:
         np.concatenate([first.landmark, second.landmark + 9]),
     )
     worlds = np.vstack([observations(2, 1, 0.0)[1], observations(2, 2, 0.0)[1]])
-    with pytest.raises(RelmapError, match="do not hold together"):
+    with pytest.raises(RelmapError, match="do not connect"):
         batch_least_squares(apart, worlds)
 
 

@@ -56,7 +56,7 @@ def test_damaged_result(
         ("landmark,x,y,z,status\n0,1,0,nan,static\n", "line 2, field z"),
         ("landmark,x,y,z,status\none,1,0,0,static\n", "line 2, field landmark"),
         ("landmark,x,y,z,status\n0,1,0,0,lost\n", "landmark 0 is 'lost'"),
-        ("landmark,x,y,z,status\n0,1,0,0,static\n0,1,0,0,static\n", "stands there twice"),
+        ("landmark,x,y,z,status\n0,1,0,0,static\n0,1,0,0,static\n", "occurs twice"),
         ("landmark,x,y,z,status\n0,1,0,0\n", "line 2: 4 fields"),
     ],
 )

@@ -27,10 +27,14 @@ def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child_env: dict[s
         env=child_env,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.splitlines()[-1] == "wrote map.png and the files behind it to relmap-demo"
+    assert done.stdout.splitlines()[-1] == "wrote index.html and the files behind it to relmap-demo"
     folder = tmp_path / "relmap-demo"
     result_files = sorted([*RESULT_FILES, "evaluation.json"])
-    assert names(folder) == sorted([*result_files, "nearest", "observations.csv", "truth"])
+    pictures = [f"building-{noise}-noise.png" for noise in ("little", "much")]
+    made = [*result_files, *pictures, "index.html", "nearest", "observations.csv", "truth"]
+    assert names(folder) == sorted(made)
+    page = (folder / "index.html").read_text()
+    assert all(f'src="{picture}"' in page for picture in ["map.png", *pictures])
     assert names(folder / "nearest") == result_files
     assert load(folder / "evaluation.json")["landmark_rmse_m"] < 0.1
 

@@ -11,16 +11,12 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.evaluation.surface_points import scan_surface_points
+from relmap.evaluation.variants import METHODS, Method, VariantRun
 from relmap.figures import figure07, figure_crossing
-from relmap.figures.figure07 import NoisyMaps, run_noisy_maps
-from relmap.figures.figure_crossing import (
-    METHODS,
-    Crossing,
-    CrossingRow,
-    Method,
-    run_crossing,
-)
-from relmap.figures.surface_points import scan_surface_points
+from relmap.figures.figure07 import run_noisy_maps
+from relmap.figures.figure_crossing import Crossing, run_crossing
+from relmap.plots.variants import BothMaps
 from relmap.simulation import simulate_building
 
 BUILDING = simulate_building(points=1, sigma=0.0, iterations=8, seed=5)
@@ -92,9 +88,9 @@ def test_impossible_points_are_refused() -> None:
         scan_surface_points(BUILDING, 0.0, 0.1, 0)
 
 
-def rows_of(method: Method, errors: list[float | None], coverage: list[float]) -> list[CrossingRow]:
+def rows_of(method: Method, errors: list[float | None], coverage: list[float]) -> list[VariantRun]:
     return [
-        CrossingRow(method, 0.2, 0.1 * (k + 1), 0.02 * (k + 1), seed, e, c, e, 1.0)
+        VariantRun(method, 0.2, 0.1 * (k + 1), 0.02 * (k + 1), seed, e, c, e, 1.0)
         for k, (e, c) in enumerate(zip(errors, coverage, strict=True))
         for seed in range(3)
     ]
@@ -172,11 +168,11 @@ def test_every_method_is_run_on_every_cell() -> None:
 
 
 @pytest.fixture(scope="module")
-def maps() -> NoisyMaps:
+def maps() -> BothMaps:
     return run_noisy_maps(0.25, iterations=40, seed=0)
 
 
-def test_planes_hold_where_points_do_not(maps: NoisyMaps) -> None:
+def test_planes_hold_where_points_do_not(maps: BothMaps) -> None:
     planes, points = maps.planes.run, maps.points.run
     assert planes.sigma == pytest.approx(0.075)
     assert planes.map_rmse_m is not None
@@ -185,7 +181,7 @@ def test_planes_hold_where_points_do_not(maps: NoisyMaps) -> None:
     assert points.coverage <= 0.5
 
 
-def test_rows_and_picture_of_both_maps(maps: NoisyMaps) -> None:
+def test_rows_and_picture_of_both_maps(maps: BothMaps) -> None:
     whats = [row[0] for row in figure07.FIGURE.judge(maps).table.rows]
     assert whats.count("mapped wall") == len(maps.planes.shapes)
     assert whats.count("true wall") == len(maps.true_walls)
@@ -195,7 +191,7 @@ def test_rows_and_picture_of_both_maps(maps: NoisyMaps) -> None:
     assert titles[1].startswith("points: ")
 
 
-def test_verdict_on_both_maps(maps: NoisyMaps) -> None:
+def test_verdict_on_both_maps(maps: BothMaps) -> None:
     judge, planes = figure07.FIGURE.judge, maps.planes
     found = judge(maps)
     assert found.verdict == "borne out"

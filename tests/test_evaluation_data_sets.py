@@ -56,7 +56,7 @@ def test_truth_of_slsjf(tmp_path: Path) -> None:
     assert set(truth.status) == {"static"}
     beacons[1, 0] = 3
     savemat(tmp_path / "store_beaconsTrue.mat", {"store_beaconsTrue": beacons})
-    with pytest.raises(RelmapError, match="landmark 3 stands there twice"):
+    with pytest.raises(RelmapError, match="landmark 3 occurs twice"):
         read_truth(tmp_path / "store_beaconsTrue.mat")
 
 

@@ -196,7 +196,7 @@ def test_a_copy_keeps_no_journal(tmp_path: Path) -> None:
 def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
     begun(tmp_path / "run.journal")
     before = (tmp_path / "run.journal").read_bytes()
-    with pytest.raises(RelmapError, match="is there already"):
+    with pytest.raises(RelmapError, match="already exists"):
         PointMapper(journal=tmp_path / "run.journal")
     assert (tmp_path / "run.journal").read_bytes() == before
     with pytest.raises(RelmapError, match="cannot be written: unable to open"):
@@ -378,7 +378,7 @@ def test_salvage_recovers_what_is_before_the_damage(tmp_path: Path) -> None:
     resumed = PointMapper.resume(path)
     assert resumed.n_iterations == n
     assert finished(run(resumed, scans[n:])) == whole
-    with pytest.raises(RelmapError, match=r"damaged is there already"):
+    with pytest.raises(RelmapError, match=r"damaged already exists"):
         salvage(path)
 
 

@@ -164,11 +164,11 @@ def test_relmap_resume_says_what_is_wrong(
         assert said.count("\n") == 1
         return said
 
-    assert "is there already" in refused("map", str(log), "-o", "x", "--journal", str(journal))
+    assert "already exists" in refused("map", str(log), "-o", "x", "--journal", str(journal))
     assert "there is no journal" in refused("resume", str(tmp_path / "none"))
     lines = log.read_text().splitlines(keepends=True)
     log.write_text("".join(lines[:40] + lines[41:]))
-    assert "is not what journal" in refused("resume", str(journal))
+    assert "is not the log of journal" in refused("resume", str(journal))
     log.unlink()
     assert str(log) in refused("resume", str(journal))
     log.write_text("".join(lines))

@@ -157,7 +157,7 @@ def test_who_can_be_given_what() -> None:
         find_method("frame-to-mop")
     with pytest.raises(RelmapError, match="cannot map a log of point scans"):
         check_method(find_method("ekf"), "scans", "nearest")
-    with pytest.raises(RelmapError, match="needs to be told which landmark is which"):
+    with pytest.raises(RelmapError, match="needs known ids"):
         check_method(find_method("ekf"), "landmarks", "nearest")
     names = [method.name for method in fitting_methods("landmarks", "nearest")]
     assert names[:3] == ["relmap-points", "relmap-points-live", "relmap-points-paper"]

@@ -218,7 +218,7 @@ def test_no_advice_where_the_largest_submap_is_all_but_whole(
     assert main(mapping) == 0
     said = capsys.readouterr().out
     assert "broke into 2 submaps" in said
-    assert "What helps" not in said
+    assert "More overlap" not in said
 
 
 def test_corners_are_counted_alike_everywhere(broken: Path, tmp_path: Path) -> None:

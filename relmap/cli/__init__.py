@@ -22,7 +22,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 BAD_INPUT = 2
 UNHEARD = 1
 
-_HELP = """Make maps from landmarks seen by a moving robot, without knowing how it moved.
+_HELP = """Make maps from what a moving robot sees, without odometry.
 
 Start with 'relmap demo', or go step by step:
 
@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     -------
     int
         What the process should exit with: 0, 2 for bad input, 130 where Ctrl-C ended it, 1 where
-        nobody reads the output any more.
+        the reader of the output is gone.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     _announce()
@@ -137,6 +137,6 @@ def _usage_line(error: Any) -> str:
 
 
 def _leave_pipe() -> int:
-    # Whoever read our output went away; Python must not try to flush to it at exit.
+    # The reader of our output is gone; Python must not try to flush to it at exit.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return UNHEARD

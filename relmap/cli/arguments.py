@@ -1,4 +1,4 @@
-"""What several verbs take: a log and a part of it, a folder to write to, settings from a file."""
+"""Arguments that several verbs share: logs, intervals, output folders, settings."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
 
-"""Characters that a message takes from a file of settings."""
-
 
 class Interval(NamedTuple):
     """Iterations ``begin`` to ``end - 1`` of a log, counted from 0."""
@@ -33,7 +31,7 @@ def interval(text: str) -> Interval:
     Raises
     ------
     RelmapError
-        Where it is not two whole numbers with 0 <= A < B.
+        If it is not two whole numbers with 0 <= A < B.
     """
     numbers = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text, re.ASCII)
     if numbers and int(numbers[1]) < int(numbers[2]):
@@ -47,7 +45,7 @@ def folder(text: str) -> Path:
     Raises
     ------
     typer.BadParameter
-        Where it is empty, as an unset variable of a shell makes it.
+        If it is empty, as an unset variable of a shell makes it.
     """
     if not text:
         raise typer.BadParameter("it is empty, expected the name of a folder")
@@ -78,13 +76,13 @@ Format = Annotated[
 Noise = Annotated[
     Literal["gaussian", "uniform"], typer.Option(help="Distribution of the simulated noise.")
 ]
-Density = Annotated[
-    float, typer.Option(help="Of the figure eight: landmarks per 100 m of the path.")
-]
+Density = Annotated[float, typer.Option(help="Figure eight only: landmarks per 100 m of the path.")]
 Dynamic = Annotated[
-    float, typer.Option(help="Of the figure eight: share of the landmarks that move, 0 to 1.")
+    float, typer.Option(help="Figure eight only: share of the landmarks that move, 0 to 1.")
 ]
-Seed = Annotated[int, typer.Option(help="The same seed simulates the same world.")]
+Seed = Annotated[
+    int, typer.Option(help="Seed of the random numbers: the same seed simulates the same world.")
+]
 
 
 def refuse(is_wrong: object, message: str) -> None:
@@ -117,7 +115,7 @@ def read_config(
     Raises
     ------
     RelmapError
-        Where the file cannot be read, is not TOML, or holds a setting that is unknown or would be
+        If the file cannot be read, is not TOML, or holds a setting that is unknown or would be
         ignored.
     """
     from relmap.core import config

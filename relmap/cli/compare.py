@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 World = Literal["figure-eight", "building"]
 
-HELP = """Compare methods on the same data: relmap's own, and what people would use instead.
+HELP = """Compare methods on the same data: relmap's own, and others.
 
 INPUT is a log of landmarks or of point scans, as 'relmap map' takes it; or a world is simulated.
 It prints one table and writes DIR/comparison.csv, comparison.png, and of each method
@@ -52,22 +52,22 @@ Methods for point scans:
   relmap-planes, relmap-planes-live, relmap-planes-paper, kiss-icp +, small-gicp +
 
 \b
-  * must be told which landmark is which: --association known
+  * needs known ids: --association known
   + needs pip install 'relmap[peers]'
 
 \b
 The figures:
-  RMSE        of landmarks (of walls: corners) after the map was turned and shifted to fit [m]
-  of          how many of them there are: those that the method mapped
-  RMSE10      the same of those seen at least ten times
+  RMSE        of landmarks (walls: of corners) after rigid alignment [m]
+  of          number of landmarks behind it: those that the method mapped
+  RMSE10      RMSE of those seen at least ten times
   cover       share of the landmarks seen at least ten times that are in the map
   ATE, RPE    error of the path, as a whole and from one step to the next [m]
-  path        share of the iterations that have a pose; of several submaps only the largest counts
+  path        share of the iterations with a pose; with several submaps, in the largest only
   pairs, turn mean error against checked relations between poses [m], [rad]
   ms, mean    processor time of an iteration, median and mean [ms]; one thread
-  end         the same, median of the last 100 iterations [ms]
-  total       of the whole log, with what is done at its end [s]
-  MB          how much the process grew
+  end         median of the last 100 iterations [ms]
+  total       time of the whole log, with the work at its end [s]
+  MB          growth of the process
 """
 
 DENSITY, SIGMA_M, LOOP = 25.0, 0.05, 900
@@ -98,13 +98,12 @@ _Simulate = Annotated[
 ]
 _Methods = Annotated[
     str | None,
-    typer.Option(metavar="A,B,...", help="Methods to run; all that fit the data if not given."),
+    typer.Option(metavar="A,B,...", help="Methods to run; by default all that fit the data."),
 ]
 _Association = Annotated[
     args.Association | None,
     typer.Option(
-        help="Whether methods are told which landmark is which; if not given they are told "
-        "where the log has ids."
+        help="Whether methods are given the ids of the log; by default where the log has ids."
     ),
 ]
 _Truth = Annotated[
@@ -118,8 +117,8 @@ _Truth = Annotated[
 _Sigma = Annotated[
     float | None,
     typer.Option(
-        help="Noise of each coordinate, metres: what is simulated (0.05 if not given), and "
-        "what methods are told of a log (estimated from it if not given)."
+        help="Noise of each coordinate, metres: of the simulation (0.05 by default), and "
+        "what methods are given as the noise of a log (estimated if not given)."
     ),
 ]
 _Iterations = Annotated[

@@ -1,30 +1,43 @@
-"""``relmap demo``: simulate, map and evaluate in one go."""
+"""``relmap demo``: both variants on simulated scans, and one page that shows what comes out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from relmap.cli.arguments import Out, Seed
-from relmap.cli.console import figure, print_table
+from relmap.cli.console import busy, figure, print_table
 
 if TYPE_CHECKING:
     from relmap.evaluation.evaluate import Evaluation
     from relmap.evaluation.run import Run
+    from relmap.plots.variants import BothMaps
 
-HELP = """See relmap at work: simulate, map and evaluate.
+HELP = """See relmap at work on simulated scans.
 
-The robot flies a figure eight of 740 m past 185 landmarks and sees them with a noise of 5 cm.  It
-is mapped twice: once told which landmark is which ('known'), once having to find out ('nearest').
-DIR/map.png shows the map; DIR holds the files of 'relmap simulate' and 'relmap map', and
-DIR/nearest those of the second map.
+Both variants are compared with the truth.  First a robot flies a figure eight of 740 m past 185
+point landmarks and sees them with a noise of 5 cm.  It is mapped twice: with the identity of each
+landmark given ('known'), and without ('nearest').  Then a robot drives through a building and sees
+fixed points of its walls, with little noise and with much.  The same scans are mapped as planes and
+as points.
+
+DIR/index.html shows all pictures.  DIR holds the files of 'relmap simulate' and 'relmap map', and
+DIR/nearest those of the map without identities.
 
 \b
 Example:
   relmap demo -o demo
 """
+
+INDEX = "index.html"
+SPACING_M, ITERATIONS = 0.3, 80
+NOISES = {"little": 0.05, "much": 0.3}
+"""Of the points on walls, in units of their spacing."""
+Rows = Sequence[Sequence[str]]
 
 
 def demo_command(
@@ -32,6 +45,14 @@ def demo_command(
     seed: Seed = 0,
 ) -> None:
     """Run the demonstration; the help text explains the arguments."""
+    parts = [_figure_eight(out, seed)]
+    parts += [_both_variants(out, name, noise, seed) for name, noise in NOISES.items()]
+    _write_page(out / INDEX, parts)
+    typer.echo(f"wrote {INDEX} and the files behind it to {out}")
+
+
+def _figure_eight(out: Path, seed: int) -> str:
+    """Map the figure eight with and without ids; return its part of the page."""
     from relmap.cli.evaluate import evaluate_folder, rows_of
     from relmap.cli.mapping import map_input
     from relmap.cli.simulate import write_figure_eight
@@ -45,9 +66,11 @@ def demo_command(
     rows = rows_of(*evaluations)
     timings = [run.result.summary["timing"]["median_ms"] for run in (known, nearest)]
     rows.append(("median time per iteration [ms]", *map(figure, timings)))
-    print_table("the map against the truth, by association", ("figure", "known", "nearest"), rows)
+    title, header = "point landmarks of the figure eight", ("figure", "known", "nearest")
+    print_table(title, header, rows)
     _draw(out, known, evaluations[0])
-    typer.echo(f"wrote map.png and the files behind it to {out}")
+    text = "Mapped with the identity of each landmark given (known), and without (nearest)."
+    return _part(title, text, header, rows, "map.png")
 
 
 def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
@@ -65,3 +88,52 @@ def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
         f"RMSE {figure(evaluation.landmark_rmse_m)} m"
     )
     write_map_png(out / MAP_PNG, run.result, run.groups, truth, title)
+
+
+def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
+    """Map the same scans as planes and as points; return their part of the page."""
+    from relmap.evaluation.surface_points import wall_points
+    from relmap.plots.variants import both_maps, write_both_png
+
+    with busy("mapping the building as planes and as points"):
+        maps = both_maps(wall_points(SPACING_M, noise, seed, ITERATIONS))
+    sigma_m, picture = maps.planes.run.sigma, f"building-{name}-noise.png"
+    title = f"the same scans of a building as planes and as points, noise {sigma_m:g} m"
+    write_both_png(out / picture, maps, title)
+    header, rows = ("figure", "planes", "points"), _rows(maps)
+    print_table(title, header, rows)
+    text = f"Points on the walls are about {SPACING_M:g} m apart, and no identities are given."
+    return _part(title, text, header, rows, picture)
+
+
+def _rows(maps: BothMaps) -> Rows:
+    runs = maps.planes.run, maps.points.run
+    return [
+        ("RMSE of corners, of points [m]", *(figure(run.map_rmse_m) for run in runs)),
+        ("coverage", *(figure(run.coverage) for run in runs)),
+        ("ATE [m]", *(figure(run.ate_m) for run in runs)),
+        ("share of the scans with a pose", *(figure(run.poses) for run in runs)),
+    ]
+
+
+def _part(title: str, text: str, header: Sequence[str], rows: Rows, picture: str) -> str:
+    """Return a heading, a table and a picture of the page."""
+    cells = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    table = f"<tr>{head}</tr>" + "".join(f"<tr>{row}</tr>" for row in cells)
+    return (
+        f"<h2>{escape(title.capitalize())}</h2><p>{escape(text)}</p><table>{table}</table>"
+        f'<img src="{picture}" alt="{escape(title)}">'
+    )
+
+
+def _write_page(path: Path, parts: Sequence[str]) -> None:
+    from relmap.io.files import atomic_write
+
+    style = (
+        "body { font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem } "
+        "td, th { padding: .2rem 1rem .2rem 0; text-align: left } img { max-width: 100% }"
+    )
+    head = f'<meta charset="utf-8"><title>relmap demo</title><style>{style}</style>'
+    begin = f'<!DOCTYPE html><html lang="en"><head>{head}</head><body><h1>relmap demo</h1>'
+    atomic_write(path, "\n".join([begin, *parts, "</body></html>\n"]))

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from relmap.evaluation.evaluate import Evaluation
     from relmap.io.results import Result
 
-HELP = """Tell how good a result is where the truth is known.
+HELP = """Compare a result with the truth.
 
 DIR is a folder that 'relmap map' wrote.  It prints a table and writes DIR/evaluation.json.
 
@@ -25,9 +25,9 @@ TRUTH is
   a folder as 'relmap simulate' writes it
   MRPT's ..._ground_truth.txt
   the folder of I-SLSJF's simulation (slsjf-sim)
-  the folder of Victoria Park: trees as another program mapped them, a reference and no truth
+  the folder of Victoria Park: trees mapped by another program, a reference rather than a truth
   the folder of DLR's circles: ids without places, so there is no RMSE
-  of walls also a log of point scans, for its poses, or a .relations file of checked relations
+  walls only: a log of point scans with poses, or a .relations file of checked relations
 
 \b
 Example:
@@ -35,22 +35,21 @@ Example:
 
 \b
 The figures:
-  corner_rmse_m       of walls: as landmark_rmse_m, of their corners
-  false corners       of walls: mapped corners that match no true one, and are not in the RMSE
-  wall_recall         of walls: share of the true walls over 0.5 m, as far as they were seen,
+  corner_rmse_m       walls: as landmark_rmse_m, for corners
+  false corners       walls: mapped corners that match no true one, and are not in the RMSE
+  wall_recall         walls: share of the true walls over 0.5 m, as far as they were seen,
                       on which a mapped one lies (within 0.1 m and 5 degrees)
-  wall_precision      of walls: share of the mapped walls over 0.5 m that lie on true ones
-  doubled_length      of walls: share of the mapped length on which another mapped wall lies
-  landmark_rmse_m     how far the mapped landmarks are from their true places, after the map
-                      was turned and shifted to fit (root mean square, metres)
+  wall_precision      walls: share of the mapped walls over 0.5 m that lie on true ones
+  doubled_length      walls: share of the mapped length that is mapped twice
+  landmark_rmse_m     root mean square error of the mapped landmarks, after rigid alignment
   coverage            share of the landmarks seen at least ten times that are in the map
-  landmarks_per_true  mapped landmarks per true one; above 1, some stand there twice
+  landmarks_per_true  mapped landmarks per true one; above 1, some are mapped twice
   purity              share of observations given to the right landmark
-  ate_m, rpe_m        error of the robot's path: as a whole, and from one step to the next
-  relation_m, _rad    of walls: mean error against checked relations between poses
+  ate_m, rpe_m        absolute and relative error of the path: as a whole, and step by step
+  relation_m, _rad    walls: mean error against checked relations between poses
 
-A figure that cannot be had is "-" in the table and null in evaluation.json; where this truth could
-give it, the reason is told.
+A figure that is not available is "-" in the table and null in evaluation.json; if this truth could
+provide it, the reason is printed.
 """
 
 FIGURES = {
@@ -78,7 +77,7 @@ def evaluate_command(
         Path | None,
         typer.Option(
             metavar="LOG",
-            help="Of points, the log that was mapped, if it was moved since then.",
+            help="Points only: the log that was mapped, if it was moved since.",
         ),
     ] = None,
 ) -> None:
@@ -125,7 +124,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
     Raises
     ------
     RelmapError
-        Where the result, the truth or the log cannot be used, or the file cannot be written.
+        If the result, the truth or the log cannot be used, or the file cannot be written.
     """
     from relmap.evaluation.evaluate import evaluate, match_walls
     from relmap.evaluation.truth import read_truth
@@ -150,7 +149,7 @@ def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | 
     Raises
     ------
     RelmapError
-        Where the log given cannot be read.
+        If the log given cannot be read.
     """
     from relmap.datasets import open_log
     from relmap.evaluation.landmarks import mapped_part

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-HELP = """Draw the paper's figures from runs of relmap, beside what the paper claims with them.
+HELP = """Reproduce the paper's figures, beside what it claims.
 
-NUMBER is 4 to 7 or 9 to 17; all of them where none is named.  The others are sketches without
+NUMBER is 4 to 7 or 9 to 17; all of them by default.  The others are sketches without
 results.  'crossing' names a picture that the paper does not have: planes and points over the noise.
 
 \b
@@ -46,7 +46,7 @@ def figures_command(
     out: Out,
     numbers: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NUMBER ...]", help="Which figures; all if none is given."),
+        typer.Argument(metavar="[NUMBER ...]", help="Which figures; all by default."),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Small runs: all figures in a few minutes.")
@@ -82,7 +82,7 @@ def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | Non
 
 
 def _counting(tell: Callable[[str], None], what: str) -> Watch:
-    """Return what tells how many items of a loop are done."""
+    """Return a wrapper that shows how many items of a loop are done."""
 
     def watch(items: Sequence[T], /) -> Iterator[T]:
         for number, item in enumerate(items, 1):

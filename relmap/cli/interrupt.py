@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def stoppable() -> Iterator[Callable[[], bool]]:
-    """Offer a function that tells whether Ctrl-C was pressed; pressed again it interrupts at once.
+    """Offer a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
 
     Where signals cannot be caught, outside the main thread, or are to be ignored, Ctrl-C does what
     it did.

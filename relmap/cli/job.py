@@ -32,13 +32,13 @@ class Job:
     folder : Path
         That other paths are relative to.
     resumed : bool
-        Whether the journal is there already, and to be gone on with.
+        Whether the journal already exists, and to be gone on with.
     onto : Path or None
         Result folder whose map the log is added to.
     animate : bool
         Of walls, whether to draw the whole run.
     sigmas : tuple of float or None
-        Noise of range, metres, bearing and elevation, radians; what the log tells where None.
+        Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
         Tells whether to stop before the log is at its end.
     """
@@ -81,15 +81,15 @@ class Job:
         Raises
         ------
         RelmapError
-            Where it was kept by another program.
+            If it was kept by another program.
         """
         from relmap.core.config import MapperConfig
 
         run = meta.get("run")
         if run is None:
             raise RelmapError(
-                f"journal {path} was not kept by relmap map and does not tell where the rest is to "
-                "come from; PointMapper.resume and PlaneMapper.resume go on with it"
+                f"journal {path} was not kept by relmap map and does not name its log; "
+                "continue it with PointMapper.resume or PlaneMapper.resume"
             )
         try:
             interval = run["scans"]
@@ -141,7 +141,7 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
     Raises
     ------
     RelmapError
-        Where the journal is damaged or the log is no longer the one that it was begun with.
+        If the journal is damaged or the log is no longer the one that it was begun with.
     """
     from relmap.io.journal import JournalReader
 
@@ -153,8 +153,7 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
             # Of walls the journal holds what was segmented, not the points of the scans.
             if job.variant == "points" and not _is_same(was, next(now, None)):
                 raise RelmapError(
-                    f"{job.source} is not what journal {job.journal} was begun with: its scan {k} "
-                    "is another"
+                    f"{job.source} is not the log of journal {job.journal}: scan {k} differs"
                 )
             labels.append(was.labels)
     if len(labels) > len(log):

@@ -1,4 +1,4 @@
-"""``relmap localise``: find where scans were taken in a map that is there already."""
+"""``relmap localise``: find where scans were taken in a map that already exists."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import typer
 from relmap.cli.arguments import Format, Log, Out, Scans
 from relmap.cli.console import tracked
 
-HELP = """Find where scans were taken, in a map that is there already and stays as it is.
+HELP = """Find where scans were taken in an existing map.
 
-INPUT is a log as for 'relmap map', RESULT a folder that it wrote.  Each scan is found by itself, so
-the robot may have been carried anywhere between two scans.  It writes DIR/trajectory.tum, the pose
-in the frame of the map of each scan that was found: it must show at least 7 mapped landmarks (5 in
-the plane), and half of what it shows must be in the map.
+INPUT is a log as for 'relmap map', RESULT a folder that it wrote, which is not changed.  Each scan
+is found on its own: the robot may have been carried anywhere between two scans.  It writes
+DIR/trajectory.tum, the pose of each scan that was found, in the frame of the map.  A scan must show
+at least 7 mapped landmarks (5 in the plane), and half of what it shows must be in the map.
 
 \b
 Example:

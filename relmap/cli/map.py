@@ -53,7 +53,8 @@ _Variant = Annotated[
     args.Variant, typer.Option(help="What the landmarks are: points, or walls in point scans.")
 ]
 _Association = Annotated[
-    args.Association, typer.Option(help="Find out which landmark is which, or take the log's ids.")
+    args.Association,
+    typer.Option(help="Match observations to landmarks, or use the ids of the log."),
 ]
 _Refine = Annotated[
     bool,
@@ -93,7 +94,7 @@ _RangeSigma = Annotated[
         "--range-sigma",
         metavar="METRES",
         help="Noise of the measured ranges, a standard deviation; with --bearing-sigma each "
-        "observation is weighed by how noisy it is. What the log tells of it is the default.",
+        "observation is weighted by its own noise. By default, as the log gives it.",
     ),
 ]
 _BearingSigma = Annotated[

@@ -49,7 +49,7 @@ def map_log(job: Job) -> tuple[Run, int]:
     Raises
     ------
     RelmapError
-        Where an argument or the log cannot be used, or the folder cannot be written; an earlier
+        If an argument or the log cannot be used, or the folder cannot be written; an earlier
         result in it is then as it was.
     """
     from relmap.io.files import staged_folder
@@ -127,7 +127,7 @@ def _taken_up(
 
 
 def _about(job: Job, log: Log) -> dict[str, Any]:
-    """Return what the summary tells of the job."""
+    """Return the job for the summary."""
     from relmap.evaluation.sources import recognised_format
 
     about: dict[str, Any] = {
@@ -199,7 +199,7 @@ def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
 
 
 def _truth_beside(source: Path) -> Truth | None:
-    """Return the true walls of a simulated log, to draw them; None where there are none."""
+    """Return the true walls of a simulated log, to draw them; None if there are none."""
     from relmap.evaluation.truth import read_truth
 
     folder = source if source.is_dir() else source.parent

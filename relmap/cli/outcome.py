@@ -11,7 +11,7 @@ from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
 
 WHOLE = 0.9
-"""Share of the scans in the largest submap of a run that did not fall to pieces."""
+"""Share of the scans in the largest submap of a run that did not break."""
 
 
 def report(job: Job) -> None:
@@ -67,13 +67,13 @@ def torn(summary: dict[str, Any]) -> str:
     if len(submaps) > 1:
         scans, metres = submaps[0]["scans"], submaps[0]["metres"]
         told += (
-            f"; the run broke into {len(submaps)} submaps that nothing ties to one another: the "
-            f"largest, of {scans} scans and {metres:.1f} m, is the map"
+            f"; the run broke into {len(submaps)} submaps: the largest, of {scans} "
+            f"scans and {metres:.1f} m, is the map"
         )
     if failed:
         told += f"; {failed} of {len(submaps)} submaps could not be refined"
     if weak := len(summary["weak_links"]):
-        told += f"; scans between which the robot was taken to go on as before: {weak}"
+        told += f"; links whose length nothing measured, so that the motion was continued: {weak}"
     return told + _advice(summary)
 
 
@@ -86,7 +86,7 @@ def _advice(summary: dict[str, Any]) -> str:
     view_deg = steps["view_deg"]
     view = "" if view_deg is None else f" (here {view_deg:.0f} degrees)"
     return (
-        f". What helps is more to see in common from scan to scan: shorter steps (here "
+        f". More overlap between scans helps: shorter steps (here "
         f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
         f"wider view{view}; odometry would bridge the breaks, but is not used for walls"
     )
@@ -99,7 +99,7 @@ def doubted(trust: dict[str, Any]) -> str:
     if tied is not None and min(tied, unique) < 1:
         told += (
             f"; {100 * tied:.1f} % of the scans were tied to those before, {100 * unique:.1f} % "
-            f"by more than chance brings"
+            f"by more matches than chance explains"
         )
     return told + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
 
@@ -116,6 +116,6 @@ def unconverged(refinement: dict[str, Any] | None) -> str:
     if refinement is None or refinement["converged"]:
         return ""
     return (
-        "\nWARNING: the refinement did not converge, so the map is the best that was found and may "
-        "be wrong; look for wrong ids or matches, or compare with --no-refine"
+        "\nWARNING: the refinement did not converge, so the map is the best one found and may be "
+        "wrong; look for wrong ids or matches, or compare with --no-refine"
     )

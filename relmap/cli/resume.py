@@ -13,10 +13,10 @@ from relmap.cli.interrupt import stoppable
 from relmap.cli.job import Job
 from relmap.cli.outcome import report
 
-HELP = """Go on with a run of 'relmap map --journal FILE' that ended early.
+HELP = """Continue a run of 'relmap map --journal FILE' that ended early.
 
-What the journal holds is mapped again, the rest comes from the log that the run was begun with, and
-the map is the same, to the last bit, as without the interruption.
+The content of the journal is mapped again, and the rest is read from the original log.  The map is
+the same, to the last bit, as without the interruption.
 
 \b
 Examples:

@@ -44,9 +44,9 @@ Example:
     rich_markup_mode=None,
 )
 
-_FIGURE_EIGHT = """Simulate a robot flying past point landmarks.
+_FIGURE_EIGHT = """Simulate a flight past point landmarks.
 
-It writes DIR/observations.csv (what the robot saw, with the true identity of each landmark) and
+It writes DIR/observations.csv (the observations, with the true identity of each landmark) and
 the truth: DIR/truth/landmarks.csv and DIR/truth/trajectory.tum.  The path is a figure eight of
 740 m that climbs 40 m and comes down again; a loop takes 900 iterations.
 
@@ -55,7 +55,7 @@ Example:
   relmap simulate figure-eight -o eight --sigma 0.1
 """
 
-_WORLD = """Simulate a robot in a world whose landmarks are hard to tell apart.
+_WORLD = """Simulate landmarks that are hard to tell apart.
 
 It writes DIR/observations.csv (ids as they were read, -1 for false detections) and the truth:
 DIR/truth/landmarks.csv, DIR/truth/trajectory.tum and DIR/truth/ids.csv (the true landmark of each
@@ -66,12 +66,13 @@ Example:
   relmap simulate world --kind corridor -o corridor --missed 0.3 --spurious 0.1
 """
 
-_BUILDING = """Simulate a robot that drives through a building and sees points of its walls.
+_BUILDING = """Simulate a drive past the walls of a building.
 
-It writes DIR/scans.npz (the points of every scan, in the robot's frame; of a laser x and y), a
-picture building.png, and the truth: DIR/truth/planes.csv (every wall, once for each side it has)
-and DIR/truth/trajectory.tum.  The robot drives round a corridor lined with rooms, past their open
-doors, 250 to 310 scans a loop, and sees 8 m far in a view of 90 degrees (laser: 180).
+It writes DIR/scans.npz (the points of every scan, robot frame; x and y only for a laser), a picture
+building.png, and the truth: DIR/truth/planes.csv (one row for each side of a wall) and
+DIR/truth/trajectory.tum.  The robot drives round a corridor lined with rooms, past their open
+doors, in 250 to 310 scans per loop.  The sensor sees 8 m far, with a view of 90 degrees (laser:
+180).
 
 \b
 Example:
@@ -83,12 +84,10 @@ Example:
 def figure_eight_command(
     out: Out,
     density: Density = 25.0,
-    iterations: Annotated[
-        int, typer.Option(help="How often the robot looks; one loop is 900.")
-    ] = 900,
+    iterations: Annotated[int, typer.Option(help="Number of scans; one loop takes 900.")] = 900,
     noise: Noise = "gaussian",
     sigma: Annotated[
-        float, typer.Option(help="Standard deviation of each coordinate seen, metres.")
+        float, typer.Option(help="Standard deviation of each observed coordinate, metres.")
     ] = 0.05,
     dynamic: Dynamic = 0.0,
     seed: Seed = 0,
@@ -106,7 +105,7 @@ def write_figure_eight(out: Path, source: EightSource) -> str:
     Raises
     ------
     RelmapError
-        Where a parameter is out of range or the folder cannot be written.
+        If a parameter is out of range or the folder cannot be written.
     """
     from relmap.io.files import staged_folder
 
@@ -133,8 +132,8 @@ def _write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
 @app.command("world", help=_WORLD)
 def world_command(
     out: Out,
-    kind: Annotated[Kind, typer.Option(help="The world and the way through it.")] = "streets",
-    length: Annotated[float, typer.Option(help="Length of the way, metres.")] = 600.0,
+    kind: Annotated[Kind, typer.Option(help="The world and the path through it.")] = "streets",
+    length: Annotated[float, typer.Option(help="Length of the path, metres.")] = 600.0,
     iterations: Annotated[int, typer.Option(help="Number of scans.")] = 400,
     spacing: Annotated[
         float, typer.Option(help="Typical distance of neighbouring landmarks, metres.")
@@ -146,8 +145,8 @@ def world_command(
     noise: Annotated[
         Sensor,
         typer.Option(
-            help="The same in all directions; in range or in bearing ten times as much; growing "
-            "with the range; that of a stereo camera."
+            help="Noise model: the same in all directions; ten times larger in range or in "
+            "bearing; growing with the range; or that of a stereo camera."
         ),
     ] = "isotropic",
     missed: Annotated[float, typer.Option(help="Share of the detections that fail.")] = 0.0,
@@ -194,34 +193,37 @@ def world_command(
 def building_command(
     out: Out,
     points: Annotated[
-        int, typer.Option(help="Points of a scan; with rays or laser the number of beams.")
+        int, typer.Option(help="Points per scan; with rays or laser, the number of beams.")
     ] = 2000,
     sigma: Annotated[
         float,
-        typer.Option(help="Standard deviation of each coordinate, of the range of beams; metres."),
+        typer.Option(
+            help="Standard deviation of each coordinate, or of the range of beams, metres."
+        ),
     ] = 0.05,
     noise: Noise = "gaussian",
     sampling: Annotated[
         Sampling,
         typer.Option(
-            help="How points lie: uniform on the visible surface, where a grid of beams meets "
-            "it, or where the beams of a 2-D laser do."
+            help="Points uniform on the visible surface, on a grid of beams, or on the beams of a "
+            "2-D laser."
         ),
     ] = "surface",
     iterations: Annotated[
-        int | None, typer.Option(help="Number of scans; as the loops take if not given.")
+        int | None, typer.Option(help="Number of scans; by default as many as the loops take.")
     ] = None,
     loops: Annotated[int, typer.Option(help="How often the robot drives round.")] = 1,
     world: Annotated[
         World,
-        typer.Option(help="Where it drives, as above."),
+        typer.Option(help="The world."),
     ] = "building",
     moving: Annotated[
-        int, typer.Option(help="Hang so many swinging doors; of panels, so many slide and turn.")
+        int,
+        typer.Option(help="Number of swinging doors; in panels, of panels that slide and turn."),
     ] = 0,
     beams: Annotated[
         int | None,
-        typer.Option(help="Short for --sampling laser --points: a 2-D laser with so many beams."),
+        typer.Option(help="A 2-D laser with this many beams; short for --sampling laser --points."),
     ] = None,
     view: Annotated[
         float | None, typer.Option(help="Field of view of the sensor, degrees, below 360.")
@@ -230,11 +232,12 @@ def building_command(
         float | None, typer.Option("--range", help="Range of the sensor, metres.")
     ] = None,
     step: Annotated[
-        float, typer.Option(help="Way from one scan to the next, metres; turns go with it.")
+        float, typer.Option(help="Distance between scans, metres; turns scale with it.")
     ] = 0.22,
-    people: Annotated[int, typer.Option(help="So many people walk about; of a laser.")] = 0,
+    people: Annotated[int, typer.Option(help="Laser only: number of people walking about.")] = 0,
     clutter: Annotated[
-        float, typer.Option(help="Share of the beams of a laser that meet small things, to 0.5.")
+        float,
+        typer.Option(help="Laser only: share of the beams that meet small objects, up to 0.5."),
     ] = 0.0,
     seed: Seed = 0,
 ) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from relmap.comparison.sweep import Finished
     from relmap.comparison.sweep_spec import Cell
 
-HELP = """Run a grid of experiments in simulated worlds, in all cores or on a cluster.
+HELP = """Run a grid of simulated experiments on all cores or a cluster.
 
 SPEC is a small TOML file.  Each key has one value or a list; every combination is one cell.
 

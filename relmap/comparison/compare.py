@@ -29,13 +29,13 @@ CSV_COLUMNS = ("method", "association", *FIGURES, "note")
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What became of one method.
+    """The outcome of one method.
 
     Attributes
     ----------
     method : str
     run : MethodRun or None
-        None where it could not run.
+        None if it could not run.
     note : str
         Why it could not; empty where it did.
     """
@@ -60,7 +60,7 @@ def chosen_methods(
     Raises
     ------
     RelmapError
-        Where a name is unknown or stands there twice, or a method cannot be given such data.
+        If a name is unknown or occurs twice, or a method cannot be given such data.
     """
     if association == "known" and data.ids is None:
         if data.kind == "scans":
@@ -91,12 +91,12 @@ def compare(
     methods : sequence of MethodInfo
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that the methods are told, metres; estimated from the data if not given.
+        Noise that the methods are given, metres; estimated from the data if not given.
 
     Yields
     ------
     Compared
-        In the order of the methods.  What goes wrong in one of them stands in its note.
+        In the order of the methods.  If one fails, its note says why.
     """
     for method in methods:
         if method.missing:
@@ -108,7 +108,7 @@ def compare(
 def in_own_process(
     name: str, source: Source, association: Association, sigma_m: float | None
 ) -> Compared:
-    """Run one method in a fresh process; what goes wrong there stands in the note."""
+    """Run one method in a fresh process; if it fails, the note says why."""
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(
@@ -132,7 +132,7 @@ def in_own_process(
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Let processes begun now not hear Ctrl-C, which goes to all of a terminal: we end them."""
+    """Start processes that ignore Ctrl-C, which a terminal sends to all: this one ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,4 @@
-"""How much memory a stretch of work takes at most, as the operating system tells it."""
+"""Peak memory of a piece of work, as reported by the operating system."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ KB_PER_MB = 1024
 
 
 class PeakMemory:
-    """Watches this process from when it is made; Linux alone tells."""
+    """Watches this process from its construction; Linux only."""
 
     def __init__(self) -> None:
         # Where the peak cannot be set back, it is that of the whole process so far.
@@ -21,7 +21,7 @@ class PeakMemory:
 
     @property
     def grown_mb(self) -> float | None:
-        """Peak less what there was before, megabytes; None where the system does not tell."""
+        """Peak less what there was before, megabytes; None if the system does not report it."""
         peak = _told("VmHWM")
         if peak is None or self._before is None:
             return None

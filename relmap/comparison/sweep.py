@@ -34,7 +34,7 @@ class Finished:
     Attributes
     ----------
     figures : dict
-        `ACCURACY` and `TIMES`, None where one cannot be had.
+        `ACCURACY` and `TIMES`, None if one is not available.
     note : str
         Why there are none; empty where all went well.
     again : bool
@@ -47,7 +47,7 @@ class Finished:
 
 
 def run_cell(cell: Cell) -> Finished:
-    """Make the world of a cell and run its method; what goes wrong is its note."""
+    """Simulate the world of a cell and run its method; if it fails, the note says why."""
     none: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES))
     missing = find_method(cell.method).missing
     if missing:
@@ -68,7 +68,7 @@ class CellStore:
     Raises
     ------
     RelmapError
-        Where it cannot be made.
+        If it cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -79,7 +79,7 @@ class CellStore:
             raise RelmapError(f"cannot write into {folder}: {error.strerror}") from error
 
     def load(self, cell: Cell) -> Finished | None:
-        """Return a finished cell; None where it is not there, damaged or of another version."""
+        """Return a finished cell; None if it is not there, damaged or of another version."""
         try:
             told = json.loads(self._path(cell).read_text())
             figures, note = told["figures"], told["note"]
@@ -94,7 +94,7 @@ class CellStore:
         Raises
         ------
         RelmapError
-            Where it cannot be written.
+            If it cannot be written.
         """
         if finished.again:
             return
@@ -128,7 +128,7 @@ def run_cells(
     Raises
     ------
     RelmapError
-        Where the scheduler cannot be reached.
+        If the scheduler cannot be reached.
     """
     from joblib import Parallel, delayed
 
@@ -150,7 +150,7 @@ def _cluster(scheduler: str) -> AbstractContextManager[Any]:
     Raises
     ------
     RelmapError
-        Where dask is not installed, or nobody answers.
+        If dask is not installed, or no scheduler answers.
     """
     try:
         from distributed import Client
@@ -195,7 +195,7 @@ def write_parquet(path: Path, cells: Sequence[Cell], finished: Sequence[Finished
     Raises
     ------
     RelmapError
-        Where pyarrow is not installed.
+        If pyarrow is not installed.
     """
     try:
         import pyarrow as pa

@@ -1,4 +1,4 @@
-"""What a sweep runs: a small TOML file, and the grid of cells that it means."""
+"""The specification of a sweep: a small TOML file that describes a grid of cells."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def read_spec(path: Path) -> list[Cell]:
     Raises
     ------
     RelmapError
-        Where it cannot be read, is not TOML or means no grid.
+        If it cannot be read, is not TOML or means no grid.
     """
     try:
         return cells_of(read_toml(path))
@@ -102,7 +102,7 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
     Raises
     ------
     RelmapError
-        Where a key or a value cannot be used, or a method cannot be given such a world.
+        If a key or a value cannot be used, or a method cannot be given such a world.
     """
     for key in spec:
         known_name(key, KEYS, "key")
@@ -128,7 +128,7 @@ def _choices(key: str, given: Any) -> list[Any]:
     Raises
     ------
     RelmapError
-        Where there is none, one stands there twice or cannot be used.
+        If there is none, one occurs twice or cannot be used.
     """
     kind = type(_DEFAULTS[key])
     if kind is int and isinstance(given, str):

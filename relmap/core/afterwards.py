@@ -53,7 +53,7 @@ def finish(engine: RelativeMapper) -> None:
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
     """Found a submap in iterations that are still stored and of which no group placed any.
 
-    Where nothing is in view for long, nobody is due before it has left.
+    Where landmarks stay in view briefly, none is due before it has left.
     """
     landmarks = engine.table.now(engine.store.seen(begin, end)[0])
     if not len(landmarks) or (engine.table.weight[landmarks] > 0).any():

@@ -19,11 +19,11 @@ class ChangeGuard:
     """Lets one thread at a time change something, and refuses it once a change was cut off.
 
     Whatever stops a change at whatever moment, Ctrl-C above all, either leaves no trace or is
-    told by `check` and the next `change`.
+    reported by `check` and the next `change`.
     """
 
     def __init__(self) -> None:
-        # One entry at most, as `setdefault` is atomic; a list, for it is told by identity.
+        # One entry at most, as `setdefault` is atomic; a list, for it is recognised by identity.
         self._holder: dict[str, list[int]] = {}
 
     def check(self) -> None:

@@ -22,7 +22,7 @@ class LandmarkModel(Protocol):
     """
 
     def association(self, config: MapperConfig) -> Registration:
-        """Return what finds out who is who in scans without ids."""
+        """Return the association of scans without ids."""
         ...
 
     @property

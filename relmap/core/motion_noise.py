@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 
 FEWEST = 8
-"""Comparisons below which nothing can be told of odometry."""
+"""Comparisons below which odometry cannot be judged."""
 NORMAL = 1.4826
 """Standard deviations in the median of absolute deviations, of a normal distribution."""
 ROUNDS = 10

@@ -36,7 +36,7 @@ def take_turns(engine: RelativeMapper, seen: NDArray[np.int64], left: NDArray[np
 
 
 def _group_next(engine: RelativeMapper) -> bool:
-    """Group whoever was seen often enough since the last time; tell whether somebody was."""
+    """Group landmarks seen often enough since the last time; return whether there were any."""
     due = engine.schedule.next_due()
     if due is None or engine.table.dynamic[due[0]]:
         return False
@@ -45,7 +45,7 @@ def _group_next(engine: RelativeMapper) -> bool:
 
 
 def _last_pass_next(engine: RelativeMapper) -> bool:
-    """Group whoever is seen no longer over the whole interval; tell whether somebody was."""
+    """Group landmarks that left, over the whole interval; return whether there were any."""
     seed = engine.placing.next_last_pass()
     if seed is not None:
         last_pass(engine, seed)

@@ -87,7 +87,7 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
     Raises
     ------
     RelmapError
-        Where there is no log of a known format, or it is damaged: file, line, field.
+        If there is no log of a known format, or it is damaged: file, line, field.
     """
     return _choose(Path(path), format, DATASETS, _LANDMARK_LOG).load(Path(path))
 
@@ -110,7 +110,7 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
     Raises
     ------
     RelmapError
-        Where there is no log of a known format, or it is damaged: file, line, field.
+        If there is no log of a known format, or it is damaged: file, line, field.
     """
     return _choose(Path(path), format, SCAN_DATASETS, _SCAN_LOG).load(Path(path))
 

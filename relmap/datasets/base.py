@@ -24,7 +24,7 @@ def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]
     Raises
     ------
     RelmapError
-        Where there is none.
+        If there is none.
     """
     if max(begin, first) >= min(end, last):
         raise RelmapError(f"scans {begin}:{end} hold nothing: the log covers {first}:{last}")
@@ -71,9 +71,9 @@ class ObservationLog:
     ids : (n,) int64 or None
         Known association; negative where a landmark was not identified.
     stamps_s : (end_iteration - first_iteration,) float64 or None
-        Time of each iteration, seconds; None where the log has no clock.
+        Time of each iteration, seconds; None if the log has no clock.
     covariances : (n, d, d) float64 or None, robot frame, square metres
-        How noisy each observation is; None where the log does not tell.
+        How noisy each observation is; None if the log does not tell.
     """
 
     points_robot: Floats
@@ -110,7 +110,7 @@ class ObservationLog:
         Raises
         ------
         RelmapError
-            Where the log has no iteration in that range.
+            If the log has no iteration in that range.
         """
         first, last = common_range(begin, end, self.first_iteration, self.end_iteration)
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
@@ -159,6 +159,6 @@ class Dataset(Protocol[Log]):
         Raises
         ------
         RelmapError
-            Where the content is not what the format promises: file, line, field.
+            If the content is not what the format promises: file, line, field.
         """
         ...

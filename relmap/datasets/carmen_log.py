@@ -69,7 +69,7 @@ class CarmenLog:
     description = "a CARMEN log with FLASER or ROBOTLASER1 lines"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the first line other than a comment begins as those of CARMEN do."""
+        """Return whether the first line other than a comment begins as those of CARMEN do."""
         if os.path.isdir(path):
             return False
         with suppress(RelmapError):

@@ -58,7 +58,7 @@ class _Layout:
     """How the points are stored in a file.
 
     Each number of a point has a name and a numpy type. Where the points are packed by LZF, they
-    are stored field by field, and `fields` tells how many numbers each field has; else it is empty.
+    are stored field by field, and `fields` gives how many numbers each field has; else it is empty.
     """
 
     count: int
@@ -69,7 +69,7 @@ class _Layout:
 
 
 def is_cloud(file: Path) -> bool:
-    """Tell whether a file, unpacked, begins with the header of a PCD or PLY file."""
+    """Return whether a file, unpacked, begins with the header of a PCD or PLY file."""
     try:
         return _header_end(_unpacked(file, _HEADER_BYTES)) is not None
     except RelmapError:
@@ -87,7 +87,7 @@ def read_cloud(file: Path) -> Floats:
     Raises
     ------
     RelmapError
-        Where the file is damaged, holds less than it says, or no point.
+        If the file is damaged, holds less than it says, or no point.
     """
     data = _unpacked(file, MAX_BYTES)
     end = _header_end(data)
@@ -141,7 +141,7 @@ def _without_xz(stream: BinaryIO, most: int) -> bytes:
 
 
 def _header_end(data: bytes) -> int | None:
-    """Return where the header ends; None where there is none."""
+    """Return where the header ends; None if there is none."""
     end = _END.search(data, 0, _HEADER_BYTES) if _MAGIC.match(data) else None
     return end and end.end()
 

@@ -52,7 +52,7 @@ class DlrCircles:
     description = f"DLR's circles, *.circles with lines {STEP!r} and {LANDMARK!r}"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the first line is a step or a circle, or a folder holds such a file."""
+        """Return whether the first line is a step or a circle, or a folder holds such a file."""
         if os.path.isdir(path):
             return bool(_files_in(path))
         first = " ".join(columns_of(path)).split()

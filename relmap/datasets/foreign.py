@@ -51,7 +51,7 @@ _KITTI_FAR_M = 500.0
 
 
 def foreign_format(head: bytes) -> str | None:
-    """Return what a file of another format is, from its first bytes; None where it is unknown."""
+    """Return what a file of another format is, from its first bytes; None if it is unknown."""
     if head.startswith(_GZIP_MAGIC):
         try:
             inner = zlib.decompressobj(_GZIP_WINDOW).decompress(head, HEAD_BYTES)
@@ -63,7 +63,7 @@ def foreign_format(head: bytes) -> str | None:
 
 
 def foreign_at(path: Path) -> str | None:
-    """Return what a file of another format is, or a folder holds; None where that is unknown."""
+    """Return what a file of another format is, or a folder holds; None if that is unknown."""
     if not os.path.isdir(path):
         return _foreign_file(path)
     name, hallmark = _ROS2_FOLDER
@@ -88,7 +88,7 @@ def _foreign_file(file: Path) -> str | None:
 
 
 def _is_kitti(file: Path, head: bytes) -> bool:
-    """Tell whether a file may hold points of KITTI's laser: that format has no magic number."""
+    """Return whether a file may hold points of KITTI's laser: that format has no magic number."""
     if len(head) < _KITTI.size or file.stat().st_size % 16:
         return False
     numbers = _KITTI.unpack_from(head)
@@ -97,7 +97,7 @@ def _is_kitti(file: Path, head: bytes) -> bool:
 
 
 def _head(file: Path) -> bytes:
-    """Return the first bytes of a file; none where it cannot be read."""
+    """Return the first bytes of a file; none if it cannot be read."""
     try:
         with file.open("rb") as stream:
             return stream.read(HEAD_BYTES)

@@ -73,7 +73,7 @@ def read_head(path: Path, stream: TextIO) -> Head:
 
 
 def columns_of(path: Path) -> frozenset[str]:
-    """Return the header's cells of a table; none where the file cannot be read as one."""
+    """Return the header's cells of a table; none if the file cannot be read as one."""
     try:
         with open_text(path) as stream:
             return frozenset(read_head(path, stream).columns)

@@ -1,7 +1,7 @@
 """Matrices of numbers in MATLAB files of level 5, which may be damaged or no MATLAB files at all.
 
 They are read here and not by scipy, whose reader ends the whole program on some damaged files and
-unpacks what it is told to, however large (version 1.17).  The format: "MAT-File Format", MathWorks,
+unpacks whatever size is stated (version 1.17).  The format: "MAT-File Format", MathWorks,
 chapter 1; a header of 128 bytes, then elements, each a tag of type and size with its data.
 """
 
@@ -52,7 +52,7 @@ def read_matrix(file: Path, name: str) -> Floats:
     Raises
     ------
     RelmapError
-        Where the file is missing or damaged, or holds no such matrix.
+        If the file is missing or damaged, or holds no such matrix.
     """
     try:
         with open(file, "rb") as stream:

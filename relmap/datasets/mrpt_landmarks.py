@@ -55,7 +55,7 @@ class MrptLandmarks:
     description = f"an MRPT landmark log with the header {header_text(_COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the header is that of an MRPT landmark log, or nearly so."""
+        """Return whether the header is that of an MRPT landmark log, or nearly so."""
         if os.path.isdir(path):
             return bool(tables_with(path, _HALLMARK))
         found = columns_of(path)
@@ -119,7 +119,7 @@ def _sigmas(table: Table) -> Floats:
 
 
 def is_ground_truth(path: Path) -> bool:
-    """Tell whether a path is named as a truth file is, or a folder holds a file so named."""
+    """Return whether a path is named as a truth file is, or a folder holds a file so named."""
     if os.path.isdir(path):
         return bool(_landmark_files(path))
     return path.name.endswith((_LANDMARKS, _PATH))
@@ -143,7 +143,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     Raises
     ------
     RelmapError
-        Where a file is missing, or a row of it is not what the format promises.
+        If a file is missing, or a row of it is not what the format promises.
     """
     base = _truth_base(Path(path))
     file = Path(f"{base}{_LANDMARKS}")

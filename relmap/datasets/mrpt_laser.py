@@ -43,7 +43,7 @@ class MrptLaser:
     description = "MRPT's laser scans with the header t_s,gt_x,gt_y,gt_theta,...,r0,r1,..."
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the header is that of such a log."""
+        """Return whether the header is that of such a log."""
         if os.path.isdir(path):
             return bool(tables_with(path, _HALLMARK))
         return columns_of(path) >= _HALLMARK

@@ -29,7 +29,7 @@ def parse_number(cell: str) -> float:
     Raises
     ------
     ValueError
-        Where the cell does not hold a number.
+        If the cell does not hold a number.
     """
     if "_" in cell or not cell.isascii():
         raise ValueError(cell)
@@ -70,7 +70,7 @@ def read_rows(
     Raises
     ------
     RelmapError
-        Where the file cannot be read, holds no row, or a line is not a row.
+        If the file cannot be read, holds no row, or a line is not a row.
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):

@@ -55,7 +55,7 @@ class ObservationCsv:
     description = f"observations.csv with the header {header_text(_COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the header is that of an observation log, or nearly so.
+        """Return whether the header is that of an observation log, or nearly so.
 
         A header that lacks a column or misspells one is recognised too, so that the reader can
         say what is wrong with it.
@@ -79,7 +79,7 @@ class ObservationCsv:
 
 
 def _covariances(table: Table, points: Floats) -> Floats | None:
-    """Return the covariances (n, d, d) of points (n, d); None where there are none."""
+    """Return the covariances (n, d, d) of points (n, d); None if there are none."""
     d = points.shape[1]
     wanted = [f"c{pair}" for pair in _PAIRS if d == 3 or "z" not in pair]
     found = [name for name in table.columns if name[1:] in _PAIRS]
@@ -116,7 +116,7 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
     Raises
     ------
     RelmapError
-        Where the file cannot be written, or would hold what the reader refuses.
+        If the file cannot be written, or would hold what the reader refuses.
     """
     path = Path(path)
     if not len(log.points_robot):

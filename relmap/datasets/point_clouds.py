@@ -39,7 +39,7 @@ class PointClouds:
     description = "a folder of .pcd or .ply files, which may be packed as .xz"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is such a file, or a folder of them that is not a result of relmap."""
+        """Return whether it is such a file, or a folder of them that is not a result of relmap."""
         if not os.path.isdir(path):
             return is_cloud(path)
         return bool(_files(path)) and not (path / _RESULT).exists()

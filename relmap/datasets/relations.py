@@ -51,7 +51,7 @@ def read_relations(path: Path) -> Relations:
     Raises
     ------
     RelmapError
-        Where it cannot be read, holds no relation, or a line is not a relation.
+        If it cannot be read, holds no relation, or a line is not a relation.
     """
     table = read_rows(path, _LIMITS, "#", "relation", f"8 numbers: {_COLUMNS}").values
     T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])

@@ -1,4 +1,4 @@
-"""What every log of point scans looks like once read, and what a format's reader offers."""
+"""Logs of point scans, and the interface of their readers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class PointScan:
 
 @dataclass(frozen=True)
 class SensorView:
-    """What is known of the sensor of a log; all its scans have the same.
+    """The known properties of the sensor of a log, the same for all scans.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class ScanLog:
         Raises
         ------
         RelmapError
-            Where a file of the log is damaged.
+            If a file of the log is damaged.
         """
         for index, stamp_s in enumerate(self.stamps_s.tolist()):
             pose = None if self.poses is None else self.poses[index]
@@ -121,7 +121,7 @@ class ScanLog:
         Raises
         ------
         RelmapError
-            Where the log has no scan in that range.
+            If the log has no scan in that range.
         """
         last = self.first_iteration + len(self)
         first, stop = common_range(begin, end, self.first_iteration, last)
@@ -204,7 +204,7 @@ def laser_scans(
 
 
 def _laser_view(bearings_rad: list[Floats], limit_m: float, T_robot_laser: Floats) -> SensorView:
-    """Return what all scans have in common; nothing where the laser is not fixed on the robot."""
+    """Return what all scans have in common; empty if the laser is not fixed on the robot."""
     if np.ptp(T_robot_laser, axis=0).max() > FIXED:
         return SensorView()
     half = min(min(-bearings.min(), bearings.max()) for bearings in bearings_rad)

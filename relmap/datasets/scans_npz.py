@@ -48,7 +48,7 @@ class ScansNpz:
     description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a zip file with arrays, as .npz files are, or a damaged one.
+        """Return whether it is a zip file with arrays, as .npz files are, or a damaged one.
 
         A saved map is a zip file with arrays as well, and none.
         """
@@ -90,7 +90,7 @@ def write_scans_npz(
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     counts = [len(points) for points in scans]
     iteration = np.repeat(np.arange(len(scans), dtype=np.int64), counts)
@@ -128,7 +128,7 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
 
 
 def _without_arrays(file: Path) -> bool:
-    """Tell whether a zip file is whole and holds no array."""
+    """Return whether a zip file is whole and holds no array."""
     try:
         _check_directory(file)
         with zipfile.ZipFile(file) as archive:

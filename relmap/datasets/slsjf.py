@@ -7,7 +7,7 @@ the left), and three zeros. The exact truth lies in the same folder:
 * ``store_beaconsTrue.mat``: rows of id, x, y (metres).
 * ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.
 
-``parameters.txt``, where it is there, tells the noise: ``sigr = 0.1`` (metres) of the range and
+``parameters.txt``, if it exists, gives the noise: ``sigr = 0.1`` (metres) of the range and
 ``sigtheta = (1*pi/180)`` (radians) of the bearing.
 """
 
@@ -63,7 +63,7 @@ class SlsjfSimulation:
     description = f"the simulation of I-SLSJF as a folder with {LOG_FILE}"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a MATLAB file, or a folder with one named ``sensor_data.mat``."""
+        """Return whether it is a MATLAB file, or a folder with one named ``sensor_data.mat``."""
         return is_matlab(file_in(path, LOG_FILE))
 
     def load(self, path: Path) -> ObservationLog:
@@ -85,7 +85,7 @@ class SlsjfSimulation:
 
 
 def _sigmas(file: Path) -> tuple[float, float] | None:
-    """Return the noise of range, metres, and bearing, radians; None where no file tells it."""
+    """Return the noise of range, metres, and bearing, radians; None if no file gives it."""
     if not file.is_file():
         return None
     text = "".join(line for _, line in numbered_lines(file))
@@ -118,7 +118,7 @@ def _with_positive_ranges(table: Table) -> Table:
 
 
 def is_ground_truth(path: Path) -> bool:
-    """Tell whether a folder holds the true beacons, or a path is named as a truth file is."""
+    """Return whether a folder holds the true beacons, or a path is named as a truth file is."""
     return path.name in (BEACONS_FILE, ROBOT_FILE) or os.path.isfile(path / BEACONS_FILE)
 
 
@@ -142,7 +142,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     Raises
     ------
     RelmapError
-        Where a file is missing, or holds what the format does not allow.
+        If a file is missing, or holds what the format does not allow.
     """
     file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns

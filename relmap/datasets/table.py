@@ -30,7 +30,7 @@ _MOST_NAMES = 12
 class Column:
     """A column that a table may have: its values are from `low` to `high`, both allowed.
 
-    The `unit` is for messages; `empty` is what an empty cell stands for, None where it is an error.
+    The `unit` is for messages; `empty` is what an empty cell stands for, None if it is an error.
     """
 
     name: str
@@ -81,7 +81,7 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
     Raises
     ------
     RelmapError
-        Where header, row, cell or the file itself is not as the columns say.
+        If header, row, cell or the file itself is not as the columns say.
     """
     parts, count = [], 0
     with open_text(path) as stream:
@@ -214,7 +214,7 @@ def _first_outside(values: Floats, columns: Sequence[Column]) -> list[tuple[int,
 
 
 def parse_fast(batch: list[str], width: int) -> Floats | None:
-    """Return the numbers of plain lines, (n, width); None where a line is anything else."""
+    """Return the numbers of plain lines, (n, width); None if a line is anything else."""
     if not batch[0].strip():
         return None
     try:

@@ -173,7 +173,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     Raises
     ------
     RelmapError
-        Where it cannot be written; no part of it is left behind.
+        If it cannot be written; no part of it is left behind.
     """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:

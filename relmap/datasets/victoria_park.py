@@ -58,7 +58,7 @@ class VictoriaPark:
     description = f"Victoria Park's trees with the header {header_text(_COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether the header is that of Victoria Park's trees, or nearly so."""
+        """Return whether the header is that of Victoria Park's trees, or nearly so."""
         if os.path.isdir(path):
             return bool(tables_with(path, _HALLMARK))
         found = columns_of(path)
@@ -83,7 +83,7 @@ class VictoriaPark:
 
 
 def is_reference(path: Path) -> bool:
-    """Tell whether a folder holds the association file, or a path is named as it is."""
+    """Return whether a folder holds the association file, or a path is named as it is."""
     return path.name == ASSOCIATION_FILE or os.path.isfile(path / ASSOCIATION_FILE)
 
 
@@ -107,7 +107,7 @@ def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
     Raises
     ------
     RelmapError
-        Where the association file is missing or damaged.
+        If the association file is missing or damaged.
     """
     rows = _read_association(file_beside(path, ASSOCIATION_FILE))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]

@@ -1,1 +1,1 @@
-"""How good a result is: runs, metrics and the truth."""
+"""Evaluation of results: runs, metrics and the truth."""

@@ -1,4 +1,4 @@
-"""Mapped corners of walls and the true ones: which is which, and the figures that follow."""
+"""Matching mapped corners of walls to true ones, and the figures of merit."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class MatchedCorners(Matched):
     wall, end : (p,) int64
         Which true corner each is.
     n_false : int
-        Mapped corners that are none.
+        Mapped corners that match no true one.
     """
 
     wall: NDArray[np.int64]
@@ -76,7 +76,7 @@ def _corners(planes: PlaneTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _why_unmatched(planes: PlaneTable, true_poses: NDArray[np.float64]) -> str:
-    """Say why `match_corners` found nothing."""
+    """Return why `match_corners` found nothing."""
     if not len(_corners(planes)[0]):
         return "no corner is mapped"
     if not fixes_rotation(true_poses[:, :2, 3]):
@@ -97,7 +97,7 @@ def match_corners(
     Returns
     -------
     MatchedCorners or None
-        None where there is no path to begin with, or nothing can be paired.
+        None if there is no path to begin with, or nothing can be paired.
     """
     row, end = _corners(planes)
     position, normal = planes.ends[row, end], planes.normal[row]

@@ -31,7 +31,7 @@ ONLY: dict[Variant, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The figures of one result; None where one cannot be had.
+    """The figures of one result; None if one is not available.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Evaluation:
         Shares of the length of walls; see `relmap.evaluation.walls.judge_walls`.
     coverage : float or None
         Share of the static true landmarks or corners seen in at least ten of the mapped iterations
-        that stand in the map.
+        that are in the map.
     landmarks_per_true : float or None
         Mapped landmarks or corners for each true one that they stand for; 1 is right.
     purity : float or None
@@ -99,7 +99,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     Raises
     ------
     RelmapError
-        Where the log is not the one that was mapped.
+        If the log is not the one that was mapped.
     """
     mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
     poses, true_poses = result.poses[mine], truth.poses[other]

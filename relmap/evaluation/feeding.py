@@ -1,4 +1,4 @@
-"""A log goes through a mapper, or a method to compare it with, scan by scan."""
+"""Feeding a log, scan by scan, to a mapper or to a method to compare it with."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 
 class Method(Protocol):
-    """What a log can be run through: a mapper, or a method to compare it with."""
+    """A mapper, or a method to compare it with."""
 
     def update(self, points: Any, /, ids: Any = None) -> NDArray[np.int64]:
         """Take in one iteration.
@@ -45,14 +45,14 @@ class Method(Protocol):
         """
 
     def finish(self) -> None:
-        """Do what is left to the end of the log."""
+        """Do what remains at the end of the log."""
 
     def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
         """Return what landmarks (n,), labelled by earlier updates, are called now."""
 
     @property
     def map(self) -> LandmarkMap:
-        """The landmarks mapped so far; none where a method makes no map of landmarks."""
+        """The landmarks mapped so far; none if a method makes no map of landmarks."""
 
     @property
     def landmarks(self) -> LandmarkTable:
@@ -60,7 +60,7 @@ class Method(Protocol):
 
     @property
     def submaps(self) -> Sequence[Submap]:
-        """The submaps, the map itself first; none where a method knows no such thing."""
+        """The submaps, the map itself first; none if a method knows no such thing."""
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
@@ -69,14 +69,14 @@ class Method(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Fed:
-    """What a method gave and took while a log went through it.
+    """Labels and times of a run of a log through a method.
 
     Attributes
     ----------
     labels : list of (n,) int64
         Of each scan.
     durations_s : (k, 2) float64
-        To prepare (to segment) and to map each scan, seconds.
+        Times of preparation (segmentation) and mapping of each scan, seconds.
     finish_s, refine_s : float
     """
 
@@ -112,7 +112,7 @@ def feed(
     Raises
     ------
     RelmapError
-        Where ``known`` is asked of a log without ids, or a scan of the log is damaged.
+        If ``known`` is asked of a log without ids, or a scan of the log is damaged.
     """
     known = association == "known"
     if known and getattr(log, "ids", None) is None:
@@ -146,7 +146,7 @@ def feed(
 def _preparation(
     method: Method, log: Log, segmenter: PlaneSegmenter | None
 ) -> Callable[[NDArray[np.float64]], Any]:
-    """Return what makes of the points of a scan what the method takes."""
+    """Return the conversion from the points of a scan to the input of the method."""
     if not (isinstance(method, PlaneMapper) and isinstance(log, ScanLog)):
         return lambda points_robot: points_robot
     view = log.sensor
@@ -155,7 +155,7 @@ def _preparation(
 
 
 def segmenter_for(view: SensorView) -> PlaneSegmenter:
-    """Return a segmenter that knows what is known of the sensor."""
+    """Return a segmenter with the known limits of the sensor."""
     return PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
 
 

@@ -1,4 +1,4 @@
-"""Mapped points and the true ones: which is which, and the figures that follow."""
+"""Matching mapped points to true ones, and the figures of merit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from relmap.io.results import Result
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """Every labelled observation with what it truly is of.
+    """Labelled observations and their true landmarks.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def judge_landmarks(
     figures : dict
         Those of `Evaluation` that are about landmarks, where they are known.
     counts : dict
-        What the figures rest on.
+        Counts behind the figures.
     notes : list of str
         Why figures are missing.
     """
@@ -113,12 +113,12 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> 
     Returns
     -------
     Overlay or None
-        None where nothing tells which landmark is which, or the paths share no three instants.
+        None if no ids match landmarks, and the paths share fewer than three instants.
 
     Raises
     ------
     RelmapError
-        Where the log is not the one that was mapped.
+        If the log is not the one that was mapped.
     """
     if result.mapped.any():
         matched = match_landmarks(result, truth, identify(result, log))
@@ -137,12 +137,12 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> 
 
 
 def identify(result: Result, log: ObservationLog | None) -> Identified | None:
-    """Tell what each observation truly is of; None where nothing tells it.
+    """Return the true landmark of each observation; None if it is not known.
 
     Raises
     ------
     RelmapError
-        Where the log is not the one that was mapped.
+        If the log is not the one that was mapped.
     """
     tracks = result.tracks
     if log is not None:
@@ -162,7 +162,7 @@ def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
     Raises
     ------
     RelmapError
-        Where the log is not the one that was mapped.
+        If the log is not the one that was mapped.
     """
     scans = result.summary.get("scans")
     if not (isinstance(scans, list) and len(scans) == 2 and all(type(s) is int for s in scans)):
@@ -193,8 +193,8 @@ def match_landmarks(
     Returns
     -------
     Matched or None
-        In the planes x, y of both where the result is planar; None where nothing tells which
-        landmark is which.
+        In the planes x, y of both where the result is planar; None if no ids
+        match the landmarks.
     """
     if identified is None:
         return None

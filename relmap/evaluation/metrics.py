@@ -1,4 +1,4 @@
-"""How good a map and a trajectory are: the figures of `relmap evaluate`, each on plain arrays."""
+"""Figures of merit of maps and trajectories, as in `relmap evaluate`, on plain arrays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ON_M = 0.15
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """What is mapped of the truth, paired with it and aligned.
+    """Mapped landmarks, paired with the true ones and aligned.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Matched:
 
 
 def rms(errors: NDArray[np.float64]) -> float | None:
-    """Return the root mean square of the lengths of error vectors (n, d); None where n is 0."""
+    """Return the root mean square of the lengths of error vectors (n, d); None if n is 0."""
     if not len(errors):
         return None
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
@@ -71,7 +71,7 @@ def align(
 def majority_ids(
     landmark: NDArray[np.int64], true_id: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Tell which true landmark each mapped one stands for: the one most of its observations saw.
+    """Return the true landmark of each mapped one: that of most of its observations.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def majority_ids(
     labels : (m,) int64
         The landmarks with at least one known observation, ascending.
     ids : (m,) int64
-        What they stand for; the smaller id where two are level.
+        Their true ids; the smaller id on a tie.
     agreeing : (m,) int64
         How many of their observations are of that id.
     """
@@ -97,7 +97,7 @@ def majority_ids(
 
 
 def purity(landmark: NDArray[np.int64], true_id: NDArray[np.int64]) -> float | None:
-    """Return the share of observations that are of what most of their landmark's are of.
+    """Return the share of observations that agree with the majority of their landmark.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def purity(landmark: NDArray[np.int64], true_id: NDArray[np.int64]) -> float | N
     Returns
     -------
     float or None
-        None where no observation has a true id.
+        None if no observation has a true id.
     """
     known = int((true_id >= 0).sum())
     if not known:
@@ -168,7 +168,7 @@ def ate(poses: NDArray[np.float64], true_poses: NDArray[np.float64], planar: boo
     Returns
     -------
     float or None
-        None where k is 0.
+        None if k is 0.
 
     References
     ----------
@@ -197,7 +197,7 @@ def rpe(
     Returns
     -------
     float or None
-        None where there is no such pair.
+        None if there is no such pair.
 
     References
     ----------

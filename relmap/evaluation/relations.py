@@ -1,4 +1,4 @@
-"""The error of a path against relations between poses that were checked by hand.
+"""The error of a path against manually checked relations between poses.
 
 R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009.
 """
@@ -25,7 +25,7 @@ def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
     Raises
     ------
     RelmapError
-        Where the file is no file of relations.
+        If the file is no file of relations.
     """
     relations = read_relations(path)
     stem = path.name.removesuffix(RELATIONS)
@@ -62,7 +62,7 @@ def relation_errors(
     Returns
     -------
     (metres, radians) or None
-        None where no relation lies within the stamps.
+        None if no relation lies within the stamps.
     """
     if not len(stamps_s) or not relations:
         return None

@@ -1,4 +1,4 @@
-"""One run: a log goes through a mapper, iteration by iteration, and comes out as a result.
+"""One run: from a log, through a mapper, to a result.
 
 `relmap map`, `relmap compare`, the figures and the benchmarks all run logs by way of this module.
 """
@@ -30,7 +30,7 @@ POINTS_DRAWN = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A result with what only the running program knows.
+    """A result and the groups behind it.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ def run_mapper(
     seen : sequence of (n,) int64
         The labels of the scans of the log that the mapper has taken in.
     segmenter : PlaneSegmenter, optional
-        Finds walls; one that knows what the log tells of its sensor if not given.
+        Finds walls; by default one with the limits of the sensor that the log gives.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def run_mapper(
     Raises
     ------
     RelmapError
-        Where ``known`` is asked of a log without ids, or a scan of the log is damaged.
+        If ``known`` is asked of a log without ids, or a scan of the log is damaged.
     """
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
     fed = feed(mapper, log, association, refine, progress, len(seen), segmenter)
@@ -116,7 +116,7 @@ def result_of(
     association: Association,
     offset: int,
 ) -> Result:
-    """Return what a method has made of a log.
+    """Return the result of a method on a log.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def result_of(
     Returns
     -------
     Result
-        Of walls a `PlaneResult`.  Its summary tells association, dimensions and iterations alone.
+        Of walls a `PlaneResult`.  Its summary has association, dimensions and iterations only.
     """
     first, k = log.first_iteration, len(log)
     poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
@@ -158,7 +158,7 @@ def result_of(
 
 
 def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> DrawnSubmap:
-    """Return a submap as files and pictures show it."""
+    """Return a submap as written to files and drawn."""
     submap = mapper.submaps[number]
     known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
     weak = np.searchsorted(known, np.intersect1d(mapper.weak_links - submap.span[0], known))
@@ -174,7 +174,7 @@ def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> D
 def _tracks(
     method: Method, log: Log, labels: Sequence[NDArray[np.int64]], association: Association
 ) -> Tracks:
-    """Return what each observation is of; of walls `row` counts those of a scan."""
+    """Return the landmark of each observation; for walls, `row` counts those of a scan."""
     counts = [len(each) for each in labels]
     iteration = log.first_iteration + np.repeat(np.arange(len(counts)), counts)
     if isinstance(log, ObservationLog):

@@ -50,14 +50,14 @@ class Data(Generic[L]):
 
 
 class Source(Protocol):
-    """What can be sent to another process and loaded there."""
+    """Data that can be sent to another process and loaded there."""
 
     def load(self) -> Data[Log]:
         """Return the data."""
 
     @property
     def about(self) -> str:
-        """What it is, in a few words."""
+        """A short description."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class EightSource:
 
     @property
     def about(self) -> str:
-        """What it is, in a few words."""
+        """A short description."""
         moving = f", {100 * self.dynamic:g} % moving" if self.dynamic else ""
         return (
             f"figure eight, density {self.density:g}, {self.noise} noise {self.sigma:g} m"
@@ -112,7 +112,7 @@ class BuildingSource:
 
     @property
     def about(self) -> str:
-        """What it is, in a few words."""
+        """A short description."""
         return f"building, {self.noise} noise {self.sigma:g} m, seed {self.seed}"
 
 
@@ -143,7 +143,7 @@ class FileSource:
         Raises
         ------
         RelmapError
-            Where the log or the truth cannot be used.
+            If the log or the truth cannot be used.
         """
         variant: Variant = "planes" if self._holds_scans() else "points"
         truth, folder = self.truth, self.path if self.path.is_dir() else self.path.parent
@@ -153,7 +153,7 @@ class FileSource:
         return Data(log, read_truth(truth, variant) if truth else None)
 
     def _holds_scans(self) -> bool:
-        """Tell whether the log is one of point scans."""
+        """Return whether the log is one of point scans."""
         if self.format is not None:
             if self.format not in (*FORMATS, *SCAN_FORMATS):
                 known = ", ".join((*FORMATS, *SCAN_FORMATS))
@@ -171,7 +171,7 @@ class FileSource:
 
     @property
     def about(self) -> str:
-        """What it is, in a few words."""
+        """A short description."""
         part = f", iterations {self.scans[0]}:{self.scans[1]}" if self.scans else ""
         return f"{self.path.name or self.path}{part}"
 
@@ -187,14 +187,14 @@ def read_log(
     Raises
     ------
     RelmapError
-        Where there is no such log or it is damaged.
+        If there is no such log or it is damaged.
     """
     whole: Log = (open_scans if variant == "planes" else open_log)(path, log_format)
     return whole if scans is None else whole.between(*scans)
 
 
 def recognised_format(path: Path, variant: Variant) -> str | None:
-    """Return the name of the format that a log is recognised as; None where it is not."""
+    """Return the name of the format that a log is recognised as; None if it is not."""
     known = SCAN_DATASETS if variant == "planes" else DATASETS
     names = [dataset.name for dataset in known if dataset.recognises(path)]
     return names[0] if len(names) == 1 else None

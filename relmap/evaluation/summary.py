@@ -1,4 +1,4 @@
-"""What ``summary.json`` tells of a run."""
+"""The content of ``summary.json``."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def summary_of(
     offset: int,
     n_groups: int,
 ) -> dict[str, Any]:
-    """Return what a summary tells of a map.
+    """Return the summary of a map.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
 def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict[str, float | None]:
     """Return how far apart scans of a submap lie in the median, and how wide the sensor's view is.
 
-    None where it is not known; metres and degrees.
+    None if it is not known; metres and degrees.
     """
     steps = [np.linalg.inv(s.poses[:-1]) @ s.poses[1:] for s in submaps if len(s.poses) > 1]
     view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
@@ -163,7 +163,7 @@ def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict
 
 
 def ends_of(numbers: Ints, of: str) -> dict[str, Any]:
-    """Return how many numbers (n,) there are, and as what they are of the first and last."""
+    """Return the count of numbers (n,), and under the key `of` the first and last ones."""
     listed = numbers.tolist()
     if len(listed) > MANY:
         listed = listed[: MANY // 2] + listed[-MANY // 2 :]
@@ -171,7 +171,7 @@ def ends_of(numbers: Ints, of: str) -> dict[str, Any]:
 
 
 def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any] | None:
-    """Return what of the map's segments and merges fits it worst, ready for JSON.
+    """Return the segments and merges that fit the map worst, ready for JSON.
 
     Residuals are in units of what the noise explains: about 1 is as it should be.
 
@@ -185,7 +185,7 @@ def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any]
     Returns
     -------
     dict or None
-        None where nothing was refined.
+        None if nothing was refined.
     """
     if not refined:
         return None
@@ -216,7 +216,7 @@ def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
 def timing(
     durations_s: NDArray[np.float64], refine_s: float, segmented: bool
 ) -> dict[str, float | None]:
-    """Return what a summary tells of the time.
+    """Return the times in a summary.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def timing(
         To prepare and to map each scan, seconds.
     refine_s : float
     segmented : bool
-        Whether to prepare a scan was to segment it.
+        Whether preparation was segmentation.
     """
     prepare_s, total_s = durations_s[:, 0], durations_s.sum(axis=1)
     told = timing_of(durations_s[:, 1])
@@ -252,7 +252,7 @@ def _median_ms(seconds: NDArray[np.float64]) -> float | None:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of what the numbers may depend on."""
+    """Return the versions of the software that the numbers may depend on."""
     return {
         "relmap": relmap.__version__,
         "python": platform.python_version(),

@@ -39,7 +39,7 @@ _NOWHERE = np.empty((0, 2))
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is known of landmarks or walls, and of the path; what is not known is empty.
+    """The true landmarks or walls, and the true path; unknown parts are empty.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Truth:
 
 
 def read_truth(path: Path, variant: Variant = "points") -> Truth:
-    """Read the truth, or what comes nearest to it.
+    """Read the truth, or a reference in its place.
 
     Parameters
     ----------
@@ -86,22 +86,22 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
 
         * MRPT's ``..._ground_truth.txt`` or its folder;
         * the folder of I-SLSJF's simulation;
-        * the folder of Victoria Park, where nobody surveyed the trees: the published estimates of
+        * the folder of Victoria Park, whose trees were not surveyed: the published estimates of
           another program are a reference to compare with, not a truth;
-        * the folder of DLR's circles, which knows who is who, but no place.
+        * the folder of DLR's circles, which has ids but no positions.
 
         Of walls also
 
         * a log of point scans, for the poses that it gives: a reference, or exact if simulated;
         * a ``.relations`` file, of pairs of poses that were checked by hand.  Its times are the
-          robot's; a CARMEN log of the same name beside it tells the logger's times too.
+          robot's; a CARMEN log of the same name beside it adds the logger's times.
     variant : "points" or "planes"
         What was mapped.
 
     Raises
     ------
     RelmapError
-        Where it is none of these or is damaged.
+        If it is none of these or is damaged.
     """
     require_path(path)
     name = TABLES[variant]
@@ -123,7 +123,7 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
         truth = (_read_path if variant == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
     if (counts > 1).any():
-        raise RelmapError(f"{shown(path)}: landmark {ids[counts > 1][0]} stands there twice")
+        raise RelmapError(f"{shown(path)}: landmark {ids[counts > 1][0]} occurs twice")
     return truth
 
 
@@ -133,7 +133,7 @@ def write_truth(folder: Path, truth: Truth) -> None:
     Raises
     ------
     RelmapError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     x, y, z = truth.landmarks_map.T.tolist()
     rows = zip(truth.landmark_ids.tolist(), x, y, z, truth.status.tolist(), strict=True)
@@ -170,7 +170,7 @@ def _read_walls(path: Path) -> Truth:
 
 
 def _read_path(path: Path) -> Truth:
-    """Read what there is to compare the path of a map of walls with."""
+    """Read the reference for the path of a map of walls."""
     if path.name.endswith(RELATIONS):
         return Truth(relations=relations_by_clocks(path))
     try:
@@ -184,7 +184,7 @@ def _read_path(path: Path) -> Truth:
 
 
 def _read_data_set(path: Path) -> Truth:
-    """Read what a data set tells about its landmarks."""
+    """Read the true landmarks of a data set."""
     from relmap.datasets import dlr_circles, mrpt_landmarks, slsjf, victoria_park
 
     if mrpt_landmarks.is_ground_truth(path):

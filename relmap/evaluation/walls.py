@@ -1,4 +1,4 @@
-"""How much of the walls is mapped, how much of what is mapped is wall, and what stands twice."""
+"""Shares of wall length: mapped, true, and doubled."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def judge_walls(
         mapped wall lies; `wall_precision`, share of the mapped walls over 0.5 m that lie on true
         ones; `doubled_length`, share of all mapped walls on which another mapped one lies.  Walls
         lie on one another where they are within 0.1 m and 5 degrees, fronts on the same side.
-        None where there is nothing to compare.
+        None if there is nothing to compare.
     """
     mapped = planes.ends[planes.status == "static"]
     told = {"doubled_length": doubled_length(mapped)}

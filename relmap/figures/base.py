@@ -1,4 +1,4 @@
-"""What every figure offers: the paper's claim, and what a run of this software says to it."""
+"""The interface of a figure: the paper's claim, and the finding of a run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came out of the runs behind a figure.
+    """The findings of a figure.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class PaperFigure(Generic[D]):
 
     @property
     def heading(self) -> str:
-        """How it is called."""
+        """Its heading."""
         return f"Figure {self.name}" if self.name.isdigit() else self.name.capitalize()
 
     @property

@@ -213,7 +213,7 @@ def _plot(tests: list[CornerTest]) -> Figure:
         places = np.concatenate([np.zeros((1, 2)), *ends, *midpoints, far])
         draw_limits(axes, limits_of(places, places, MARGIN_M))
     seen.plot(*ends.reshape(-1, 2).T, "o", color=BLUE, label="observed corner point", **RING)
-    seen.plot([], [], ">", color=INK, label="robot, with what it can see")
+    seen.plot([], [], ">", color=INK, label="robot and its field of view")
     seen.plot([], [], "--", color=INK, label="size, fixed over the interval")
     of = f"iteration {test.iterations[k]}: midpoints from either end"
     finish(seen, of, "x, robot frame [m]", "y, robot frame [m]")

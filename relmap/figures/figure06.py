@@ -151,7 +151,7 @@ def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
     Raises
     ------
     RelmapError
-        Where nothing is true.
+        If nothing is true.
     """
     if not held.any():
         raise RelmapError("no link is weak: no stretch depends on a single partial wall")
@@ -224,7 +224,13 @@ def _draw_map(axes: Axes, run: PartialWall) -> None:
     draw_walls(axes, run.walls)
     axes.plot(*run.corners.T, "o", color=CORNER, markersize=3.5, label="mapped corner")
     axes.plot(*path.T, color=PATH, linewidth=1.2, label="path of the robot, from the map")
-    axes.plot(*weak.T, color=ORANGE, linewidth=4.0, alpha=0.8, label="weak: nothing fixes it along")
+    axes.plot(
+        *weak.T,
+        color=ORANGE,
+        linewidth=4.0,
+        alpha=0.8,
+        label="weak: position along the wall not fixed",
+    )
     axes.plot(*path[0], "o", color=PATH, markersize=6, linestyle="", label="start")
     draw_limits(axes, limits_of(run.walls.reshape(-1, 2), path, MARGIN_M))
     finish(axes, f"{len(run.walls)} walls mapped, {len(run.corners)} corners", "x [m]", "y [m]")

@@ -204,7 +204,7 @@ def _draw_right(axes: Axes, data: Comparisons) -> None:
         text = f"{100 * share[row, column]:.0f}"
         axes.text(column, row, text, ha="center", va="center", fontsize=9)
     title = "worlds whose static bin is right [%],\nnothing mapped before, 2 % misplaced at most"
-    finish(axes, title, "landmarks n", "share of them that is dynamic")
+    finish(axes, title, "landmarks n", "share of dynamic landmarks")
     axes.grid(visible=False)
     axes.set_xticks(range(len(data.n)), data.n.tolist())
     axes.set_yticks(range(len(data.dynamic)), [f"{100 * part:.0f} %" for part in data.dynamic])

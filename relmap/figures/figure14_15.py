@@ -197,7 +197,7 @@ def _plot_loop(data: LoopTiming) -> Figure:
     title = f"Figure 14: run time over one loop {MACHINE}\n{data.said}"
     finish(above, title, "", "processor time of an iteration [ms]")
     above.legend(fontsize=8, loc="upper center", ncols=3)
-    below.plot(i, data.landmarks, color=BLUE, label="landmarks known, as relmap tells them apart")
+    below.plot(i, data.landmarks, color=BLUE, label="landmarks known to relmap")
     below.plot(i, data.true_landmarks, "--", color=RED, label="true landmarks seen so far")
     below.plot(i, data.visible, color=GREY, linewidth=1.0, label="visible in the iteration")
     finish(below, "", "iteration", "number of landmarks")

@@ -86,7 +86,7 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     Raises
     ------
     RelmapError
-        Where the ids are missing or make no reference, or the log is not the one that was mapped.
+        If the ids are missing or make no reference, or the log is not the one that was mapped.
     """
     reference = least_squares_map(log)
     ids = reference.landmark_ids
@@ -136,7 +136,7 @@ def victoria_park(path: Path) -> ObservationLog:
     Raises
     ------
     RelmapError
-        Where they are not there, or damaged.
+        If they are not there, or damaged.
     """
     inner = path / FORMAT
     return open_log(inner if inner.is_dir() else path, FORMAT)

@@ -1,6 +1,6 @@
 """Beyond figure 7: from which noise on planes have the better map, from the same points.
 
-The points lie fixed on the walls of a building (`surface_points`).  The plane mapper segments each
+The points are fixed on the walls of a building (`surface_points`).  The plane mapper segments each
 scan; the point mapper takes the points themselves for landmarks.  Both have default settings and no
 odometry.  Points with given ids show what is lost where the association has to be found.
 """
@@ -11,29 +11,18 @@ from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from itertools import product
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from relmap.evaluation.evaluate import evaluate
-from relmap.evaluation.feeding import Association
-from relmap.evaluation.run import run_mapper
+from relmap.evaluation.surface_points import wall_points
+from relmap.evaluation.variants import HALF, METHODS, Method, VariantRun, map_of
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
 from relmap.figures.figure06 import longest
-from relmap.figures.surface_points import SurfacePoints, wall_points
-from relmap.io.results import Result
-from relmap.planes import PlaneMapper
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below
-from relmap.points.mapper import PointMapper
-from relmap.segmentation import PlaneSegmenter
 
-Method = Literal["planes", "points", "points, ids given"]
-METHODS: tuple[Method, ...] = get_args(Method)
-HALF = 0.5
-"""A map that holds less than this share of the corners or points has failed."""
 FULL = ((0.2, 0.3, 0.4), (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), range(5))
 """Spacings in metres, noises in units of them, seeds."""
 QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
@@ -48,42 +37,11 @@ PANELS = {
 
 
 @dataclass(frozen=True)
-class CrossingRow:
-    """One run.
-
-    Attributes
-    ----------
-    method : str
-    spacing_m, noise, sigma : float
-        Noise is sigma in units of the spacing.
-    seed : int
-    map_rmse_m : float or None
-        Of corners or points after rigid alignment; None where nothing could be compared.
-    coverage : float
-        Share of the corners or points seen ten times that stand in the map.
-    ate_m : float or None
-        Absolute trajectory error, over the poses that there are.
-    poses : float
-        Share of the scans that have a pose in the map's largest submap.
-    """
-
-    method: Method
-    spacing_m: float
-    noise: float
-    sigma: float
-    seed: int
-    map_rmse_m: float | None
-    coverage: float
-    ate_m: float | None
-    poses: float
-
-
-@dataclass(frozen=True)
 class Crossing:
     """All runs with points of one spacing, in the order of `METHODS` within each cell."""
 
     spacing_m: float
-    runs: tuple[CrossingRow, ...]
+    runs: tuple[VariantRun, ...]
 
     @property
     def noise(self) -> NDArray[np.float64]:
@@ -111,7 +69,7 @@ class Crossing:
 
         Of several such intervals it is the longest.  It begins where the medians of the map error
         cross, on straight lines between two noises, or at the first noise at which points fail; it
-        ends with the last noise at which planes are still ahead.  None where they never are.
+        ends with the last noise at which planes are still ahead.  None if they never are.
         """
         planes, points = (
             np.where(self.failed(which), np.inf, self.median("map_rmse_m", which))
@@ -152,7 +110,7 @@ def run_crossing(
     seeds : iterable of int
         Of building, points and noise.
     iterations : int, optional
-        Scans of a run; one loop where left out.
+        Scans of a run; one loop if omitted.
     progress : callable, optional
         Wraps the list of cells, to show progress.
 
@@ -161,28 +119,11 @@ def run_crossing(
     list of Crossing
         One for each spacing.
     """
-    runs: dict[float, list[CrossingRow]] = {}
+    runs: dict[float, list[VariantRun]] = {}
     for spacing_m, noise, seed in progress(list(product(spacings_m, noises, seeds))):
         seen = wall_points(spacing_m, noise, seed, iterations)
         runs.setdefault(spacing_m, []).extend(map_of(method, seen)[1] for method in METHODS)
     return [Crossing(spacing_m, tuple(each)) for spacing_m, each in runs.items()]
-
-
-def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, CrossingRow]:
-    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
-    if method == "planes":
-        run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
-        found = evaluate(run.result, seen.walls_truth)
-        rmse_m = found.corner_rmse_m
-    else:
-        association: Association = "nearest" if method == "points" else "known"
-        run = run_mapper(PointMapper(), seen.points, association, refine=True)
-        found = evaluate(run.result, seen.points_truth, seen.points)
-        rmse_m = found.landmark_rmse_m
-    about = (method, seen.spacing_m, seen.noise, seen.sigma, seen.seed)
-    matched = found.counts["matched_poses"] / len(seen.scans)
-    row = CrossingRow(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
-    return run.result, row
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> list[Crossing]:
@@ -195,7 +136,7 @@ def _judge(data: list[Crossing]) -> Outcome:
     begins = [interval[0] for interval in ahead if interval is not None]
     rows = [["" if v is None else v for v in astuple(run)] for each in data for run in each.runs]
     return Outcome(
-        Table([field.name for field in fields(CrossingRow)], rows),
+        Table([field.name for field in fields(VariantRun)], rows),
         max(begins, default=float("nan")),
         " ".join(sentence(_said(each)) for each in data),
         judged(len(begins) == len(ahead), None not in [each.fails_at("points") for each in data]),

@@ -56,7 +56,7 @@ def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
     Raises
     ------
     RelmapError
-        Where there is no such figure.
+        If there is no such figure.
     """
     if not names:
         return [figure for figure in FIGURES if figure.name.isdigit()]
@@ -85,7 +85,7 @@ def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
     Raises
     ------
     RelmapError
-        Where the data are not there or damaged, or nothing can be run without them.
+        If the data are not there or damaged, or nothing can be run without them.
     """
     names = [figure.name for figure in figures]
     if data is not None and NEEDS_DATA in names:
@@ -114,7 +114,7 @@ def make_figure(
     Raises
     ------
     RelmapError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     if data is None and figure.name == NEEDS_DATA:
         return Made(figure, None, NO_DATA)
@@ -146,7 +146,7 @@ def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
     Raises
     ------
     RelmapError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     done = [(each.figure.name, each.outcome) for each in made if each.outcome is not None]
     rows = [(name, found.value, found.verdict) for name, found in done]

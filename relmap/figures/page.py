@@ -46,7 +46,7 @@ BADGES = {"borne out": "yes", "partly borne out": "partly", "not borne out": "no
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A figure with what came out, or None where there is nothing, for the reason in `note`.
+    """A figure with what came out, or None if there is nothing, for the reason in `note`.
 
     `files` are what was written, by name; the picture is one of them.
     """

@@ -77,7 +77,7 @@ def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> C
     Raises
     ------
     RelmapError
-        Where the seed was not seen with enough others to be grouped.
+        If the seed was not seen with enough others to be grouped.
     """
     chart = PointChart.around(seed, store, begin, end)
     rows, unmapped = np.arange(len(chart.landmarks)), np.zeros(len(chart.landmarks))
@@ -159,7 +159,7 @@ def shown_chart(quick: bool) -> ChartPicture:
     Raises
     ------
     RelmapError
-        Where no landmark comes and goes within the run.
+        If no landmark comes and goes within the run.
     """
     run = charted_run(quick)
     whole = [visit for visit in run.visits if visit[2] - visit[1] > 0.9 * VISIT]

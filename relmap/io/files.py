@@ -46,7 +46,7 @@ def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
     Raises
     ------
     RelmapError
-        Where the file cannot be written; no part of it is left behind.
+        If the file cannot be written; no part of it is left behind.
     """
     with replacing(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
@@ -75,7 +75,7 @@ def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
     Raises
     ------
     RelmapError
-        Where ``folder`` or a file in it cannot be written.
+        If ``folder`` or a file in it cannot be written.
     """
     staging: Path | None = None
     made: list[Path] = []
@@ -120,7 +120,7 @@ def read_text(path: Path) -> str:
     Raises
     ------
     RelmapError
-        Where it cannot be read, is damaged, is not text or has more than `MAX_TEXT` characters.
+        If it cannot be read, is damaged, is not text or has more than `MAX_TEXT` characters.
     """
     with open_text(path) as stream:
         text = stream.read(MAX_TEXT + 1)
@@ -138,7 +138,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     RelmapError
-        Where it cannot be read or is not TOML.
+        If it cannot be read or is not TOML.
     """
     try:
         return tomllib.loads(read_text(path))
@@ -161,7 +161,7 @@ def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
     Raises
     ------
     RelmapError
-        Where a stamp or pose is not finite, a pose is beyond what `read_tum` takes, or the file
+        If a stamp or pose is not finite, a pose is beyond what `read_tum` takes, or the file
         cannot be written.
     """
     if not (np.isfinite(stamps_s).all() and (np.abs(poses) <= MAX_RESULT_M).all()):
@@ -193,7 +193,7 @@ def read_tum(path: Path) -> tuple[Floats, Floats]:
     Raises
     ------
     RelmapError
-        Where the file cannot be read or a line is not a pose.
+        If the file cannot be read or a line is not a pose.
     """
     rows = NumberRows(path, 8)
     for number, line in numbered_lines(path):

@@ -118,7 +118,7 @@ def write_result(folder: Path, result: Result) -> None:
     Raises
     ------
     RelmapError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     table, tracks = result.landmarks, result.tracks
     x, y, z = table.position.T.tolist()
@@ -181,7 +181,7 @@ def read_result(folder: Path) -> Result:
     Raises
     ------
     RelmapError
-        Where a file is missing or not what `write_result` writes.
+        If a file is missing or not what `write_result` writes.
     """
     if not (folder / SUMMARY).is_file():
         raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")

@@ -41,7 +41,7 @@ def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     writer = StateWriter()
     for part in parts:
@@ -71,7 +71,7 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
     Raises
     ------
     RelmapError
-        Where there is no such file, it is damaged, or it holds something else.
+        If there is no such file, it is damaged, or it holds something else.
     """
     if not path.is_file():
         raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")
@@ -91,8 +91,8 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
         reader.end()
     except OtherColumnsError as error:
         raise RelmapError(
-            f"saved map {path} is of another relmap ({header.get('versions')}): {error}; "
-            "map its log again"
+            f"saved map {path} was written by another version of relmap "
+            f"({header.get('versions')}): {error}; map its log again"
         ) from error
     except (*DAMAGE, AttributeError, ArithmeticError) as error:
         raise RelmapError(

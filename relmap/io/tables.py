@@ -74,7 +74,7 @@ def read_table(
     Raises
     ------
     RelmapError
-        Where the file cannot be read, lacks a column or holds something else in a cell.
+        If the file cannot be read, lacks a column or holds something else in a cell.
     """
     found: dict[str, _Column] = {}
     width = 0

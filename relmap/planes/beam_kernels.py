@@ -97,7 +97,7 @@ def _compare(
 
 @compiled
 def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int) -> Array:
-    """Return how many points of both scans agree, contradict, are not told of, and out of view.
+    """Return how many points of both scans agree, contradict, are undecided, and out of view.
 
     (k, 4), for each of k motions; of every so many beams one is looked at.
     """

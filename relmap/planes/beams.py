@@ -68,7 +68,7 @@ class Beams:
 
 @dataclass(frozen=True, eq=False)
 class ToldBeams:
-    """Where the beams of one scan ended, as a mapper is told; robot frame, metres.
+    """Where the beams of one scan ended, as given to a mapper; robot frame, metres.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ class ToldBeams:
 
 
 class BeamStore:
-    """Where the beams of every scan ended, as they were told: 8 bytes each."""
+    """Where the beams of every scan ended, as they were given: 8 bytes each."""
 
     _points: GrowingArray[np.float32]
     STATE = "_points _offsets _origins _in_order"
@@ -180,7 +180,7 @@ class BeamStore:
 def compared(
     earlier: Beams, later: Beams, motions: NDArray[np.float64], near_m: float, step: int = 1
 ) -> NDArray[np.float64]:
-    """Return how many points agree, contradict, are not told of, and are out of view; (k, 4).
+    """Return how many points agree, contradict, are undecided, and are out of view; (k, 4).
 
     For each of the motions (k, 3), yaw, x, y, from the frame of the earlier scan into that of the
     later one; of every so many beams one is looked at.

@@ -62,7 +62,7 @@ def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.
 
 
 def _known(assembled: Assembled, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell of which pairs of scans (k, 2) enough walls are the same already; (k,)."""
+    """Return of which pairs of scans (k, 2) enough walls are the same already; (k,)."""
     seen = seen_in(assembled)
     both = seen[:, pairs[:, 0]].multiply(seen[:, pairs[:, 1]]).sum(axis=0)
     return np.asarray(both >= ENOUGH)

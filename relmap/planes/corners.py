@@ -2,7 +2,7 @@
 
 For two walls midpoints are estimated from either end of either, and a size that is fixed over the
 interval; the pair that deviates least over time is that of static ends.  Types of ends, where a
-scan tells them, go first: an end that is cut by the view is not asked.  Where none are told,
+scan tells them, go first: an end that is cut by the view is not asked.  Where none are given,
 deviation alone decides.  A typed corner that moves is left to the engine, which tells who moves.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 CUT, CORNER, UNKNOWN = 0, 1, 2
-"""Kinds of ends: where the sight of a wall ends, where the wall does, and not told."""
+"""Kinds of ends: of the visible part, of the wall itself, and unknown."""
 INTERVAL = 12
 """Iterations over which pairs are compared."""
 STEADY = 1.6
@@ -26,13 +26,13 @@ WITNESSES = 2
 
 @dataclass(frozen=True, eq=False)
 class ComparedEnds:
-    """What an interval tells of the ends of walls.
+    """Findings of an interval on the ends of walls.
 
     Attributes
     ----------
     walls : (w,) int64, ascending
     static, moving : (w, 2) bool
-        Of the right and the left end; neither where nothing is told.
+        Of the right and the left end; neither if nothing is known.
     """
 
     walls: NDArray[np.int64]
@@ -47,7 +47,7 @@ def compared_ends(
     sd: NDArray[np.float64],
     kind: NDArray[np.int8],
 ) -> ComparedEnds:
-    """Test the ends of all walls seen in an interval; an end whose kind changed in it is not told.
+    """Test the ends of all walls seen in an interval; an end whose kind changed in it is unknown.
 
     Parameters
     ----------

@@ -133,7 +133,7 @@ def submap_files(folder: Path) -> list[str]:
     """Return the names of the files of submaps that are in a folder."""
     try:
         return sorted(path.name for path in folder.glob("submap-*.tum"))
-    except OSError:  # no folder can have this name: whoever writes there says so
+    except OSError:  # no folder can have this name: writing there reports it
         return []
 
 

@@ -24,7 +24,7 @@ SEEN = 3
 AGAINST = 0.7
 """Beams that say no wall is there, for each that ends on it, that are believed."""
 SOLID = 0.7
-"""Share of the beams that tell of a wall which end on it, at least."""
+"""Least share of the beams towards a wall that must end on it."""
 GAP_M = 0.5
 """A gap longer than this is one, though no beam went through."""
 DOUBLED_M, PARALLEL = 0.12, np.cos(np.deg2rad(12.0))
@@ -44,7 +44,7 @@ def floor_plan(
     ----------
     submap : WallSubmap
     numbers : WallNumbers
-        Who is who in it.
+        The association in it.
     history : PlaneHistory
     beams : BeamStore
         Where there are none, what scans saw of walls has to do.

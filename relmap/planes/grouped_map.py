@@ -1,4 +1,4 @@
-"""The map that the groups give: where walls lie by it, who is who, and who moves."""
+"""The map that the groups give: where walls lie by it, the association, and what moves."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from relmap.planes.submaps import WallSubmap, among_all, chained_poses
 
 @dataclass(frozen=True, eq=False)
 class GroupedMap:
-    """What the engine found out of corners, told of walls.
+    """The findings of the engine on corners, as findings on walls.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class GroupedMap:
 
     @property
     def numbers(self) -> WallNumbers:
-        """Who is who: walls whose corners the engine merged are one."""
+        """The association: walls whose corners the engine merged are one."""
         wall_end = self.walls.wall_end
         corner_of, merged = np.arange(len(wall_end)), self.engine.table.landmark_of[::2] // 2
         corner_of[: len(merged)] = merged
@@ -42,12 +42,12 @@ class GroupedMap:
 
     @property
     def unmerged(self) -> WallNumbers:
-        """Who is who before anybody is merged, but where submaps were tied."""
+        """The association before any merge, except where submaps were tied."""
         wall_of = first_of(self.walls.n_planes, self.walls.links.same_walls)
         return WallNumbers(wall_of, np.arange(len(self.walls.wall_end)))
 
     def at_rest(self, numbers: WallNumbers) -> WallNumbers:
-        """Return who is who with corners that were seen moving left out (-1)."""
+        """Return the association with corners that were seen moving left out (-1)."""
         corner_of = numbers.corner_of.copy()
         corner_of[self.moving_corners] = -1
         return WallNumbers(numbers.wall_of, corner_of)
@@ -55,7 +55,7 @@ class GroupedMap:
     def with_those_of(
         self, span: tuple[int, int], numbers: WallNumbers, others: WallNumbers
     ) -> WallNumbers:
-        """Return who is who: in one submap as others have it."""
+        """Return the association: in one submap as others have it."""
         there = self.history.plane[self.history.within(span)]
         own = np.isin(np.arange(self.walls.n_planes), there)
         corner = own[self.walls.wall_end // 2]
@@ -71,7 +71,7 @@ class GroupedMap:
 
     @property
     def moving_walls(self) -> NDArray[np.bool_]:
-        """Which plane tracks were seen moving: all their corners that could be told do; (p,)."""
+        """Which plane tracks were seen moving: all their known corners do; (p,)."""
         table, n = self.engine.table, self.walls.n_planes
         dynamic = table.dynamic[::2] | table.dynamic[1::2]
         at_rest = (table.weight[::2] > 0) & ~dynamic

@@ -26,7 +26,7 @@ LATER = 3
 FOUND, PAIR = 4.8, 0.9
 """Log odds that some motion is right rather than a break, and weight of what the two scans tell."""
 BEFORE, LOWEST, HIGHEST = 0.35, -8.0, 10.0
-"""Weight of what the scan before the last one tells of the motion from there, within bounds."""
+"""Weight of the evidence of the scan before the last one for the motion from there, bounded."""
 ASTRAY, AGAINST = -2.5, 0.38
 """The same where it would lie elsewhere, and by the logarithm of the share that contradicts."""
 HARDLY = 0.01
@@ -38,7 +38,7 @@ MARGIN = 15.0
 """Hypotheses less likely than the best by this in log odds are not looked at closely."""
 
 Judge = Callable[[NDArray[np.float64]], tuple[float, float, bool]]
-"""What a scan and the one two before tell of a motion (3,); see `Search.judged`."""
+"""Evidence of a scan and the one two before for a motion (3,); see `Search.judged`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def _change(
 def _two_back(
     last: Layer, found: Candidates, looked_at: NDArray[np.bool_], judge: Judge
 ) -> NDArray[np.float64]:
-    """Return what the scan two before tells of each motion, if each hypothesis is right; (h, k)."""
+    """Return the evidence of the scan two before for each motion under each hypothesis; (h, k)."""
     told = np.zeros(looked_at.shape)
     known = np.isfinite(last.motion[:, 0])
     unique, which = np.unique(last.motion[known], axis=0, return_inverse=True)

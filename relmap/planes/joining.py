@@ -1,6 +1,6 @@
 """Walls seen again: tracks that lie on one another, once the map is refined, are one wall.
 
-Corners tell who is who where the map has drifted (`merging`).  Where it has not, so do lines: two
+Corners associate walls where the map has drifted (`merging`).  Where it has not, so do lines: two
 tracks with one normal and one offset that overlap along the wall show the same wall, corner or not.
 """
 
@@ -31,7 +31,7 @@ OUTLYING = 0.05
 
 
 def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
-    """Return who is who, with tracks on one line joined, and false corners left out (-1)."""
+    """Return the association, with tracks on one line joined, and false corners left out (-1)."""
     low, high = wall_extents(assembled)
     first = first_of(len(assembled.walls), _pairs(assembled, low, high))
     corner_of = joined_corners(assembled, first)
@@ -42,7 +42,7 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
 
 
 def join_pairs(assembled: Assembled, numbers: WallNumbers, pairs: NDArray[np.int64]) -> WallNumbers:
-    """Return who is who when pairs (k, 2) of compact wall numbers are one wall each."""
+    """Return the association after merging pairs (k, 2) of compact wall numbers."""
     first = first_of(len(assembled.walls), pairs)
     return WallNumbers(_renamed(assembled, numbers, first), numbers.corner_of)
 

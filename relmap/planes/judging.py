@@ -77,7 +77,7 @@ class Judged:
 
     @property
     def of_pair(self) -> NDArray[np.float64]:
-        """What two scans alone tell of each motion, (k,): log odds, but for `MEASURED`."""
+        """Evidence of two scans alone for each motion, (k,): log odds, but for `MEASURED`."""
         against = np.log(self.contradict + HARDLY)
         told = [self.match, self._many, self.agree, against, np.ones(len(self.match))]
         known = (self.agree >= PAIR_AGREES) & (self._many > 0)
@@ -95,7 +95,7 @@ class Candidates(NamedTuple):
     ----------
     motions : (k, 3) float64
     evidence : (k,) float64
-        What the two scans tell of each: log odds.
+        Evidence of the two scans for each: log odds.
     measured : (k,) bool
         Whether the way is known in all directions.
     matches : list of Match

@@ -130,10 +130,10 @@ class PlaneMapper(Mapper):
         Raises
         ------
         RelmapError
-            Where the scan cannot be meant; the mapper is then as it was.
+            If the scan is invalid; the mapper is then unchanged.
         """
         if ids is not None:
-            raise RelmapError("ids were given; a plane mapper finds out itself who is who")
+            raise RelmapError("ids were given; a plane mapper makes the association itself")
         if not hasattr(points, "ends"):
             beams = points if beams is None else beams
             points = self._segmented(points)
@@ -338,7 +338,7 @@ class PlaneMapper(Mapper):
 
     @property
     def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
-        """What the map is now, and who is who in it."""
+        """The current map and its association."""
         self._guard.check()
         if self._refined_walls is not None:
             return self._refined_walls
@@ -348,7 +348,7 @@ class PlaneMapper(Mapper):
 
     @property
     def _own_numbers(self) -> WallNumbers:
-        """Who is who in the map as it is."""
+        """The association of the current map."""
         self._guard.check()
         return self._refined_walls[1] if self._refined_walls else self._grouped.numbers
 

@@ -40,7 +40,7 @@ class WallModel:
     }
     """Of an observed wall: its right and left end, untransformed; the landmark that the map hangs
     on at either end, if any; the number of the wall, and of the corner at either end; which kind
-    of ends they are told to be; how sure its distance is; its lowest and highest z."""
+    of ends they are given as; how sure its distance is; its lowest and highest z."""
     keeps_observations = True
     noise_spread = 3.0
     position_spread = 2.0
@@ -69,7 +69,7 @@ class WallModel:
         return Shown(*corners_and_midpoints(*walls, self._walls.half))
 
     def association(self, config: MapperConfig) -> PlaneRegistration:
-        """Return what finds out who is who."""
+        """Return the association."""
         return self._walls
 
     def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -30,7 +30,7 @@ class PlaneObservation:
     ends : (m, 2, 2) float64
         x, y of the right and the left end, as seen from the robot.
     kind : (m, 2) int8
-        Whether an end is the wall's own, or where the sight of it ends, or not told; see
+        Whether an end is the wall's own, or the end of the visible part, or unknown; see
         `relmap.planes.corners`.
     along : (m, 2) float64
         Unit vector from the right end to the left one.
@@ -44,7 +44,7 @@ class PlaneObservation:
     z_extent : (m, 2) float64
         Lowest and highest z; 0 where not known.
     beams : ToldBeams
-        None where they are not told.
+        None if they are not given.
     """
 
     ends: NDArray[np.float64]
@@ -79,7 +79,7 @@ class PlaneObservation:
 
     @property
     def static(self) -> NDArray[np.bool_]:
-        """Whether an end is told to be the wall's own; (m, 2)."""
+        """Whether an end is given as the wall's own; (m, 2)."""
         return np.asarray(self.kind == CORNER)
 
     @property
@@ -100,8 +100,8 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     ----------
     planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
         Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
-        and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where nobody can
-        tell, as everywhere if it is left out.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2)
+        and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where it is not
+        known, as everywhere if it is omitted.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2)
         and `origin` (2,), where the sensor is, are used where they are there.
     beams : (n, 2) or (n, 3) array, optional
         Where beams ended; see `ToldBeams.checked`.

@@ -2,7 +2,7 @@
 
 For each pair of walls, both are rotated so that the first is at 0 degrees, and their differences in
 place and orientation are averaged over their common interval (Figs 1 and 2).  Which of the corners
-are static is told by the four pairs of midpoints, estimated from either end of either wall and a
+are static is decided by the four pairs of midpoints, estimated from either end of either wall and a
 size that is fixed over the interval: the pair with the lowest standard deviation holds (Fig. 4).
 
 `PlaneMapper` does the same with all walls of a group at once, types of ends for a prior and the

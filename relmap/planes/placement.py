@@ -1,6 +1,6 @@
 """Where the frame of the tracks lies in that of a scan: the motion on which most walls agree.
 
-As with points it is a rough one, good for telling who is who, and forgotten afterwards.  It is not
+As with points it is a rough one, good for association only, and then forgotten.  It is not
 looked for by the largest consistent set, as with points (`relmap.core.association.placement`): that
 of the corners alone, which hold it, broke csail into 91 submaps, not 58, and fhw into 42, not 35.
 """
@@ -74,7 +74,7 @@ def place(
     before: PlanarMotion,
     farthest_m: float = np.inf,
 ) -> tuple[PlanarMotion, Match] | None:
-    """Find the motion of the tracks' frame into the scan's, and who is who by it.
+    """Find the motion of the tracks' frame into the scan's, and the association by it.
 
     Tried are to go on as before, to stand still, and where neither will do, every pair of a track's
     corner and a corner of the scan: with the direction of its wall one corner fixes a motion.

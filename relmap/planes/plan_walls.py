@@ -16,7 +16,7 @@ from relmap.planes.plan_pieces import Pieces
 def drawn_walls(
     walls: Assembled, pieces: Pieces, numbers: WallNumbers, history: PlaneHistory
 ) -> tuple[Assembled, WallNumbers]:
-    """Return the walls with one for each piece, of the tracks that lie there, and who is who.
+    """Return the walls with one for each piece, of the tracks that lie there, and the association.
 
     Tracks that lie on no piece are walls by themselves, which are not mapped.
     """

@@ -53,7 +53,7 @@ def refined_map(
     ----------
     history : PlaneHistory
     numbers : WallNumbers
-        Who is who to begin with.
+        The association to begin with.
     chained : Submap
         What to begin with.
     moving : (p,) bool
@@ -81,7 +81,7 @@ def _solved(
     moving: NDArray[np.bool_],
     held: float,
 ) -> tuple[WallSubmap, WallNumbers, bool]:
-    """Return the refined submap, who is who in it, and whether a loop was closed."""
+    """Return the refined submap, its association, and whether a loop was closed."""
     span, closed = chained.span, False
     assert chained.assembled is not None
     motions = history.motion[slice(*span)]
@@ -89,7 +89,7 @@ def _solved(
     def again(
         joined: WallNumbers, rounds: Sequence[tuple[int, float]]
     ) -> tuple[Assembled, NDArray[np.float64]]:
-        """Return the map and its poses when who is who has changed."""
+        """Return the map and its poses after the association has changed."""
         laid = assemble(history, joined, among_all(poses, span, history), moving)
         found = best if laid is None else refined(laid, rounds, held)
         return found, poses_of(found, span, history)

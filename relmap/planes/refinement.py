@@ -200,7 +200,7 @@ class WallSystem:
         return self._latest[1]
 
     def _prepare(self, given: WallEquations) -> None:
-        """Find out which unknowns stand together in the equations, and where.
+        """Determine which unknowns stand together in the equations, and where.
 
         Those of a wall and its corners are a block; what was seen in a stretch is a clique.
         """

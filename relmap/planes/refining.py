@@ -16,7 +16,7 @@ from relmap.planes.submaps import WallSubmap
 
 
 class RefinedWalls(NamedTuple):
-    """Submaps, who is who in them, and the plane tracks (k,) that are not where they have them."""
+    """Submaps, their association, and the plane tracks (k,) that are not where they have them."""
 
     submaps: list[WallSubmap]
     numbers: WallNumbers
@@ -28,7 +28,7 @@ def refined_submaps(
 ) -> RefinedWalls:
     """Refine each submap by itself, from where the groups place the scans.
 
-    Who is who is found anew, where the walls come to lie: merged by places that have drifted, some
+    The association is found anew, where walls come to lie: merged by places that have drifted, some
     are wrong.  A submap that cannot be refined stays as chained.
 
     Parameters

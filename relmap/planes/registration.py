@@ -200,7 +200,7 @@ class PlaneRegistration:
             self._name(found.walls[k], end, NO_CORNER)
 
     def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
-        """Let another interval begin for walls (k,), and forget what was told of their ends."""
+        """Let another interval begin for walls (k,), and forget the known types of their ends."""
         self._told.values[walls, ends] = UNTOLD
         self._since.values[walls] = len(self.links)
 

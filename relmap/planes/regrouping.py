@@ -47,7 +47,7 @@ def regrouped(
     submap : WallSubmap
         With walls.
     numbers : WallNumbers
-        Who is who in it.
+        The association in it.
     history : PlaneHistory
     moving : (p,) bool
         Plane tracks that move.
@@ -89,7 +89,7 @@ def regrouped(
 def _with_corners(
     wall_of: NDArray[np.int64], corner_of: NDArray[np.int64], history: PlaneHistory
 ) -> WallNumbers:
-    """Return who is who with the corners that are one, unless they are now of two walls."""
+    """Return the association with identical corners merged, unless they are now of two walls."""
     wall = np.zeros(len(corner_of), dtype=np.int64)
     row, end = np.nonzero(history.corner >= 0)
     wall[history.corner[row, end]] = wall_of[history.plane[row]]
@@ -127,7 +127,7 @@ def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int6
 def _gathered(
     assembled: Assembled, wall_of: NDArray[np.int64], across_m: float
 ) -> NDArray[np.int64]:
-    """Return who is who among tracks (p,) with walls that lie on a larger one part of it."""
+    """Return the association of tracks (p,), with walls that lie on a larger one part of it."""
     from relmap.planes.regrouping_kernels import gathered
 
     state, given = assembled.state, assembled.given

@@ -17,7 +17,7 @@ from relmap.planes.solving import LAST
 from relmap.planes.table import mapped_corners
 
 STRETCH = 8
-"""Iterations whose residuals are told of together."""
+"""Iterations whose residuals are reported together."""
 
 
 def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:

@@ -53,7 +53,7 @@ class ScanLinks:
     store : ObservationStore
         What was observed so far.
     beams : BeamStore
-        The beams of each scan, where they are told.
+        The beams of each scan, where they are given.
     submap : int
         Submap of the next scan, unless one begins with it.
     same_walls : (k, 2) int64
@@ -112,7 +112,7 @@ class ScanLinks:
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
 
     def into(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
-        """Return the motion into a scan that is believed, and who is who by it.
+        """Return the believed motion into a scan, and the association by it.
 
         None also where nothing has measured the way along walls for too long.
         """
@@ -131,7 +131,7 @@ class ScanLinks:
         return found
 
     def _placed(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
-        """Return the motion into a scan that is believed, and who is who by it."""
+        """Return the believed motion into a scan, and the association by it."""
         told, reach_m = seen.beams, farthest_m(self._believed)
         views = self._views() if told.in_order and len(told.points) else []
         if views:

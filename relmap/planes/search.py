@@ -54,7 +54,7 @@ FREE_REACH_M = 1.0
 
 
 class Found(NamedTuple):
-    """The motion that is believed, and who is who by it.
+    """The believed motion, and the association by it.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class Search:
         return Candidates(every.motions[best], evidence, measured, matches)
 
     def judged(self, motion: NDArray[np.float64]) -> tuple[float, float, bool]:
-        """Return what the scans tell of a motion (3,), as it settles near by.
+        """Return the evidence of the scans for a motion (3,), settled near by.
 
         Returns
         -------

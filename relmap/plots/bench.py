@@ -63,7 +63,7 @@ def write_bench_gif(
     Raises
     ------
     RelmapError
-        Where there is no frame.
+        If there is no frame.
     """
     if not frames:
         raise RelmapError("an animation needs at least one scan")
@@ -168,7 +168,7 @@ def _draw_planes(axes: Axes, frame: BenchFrame) -> None:
     style: dict[str, Any] = {"linestyle": "", "color": INK, "markersize": 5, "zorder": 6}
     axes.plot(*frame.ends_robot[frame.static_end].T, "o", label="static end", **style)
     cut = frame.ends_robot[~frame.static_end]
-    axes.plot(*cut.T, "o", markerfacecolor="white", label="where the sight of it ends", **style)
+    axes.plot(*cut.T, "o", markerfacecolor="white", label="end of the visible part", **style)
     axes.plot(0, 0, marker=(3, 0, -90), color=RED, markersize=9, linestyle="")
     _name(axes, f"segmented: {len(frame.ends_robot)} planes", ROBOT_FRAME)
 

@@ -1,4 +1,4 @@
-"""What the test bench shows (Fig. 5 of the paper): a plane mapper, scan by scan."""
+"""The test bench (Fig. 5 of the paper): a plane mapper, scan by scan."""
 
 from __future__ import annotations
 
@@ -144,7 +144,7 @@ class BenchRecorder:
                 self.frames.append(self._frame(scan))
 
     def last(self) -> BenchFrame | None:
-        """Return the last scan with the map as it is now; None where there was no scan."""
+        """Return the last scan with the map as it is now; None if there was no scan."""
         return None if self._scan is None else self._frame(self._scan)
 
     def _frame(self, scan: PointScan) -> BenchFrame:

@@ -1,4 +1,4 @@
-"""Methods side by side: how far off each is, and what it costs."""
+"""Methods side by side: errors and times."""
 
 from __future__ import annotations
 

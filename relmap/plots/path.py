@@ -1,4 +1,4 @@
-"""Paths, brought onto one another, and not drawn where they are not known."""
+"""Aligning paths, and breaking them where they are not known."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def broken_at_gaps(
 
 
 def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions (k + jumps, d) with NaN where the path leaps, for want of its times."""
+    """Return positions (k + jumps, d) with NaN where the path jumps; it has no times."""
     step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
     if not len(step_m):
         return position
@@ -79,7 +79,7 @@ def fit_to_truth(
     Returns
     -------
     R, t : (2, 2), (2,) float64
-        As `fit_poses` returns them; None where no times are the same.
+        As `fit_poses` returns them; None if no times are the same.
     """
     mine, other = match_stamps(stamps_s, truth.stamps_s)
     return fit_poses(poses[mine], truth.poses[other]) if len(mine) else None

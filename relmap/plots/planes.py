@@ -122,7 +122,7 @@ def plot_planes(
     truth : tuple, optional
         True walls, and how the map lies in them.
     title : str, optional
-        The counts where left out.
+        The counts if omitted.
 
     Returns
     -------

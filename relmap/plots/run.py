@@ -41,7 +41,7 @@ def plot_run(
         Labels of the landmarks of each group; drawn as links from its middle to its members.
     truth : Overlay, optional
     title : str, optional
-        The counts where left out.
+        The counts if omitted.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def _marker_area(n: int) -> float:
 
 
 def _draw_landmarks(axes: Axes, result: Result, pair: list[int]) -> Any:
-    """Draw the mapped landmarks; return what the colour bar explains, None where nothing does."""
+    """Draw the mapped landmarks; return what the colour bar explains, None if nothing does."""
     table = result.landmarks
     area = _marker_area(int(result.mapped.sum()))
     static = result.mapped & (table.status != "dynamic")

@@ -1,4 +1,4 @@
-"""What pictures are drawn on: blank figures, views in one scale, limits, colours; the PNG file."""
+"""Canvases of pictures: blank figures, views in one scale, limits, colours; the PNG file."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def legend_below(figure: Figure, ncols: int, *panels: Axes) -> Legend:
 
 
 def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: float = 0.0) -> Limits:
-    """Return the limits of what is to be shown, with a rim.
+    """Return the limits of a picture, with a margin.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: floa
 
 
 def draw_limits(axes: Axes, limits: Limits) -> None:
-    """Have a panel show what lies within limits (2,), (2,), in one scale for both axes."""
+    """Set the limits (2,), (2,) of a panel, with one scale for both axes."""
     low, high = limits
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
@@ -188,7 +188,7 @@ def write_png(path: Path, draw: Callable[[], Figure]) -> None:
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     with mpl.rc_context():
         mpl.rcdefaults()
@@ -207,7 +207,7 @@ def to_png(draw: Callable[P, Figure]) -> Callable[Concatenate[Path, P], None]:
 
 
 def _padded(limits: Limits) -> Limits:
-    """Return limits with a rim, nowhere too thin."""
+    """Return limits with a margin and a least width."""
     low, high = limits
     longest = max(float((high - low).max()), 1e-3)
     half = np.maximum((high - low) / 2 + 0.04 * longest, NARROWEST * longest / 2)

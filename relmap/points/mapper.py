@@ -190,7 +190,7 @@ class PointMapper(Mapper):
         Raises
         ------
         RelmapError
-            Where the scan cannot be meant.
+            If the scan is invalid.
         """
         placement = self._placed(checked_points(points, self.engine.store.dimension))
         T_map_robot = np.full((4, 4), np.nan)
@@ -218,7 +218,7 @@ class PointMapper(Mapper):
         Raises
         ------
         RelmapError
-            Where the scan cannot be meant, or a journal is kept, which would not tell of it.
+            If the scan is invalid, or a journal is kept, which could not record it.
         """
         if self._journal is not None:
             raise RelmapError("a run that keeps a journal begins with an empty map")

@@ -22,7 +22,7 @@ class PointModel:
     drift_m = None
 
     def association(self, config: MapperConfig) -> Registration:
-        """Return what finds out who is who in scans without ids."""
+        """Return the association of scans without ids."""
         if config.registration == "nearest-previous":
             return NearestPrevious(config.gate_m)
         return Constellation(config.max_missed)

@@ -1,4 +1,4 @@
-"""From the points of a scan to planes (section II)."""
+"""Segmentation of the points of a scan into planes (section II)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The noise of a scan, before anything else is known of it."""
+"""Initial estimate of the noise of a scan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OF_EXTENT = 0.09
 
 
 def window_noise(xy: Floats, rng: np.random.Generator) -> float:
-    """Return what the noise is or a little more (metres, standard deviation across a wall).
+    """Return the noise or slightly more (metres, standard deviation across a wall).
 
     Windows about random points are grown until they are elongated; the thickness of the thinner
     ones is the noise. Those that hold a corner are too thick, so what comes out may be twice the
@@ -57,7 +57,7 @@ def neighbour_distance(xy: Floats) -> float:
 def points_per_beam(xy: Floats) -> float:
     """Return how many points lie at one bearing: those of one column of a 3-D sensor's beams.
 
-    They say together where a wall is, but one at most says how far it reaches.
+    Together they locate a wall, but at most one of them bounds its extent.
     """
     repeat = len(xy) / max(len(_distinct(xy)), 1)
     return repeat if repeat > 1.5 else 1.0

@@ -1,4 +1,4 @@
-"""What a segmenter hands out: the planes of one scan."""
+"""The planes of one scan, as a segmenter returns them."""
 
 from __future__ import annotations
 

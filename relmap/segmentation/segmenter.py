@@ -37,17 +37,17 @@ class PlaneSegmenter:
         "ransac": those lines alone, faster; "mixture": a Gaussian mixture started from them;
         "ransac3d" and "patches": open3d's sequential RANSAC and its planar patches, which know
         floors and ceilings from walls; "scanlines": 2-D laser scans whose points are in the order
-        of the beams. Where left out, "scanlines" for points (n, 2) and "em" for (n, 3).
+        of the beams. If omitted, "scanlines" for points (n, 2) and "em" for (n, 3).
     noise : float, optional
         Standard deviation of a point across its plane, metres; estimated from the scan where left
         out.
     random_state : int
         Seed; the same scan and seed give bit-identical planes.
     view_rad : float, optional
-        Horizontal field of view, radians, centred ahead. Where left out, the farthest bearing to
+        Horizontal field of view, radians, centred ahead. If omitted, the farthest bearing to
         either side is taken for its edge.
     range_m : float, optional
-        Horizontal range of the sensor, metres. Where left out, it is known only if several walls
+        Horizontal range of the sensor, metres. If omitted, it is known only if several walls
         end at one greatest distance.
 
     Attributes
@@ -93,7 +93,7 @@ class PlaneSegmenter:
         Raises
         ------
         RelmapError
-            Where a parameter or the shape is wrong, a coordinate is not finite, or floors, ceilings
+            If a parameter or the shape is wrong, a coordinate is not finite, or floors, ceilings
             and the like would be taken for walls.
         """
         xyz = _as_points(points)
@@ -146,7 +146,7 @@ class PlaneSegmenter:
             mixture = search.fit_walls(xy, self.noise, rng)
             sharp = sharpen(mixture, search.part(xy, search.POLISHED, rng))
             labels = sharp.mixture.labels(xy)
-            if mixture.repeat > 1:  # else a single column of beams would make a wall
+            if mixture.repeat > 1:  # otherwise a single column of beams would form a wall
                 solid = search.long_enough(sharp.mixture)
                 solid &= search.seen_broad(sharp.mixture, xy, labels)
                 labels[~np.append(solid, True)[labels]] = -1
@@ -187,7 +187,9 @@ def planes_of(
     walls = sharp.mixture.walls
     ends = walls[:, None, :2] + walls[:, BEGIN : END + 1, None] * walls[:, None, UX : UY + 1]
     count = np.bincount(labels[labels >= 0], minlength=len(ends))
-    long = (ends[:, 0] != ends[:, 1]).any(axis=1)  # far away rounding may take all of a length
+    long = (ends[:, 0] != ends[:, 1]).any(
+        axis=1
+    )  # far from the origin rounding may cancel a whole length
     kept = np.flatnonzero((count > 0) & long)
     number = np.full(len(ends) + 1, -1)
     number[kept] = np.arange(len(kept))

@@ -31,7 +31,7 @@ def require_upright(xyz: Floats) -> None:
     Raises
     ------
     RelmapError
-        Where too many are not.
+        If too many are not.
     """
     share = tilted_share(xyz)
     if share > MOST_SHARE:
@@ -43,7 +43,7 @@ def require_upright(xyz: Floats) -> None:
 
 
 def tilted_share(xyz: Floats) -> float:
-    """Return the share of points (n, 3) about which a surface shows that is not upright."""
+    """Return the share of points (n, 3) around which the surface is not upright."""
     low, high = np.quantile(xyz[:, 2], HEIGHT)
     some = np.random.default_rng(0).permutation(xyz)[:POINTS]
     middles = some[:PATCHES]

@@ -106,7 +106,7 @@ def simulate_building(
     sampling : "surface", "rays" or "laser"
         Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
     iterations : int, optional
-        Number of scans; as many as the loops take where left out. One loop is 250 to 310 in a
+        Number of scans; as many as the loops take if omitted. One loop is 250 to 310 in a
         building, some 200 among panels, 390 along the long wall and back, with the usual step.
     seed : int
         Seed of everything random.
@@ -118,7 +118,7 @@ def simulate_building(
     loops : int
         How often the robot drives round.
     sensor : Sensor, optional
-        Range and field of view: 8 m and 90 degrees (`laser`: 180) where left out.
+        Range and field of view: 8 m and 90 degrees (`laser`: 180) if omitted.
     sample_ends : bool
         With `surface`, put a point on each end of every stretch that has two points or more.
     moving : int
@@ -138,7 +138,7 @@ def simulate_building(
     Raises
     ------
     RelmapError
-        Where an argument is out of its range.
+        If an argument is out of its range.
     """
     sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)
@@ -147,7 +147,7 @@ def simulate_building(
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
     stamps_s = STEP_S * (step_m / STEP_M) * np.arange(len(trajectory), dtype=np.float64)
-    # What moves or is no wall has generators of its own: the rest is the same with and without.
+    # Moving walls and objects have generators of their own, so the rest stays the same.
     walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
     crowd = walking(plan, people, stamps_s, trajectory, walkers)
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
@@ -185,7 +185,7 @@ def building_scene(
     Raises
     ------
     RelmapError
-        Where an argument is out of its range.
+        If an argument is out of its range.
     """
     sensor = sensor or sensor_of(sampling)
     scanner = Scanner(points, sigma, noise, sampling, sensor, sample_ends)

@@ -1,4 +1,4 @@
-"""What a run has seen of each wall: how often it and its ends, and from where to where."""
+"""How often each wall and its ends were seen, and which stretch."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def times_seen(walls: Array, scans: Sequence[BuildingScan]) -> NDArray[np.int64]
 
 
 def _go_on(ends: Array) -> NDArray[np.bool_]:
-    """Tell at which ends (w, 2) of walls (w, 2, 2) another goes on, as in a curve."""
+    """Return at which ends (w, 2) of walls (w, 2, 2) another goes on, as in a curve."""
     along = ends[:, 1] - ends[:, 0]
     length_m = np.linalg.norm(along, axis=1)
     along /= length_m[:, None]

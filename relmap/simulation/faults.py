@@ -1,4 +1,4 @@
-"""What goes wrong in the world and in a sensor: faults put into a log with ids, one function each.
+"""Faults of the world and of sensors, put into a log with ids; one function each.
 
 Each function takes a log and returns another; nothing is changed in place.  False observations lie
 where other observations of the log lie, so that their place alone does not give them away.  A share
@@ -18,7 +18,7 @@ from relmap.datasets.base import ObservationLog
 
 
 def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Put a share of the observations where others were: right ids at wrong places."""
+    """Move a share of the observations to places of others: right ids at wrong places."""
     wrong = _drawn(log, share, rng)
     points = log.points_robot.copy()
     points[wrong] = log.points_robot[rng.integers(len(points), size=len(wrong))]
@@ -33,7 +33,7 @@ def missed_detections(
 
 
 def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Add observations of nothing, as many as a share of all, each under an id of its own."""
+    """Add false observations, as a share of all, each with an id of its own."""
     seen_with = _drawn(log, share, rng)
     n = len(seen_with)
     places = log.points_robot[rng.integers(len(log.points_robot), size=n)]
@@ -93,7 +93,7 @@ def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
 
 
 def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLog:
-    """Reverse `count` iterations, as where a buffer is emptied from the wrong end."""
+    """Reverse `count` iterations, as if a buffer were emptied from the wrong end."""
     within = _within(log, first, count)
     iteration = np.where(within, 2 * first + count - 1 - log.iteration, log.iteration)
     order = np.argsort(iteration, kind="stable")

@@ -90,7 +90,7 @@ def simulate_figure_eight(
     Raises
     ------
     RelmapError
-        Where an argument is out of its range.
+        If an argument is out of its range.
     """
     limits = [
         (0 < density <= 1e5, f"density is {density}; it must lie in (0, 100000]"),
@@ -160,7 +160,7 @@ def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Ar
 
 
 def _folded(travelled: Array) -> Array:
-    """Return the place after a way travelled to and fro within the reach."""
+    """Return the position after a distance travelled to and fro within the reach."""
     return np.asarray(np.abs(travelled % (4 * REACH_M) - 2 * REACH_M) - REACH_M)
 
 

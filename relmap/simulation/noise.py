@@ -1,4 +1,4 @@
-"""What all simulated worlds share: the noise of a measurement, and limits of the arguments."""
+"""Noise of measurements and limits of arguments, shared by all simulated worlds."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Ways of a robot and the landmarks along them: streets, corridors, stairs and more.
+"""Paths of a robot and the landmarks along them: streets, corridors, stairs and more.
 
-Each kind asks another question of data association: loops, places that look alike, landmarks on a
+Each kind tests another aspect of data association: loops, places that look alike, landmarks on a
 line or a plane, which fix no rotation, or closer together than the robot moves between scans.
 """
 

@@ -30,7 +30,7 @@ SHEAR, TAPER = (0.15, 0.35), (0.05, 0.15)
 
 
 def building(rng: np.random.Generator, glass: bool = False) -> FloorPlan:
-    """Draw a corridor round a block, with rooms; where asked for, with a pane beside each door."""
+    """Draw a corridor round a block, with rooms and, on request, a pane beside each door."""
     block = np.array([0.0, 0.0, rng.uniform(*BLOCK_M[0]), rng.uniform(*BLOCK_M[1])])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
     placed = _rooms_inside(block, rng)

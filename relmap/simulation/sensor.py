@@ -1,4 +1,4 @@
-"""What a range sensor measures of the stretches of wall it sees."""
+"""Measurements of a range sensor on the visible stretches of walls."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Sampling = Literal["surface", "rays", "laser"]
 azimuth and elevation, or in the plane of the sensor)."""
 
 Before = Callable[[Array, Array], Array]
-"""Tells of beams at bearings (b,) that go so far (b,), at most as far as the sensor sees, how far
-they go to what stands before the walls (b,); infinite where nothing does."""
+"""From bearings (b,) and ranges (b,) of beams to their distances (b,) from objects in front of the
+walls; infinite where there is none."""
 
 _SLACK_RAD = 1e-12
 

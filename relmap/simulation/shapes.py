@@ -36,7 +36,7 @@ class FloorPlan:
         x0, y0, x1, y1, z0, z1; they touch but do not cross, and all have the same z0 and z1.
         (w, 4) where the heights are still to be drawn.
     floors : (f, 4) float64, metres
-        Rectangles x_low, y_low, x_high, y_high without fixed walls inside; none where walls are
+        Rectangles x_low, y_low, x_high, y_high without fixed walls inside; none if walls are
         oblique or curved.
     loop : (l, 2) float64, metres
         The line, counter-clockwise; from the last point it goes back to the first.

@@ -1,4 +1,4 @@
-"""What stands before the walls and is none: people who walk about, clutter, and panes of glass."""
+"""Objects in front of walls: people who walk about, clutter, and panes of glass."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Things:
     glass : (g,) int64
         Which walls are panes.
     clutter : float
-        Share of the beams that meet small things that are anywhere, as leaves, cables or rain.
+        Share of the beams that meet small objects anywhere, such as leaves, cables or rain.
     rng : numpy.random.Generator
     """
 
@@ -50,7 +50,7 @@ class Things:
         return bool(len(self.people) or len(self.glass) or self.clutter)
 
     def seen_from(self, T_map_robot: Array, walls_robot: Array) -> Before:
-        """Return what tells how far beams go to them; walls (w, 2, 2) are in the robot frame."""
+        """Return how far beams go, as a function; walls (w, 2, 2) are in the robot frame."""
         at = (self.people[:, :2] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
         discs = np.column_stack([at, self.people[:, 2]])
 
@@ -172,7 +172,7 @@ def _dense(loop: Array) -> Array:
 
 
 def _along(line: Array, at: int, goal: int) -> Array:
-    """Return the shorter way (n, 2) on a closed line from one of its points to another."""
+    """Return the shorter path (n, 2) on a closed line from one of its points to another."""
     n = len(line)
     there = (goal - at) % n
     steps = np.arange(there + 1) if there <= n / 2 else -np.arange(n - there + 1)

@@ -1,6 +1,6 @@
-"""Which stretch of each wall a robot sees, and why it ends where it ends.
+"""Which stretch of each wall a robot sees, and why it ends there.
 
-The world is 2½-D: vertical walls of one height, so what hides what is decided in the ground plane.
+The world is 2½-D: vertical walls of one height, so occlusion is decided in the ground plane.
 Every wall has one front: seen from there its ends (x0, y0), (x1, y1) go from right to left. From
 behind, a wall is invisible; a wall with two sides is two walls, one for each side.
 """
@@ -73,7 +73,7 @@ def seen_walls(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenW
 
 
 def _joined(right: SeenWalls, left: SeenWalls) -> SeenWalls:
-    """Put what is seen on either side together: the wall straight ahead is one stretch."""
+    """Combine both half turns: the wall straight ahead is one stretch."""
     wall = np.concatenate([right.wall, left.wall])
     ends, end_type = (
         np.concatenate([getattr(right, name), getattr(left, name)]) for name in ("ends", "end_type")

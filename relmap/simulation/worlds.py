@@ -1,4 +1,4 @@
-"""Worlds of point landmarks that are hard to associate, seen by sensors that are not perfect."""
+"""Worlds of point landmarks that are hard to associate, seen by imperfect sensors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UNEQUAL = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class WorldSpec:
-    """What is simulated; the defaults are a planar city that an accurate sensor sees.
+    """Settings of the simulation; by default a planar city seen by an accurate sensor.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ def simulate_world(spec: WorldSpec) -> World:
     Raises
     ------
     RelmapError
-        Where an argument is out of its range.
+        If an argument is out of its range.
     """
     spec.check()
     rng = np.random.default_rng(spec.seed)
@@ -149,7 +149,7 @@ def simulate_world(spec: WorldSpec) -> World:
 
 
 def covariances_of(points_robot: Array, sigma: float, noise: str) -> Array:
-    """Return how noisy points (n, d), robot frame, are seen: (n, d, d), metres squared.
+    """Return the covariances (n, d, d), square metres, of points (n, d), robot frame.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ range; growing with the distance; of a stereo camera, growing along the ray with
 
 
 def _poses(at: Array, ahead: Array, turn_deg: float, d: int, rng: np.random.Generator) -> Array:
-    """Return poses (k, 4, 4) that look along the way and, where asked for, turn to both sides."""
+    """Return poses (k, 4, 4) that look along the path and, on request, turn to both sides."""
     steps = np.deg2rad(turn_deg) * rng.choice([-1.0, 1.0], len(at))
     steps[0] = 0.0
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0]) + np.cumsum(steps)
@@ -226,7 +226,7 @@ def _seen(
 def _misread(
     ids: NDArray[np.int64], share: float, n_landmarks: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Return the ids (n,) of a scan, some of them wrong: one half swapped, the other of others."""
+    """Return the ids (n,) of a scan, some wrong: half swapped, half those of other landmarks."""
     read = ids.copy()
     wrong = rng.permutation(np.flatnonzero((ids >= 0) & (rng.random(len(ids)) < share)))
     n_swapped = (len(wrong) + 1) // 4 * 2

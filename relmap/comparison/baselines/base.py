@@ -1,4 +1,4 @@
-"""What all methods to compare with share: a label for every observation, a pose for every scan."""
+"""What baselines share: a label for each observation, a pose for each scan."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Baseline(ABC):
         return labels
 
     def finish(self) -> None:
-        """Do what is left to the end of the log: nothing, where a scan is done with at once."""
+        """Do what remains at the end of the log: nothing for methods that work scan by scan."""
         return
 
     def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
@@ -57,7 +57,7 @@ class Baseline(ABC):
 
     @property
     def map(self) -> LandmarkMap:
-        """The landmarks mapped so far; none where a method makes no map."""
+        """The landmarks mapped so far; none if a method makes no map."""
         return NO_MAP
 
     @property
@@ -92,7 +92,7 @@ class Baseline(ABC):
 
 
 class KnownBaseline(Baseline):
-    """A baseline that is told which landmark is which; an observation without an id is left out."""
+    """A baseline that is given the ids; observations without an id are left out."""
 
     def update(
         self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
@@ -110,7 +110,7 @@ class KnownBaseline(Baseline):
 
     @abstractmethod
     def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
-        """Take in points (n, d) of landmarks (n,); return the pose, None where nothing fixes it."""
+        """Take in points (n, d) of landmarks (n,); return the pose, None if nothing fixes it."""
 
 
 def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Pose | None:
@@ -124,7 +124,7 @@ def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Po
     Returns
     -------
     Pose or None
-        None where they fix no rotation.
+        None if they fix no rotation.
     """
     return fit_rigid(points_robot, places) if fixes_rotation(places) else None
 

@@ -54,8 +54,8 @@ def batch_least_squares(
     Raises
     ------
     RelmapError
-        Where a pose is not fixed by what it sees, a landmark is not seen, the observations do not
-        hold together as one map, or the solution does not settle.
+        If a pose is not fixed by what it sees, a landmark is not seen, the observations do not
+        connect into one map, or the solution does not settle.
     """
     landmarks = start_map.copy()
     _require_one_map(observations, len(landmarks))
@@ -79,13 +79,13 @@ def _require_one_map(observations: Batch, m: int) -> None:
     ties = np.ones(len(observations.pose)), (observations.landmark, m + observations.pose)
     parts = connected_components(sparse.coo_array(ties, shape=(size, size)), directed=False)[1]
     if parts[:m].max() != parts[:m].min():
-        raise RelmapError("batch least squares: the observations do not hold together as one map")
+        raise RelmapError("batch least squares: the observations do not connect into one map")
 
 
 def _mean_of_one_pose(
     observations: Batch, R: NDArray[np.float64], t: NDArray[np.float64], m: int
 ) -> NDArray[np.float64]:
-    """Return the landmarks (m, d) as one pose sees them: there is nothing to solve."""
+    """Return the landmarks (m, d) as seen from the only pose."""
     sums, counts = np.zeros((m, len(t))), np.zeros(m)
     np.add.at(sums, observations.landmark, observations.points_robot @ R.T + t)
     np.add.at(counts, observations.landmark, 1)

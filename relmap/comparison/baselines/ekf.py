@@ -2,7 +2,7 @@
 
 One Gaussian over the robot's pose and all landmarks.  The turn is estimated as a small rotation on
 top of a matrix, the landmarks are Cartesian, an observation is range, yaw and pitch (planar: range
-and yaw).  Nothing tells how the robot moved, so the prediction is one of two:
+and yaw).  There is no odometry, so the prediction is one of two:
 
 * ``standing``: where it was, as MRPT does (Blanco, "Derivation and implementation of a full 6D
   EKF-based solution to range-bearing SLAM", University of Malaga, 2008; `CRangeBearingKFSLAM`);
@@ -90,7 +90,7 @@ class Ekf(KnownBaseline):
         return self._R, self._t
 
     def _predict(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
-        """Move the pose on, and say how little is known of its motion."""
+        """Predict the pose, with the process noise."""
         step, turn = self._config.step_sd_m, self._config.turn_sd_rad
         if self._config.prediction == "fitted":
             step, turn = UNKNOWN_M, UNKNOWN_RAD

@@ -39,7 +39,7 @@ class FrameToFrame(KnownBaseline):
         return R, t
 
     def _step(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> bool:
-        """Move the pose on to a scan; tell whether the last one fixes it."""
+        """Move the pose on to a scan; return whether the last one fixes it."""
         if self._last is None:
             return True
         _, here, before = np.intersect1d(labels, self._last[0], return_indices=True)

@@ -43,7 +43,7 @@ class FrameToMap(KnownBaseline):
         return pose
 
     def _fitted(self, landmarks: NDArray[np.int64], points: NDArray[np.float64]) -> Pose | None:
-        """Return the pose of a scan, or None where the map fixes none."""
+        """Return the pose of a scan, or None if the map fixes none."""
         if len(points) and not self._counts.values.any():
             return np.eye(self._d), np.zeros(self._d)
         known = self._counts.values[landmarks] > 0

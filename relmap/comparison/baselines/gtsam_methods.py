@@ -47,7 +47,7 @@ class Factors:
     Raises
     ------
     ImportError
-        Where gtsam is not installed.
+        If gtsam is not installed.
     """
 
     def __init__(self, dimension: int, sigma_m: float) -> None:
@@ -166,7 +166,7 @@ class Isam2(KnownBaseline):
         return start
 
     def _start(self, points: NDArray[np.float64], seen: list[int]) -> Pose | None:
-        """Return a pose to begin with; None where the map fixes none."""
+        """Return a pose to begin with; None if the map fixes none."""
         if not self._places:
             return (np.eye(self._d), np.zeros(self._d)) if seen else None
         old = [row for row, label in enumerate(seen) if label in self._places]

@@ -34,7 +34,7 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     Raises
     ------
     RelmapError
-        Where the log has no ids, or they do not hold together as one map.
+        If the log has no ids, or they do not connect into one map.
     """
     if log.ids is None:
         raise RelmapError("least squares with known ids: the log has no ids")

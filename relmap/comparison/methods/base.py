@@ -1,4 +1,4 @@
-"""What must be known of a method that `relmap compare` can run."""
+"""Descriptions of the methods that `relmap compare` can run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from relmap.evaluation.sources import LogKind
 
 @dataclass(frozen=True)
 class Setup:
-    """What a method is told before it begins.
+    """What a method is given before it starts.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class MethodInfo:
     refine : bool
         Whether the map is refined when the log is over.
     needs_ids : bool
-        Whether it cannot find out which landmark is which.
+        Whether it needs known ids.
     needs : str or None
         Module of the optional extra that it is made of.
     """
@@ -57,7 +57,7 @@ class MethodInfo:
 
     @property
     def missing(self) -> str | None:
-        """What must be installed before it can run; None where nothing is missing."""
+        """What must be installed before it can run; None if nothing is missing."""
         if self.needs is None or importlib.util.find_spec(self.needs) is not None:
             return None
         return f"{self.needs} is not installed: pip install 'relmap[peers]'"

@@ -1,4 +1,4 @@
-"""relmap as the paper has it, to compare with what it is by default."""
+"""relmap with the paper's settings, to compare with the defaults."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class PaperPointMapper(PointMapper):
 class PaperPlaneMapper(PlaneMapper):
     """Maps walls by the paper's recipe of pairs (Figs 1, 2 and 4).
 
-    Which wall is which it finds out as `PlaneMapper` does.
+    Walls are associated as in `PlaneMapper`.
     """
 
     @property

@@ -48,7 +48,7 @@ def find_method(name: str) -> MethodInfo:
     Raises
     ------
     RelmapError
-        Where there is none of that name.
+        If there is none of that name.
     """
     known = {method.name: method for method in METHODS}
     return known[known_name(name, known, "method")]
@@ -69,7 +69,7 @@ def check_method(method: MethodInfo, log: LogKind, association: Association) -> 
     Raises
     ------
     RelmapError
-        Where it cannot.
+        If it cannot.
     """
     fit = ", ".join(other.name for other in fitting_methods(log, association))
     if log not in method.logs:
@@ -77,6 +77,6 @@ def check_method(method: MethodInfo, log: LogKind, association: Association) -> 
         raise RelmapError(f"method {method.name} cannot map a log of {has}; these can: {fit}")
     if method.needs_ids and association == "nearest":
         raise RelmapError(
-            f"method {method.name} needs to be told which landmark is which: "
+            f"method {method.name} needs known ids: "
             f"--association known; without ids these can run: {fit}"
         )

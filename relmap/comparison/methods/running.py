@@ -58,14 +58,14 @@ FEW_M = 0.01
 
 @dataclass(frozen=True, eq=False)
 class MethodRun:
-    """What came out of a method.
+    """The results of a method.
 
     Attributes
     ----------
     result : Result
         Of walls a `PlaneResult`.
     figures : dict
-        `ACCURACY`, `PATH` and `COST`, None where one cannot be had.
+        `ACCURACY`, `PATH` and `COST`, None if one is not available.
     """
 
     result: Result
@@ -85,7 +85,7 @@ def run_method(
     data : Data
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that methods are told, metres; estimated from the log if not given.
+        Noise that methods are given, metres; estimated from the log if not given.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def run_method(
     Raises
     ------
     RelmapError
-        Where the method cannot use the log.
+        If the method cannot use the log.
     """
     log, setup = data.log, setup_for(data, sigma_m)
     first = log.first_iteration
@@ -124,12 +124,12 @@ def try_method(
         Of the data.
     association : "nearest" or "known"
     sigma_m : float or None
-        Noise that methods are told, metres.
+        Noise that methods are given, metres.
 
     Returns
     -------
     run : MethodRun or None
-        None where it failed.
+        None if it failed.
     note : str
         Why; empty where all went well.
     """
@@ -140,7 +140,7 @@ def try_method(
 
 
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
-    """Return what methods are told beforehand of a log.
+    """Return what methods are given about a log beforehand.
 
     Parameters
     ----------

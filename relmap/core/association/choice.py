@@ -1,4 +1,4 @@
-"""Who is who: by ids if they come with the scans, or else as the kind of landmark has it."""
+"""Data association: by ids if they come with the scans, else by the kind of landmark."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class DataAssociation:
         iteration: int,
         motion: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
-        """Return whom each observation (n,) of an iteration is of; negative where nobody knows.
+        """Return the landmark of each observation (n,) of an iteration; negative if unknown.
 
         Raises
         ------
@@ -80,7 +80,7 @@ class DataAssociation:
 
     @property
     def has_ids(self) -> bool:
-        """Whether nothing is left to find out about who is who."""
+        """Whether the association is complete."""
         return self.is_known is not False
 
     @property

@@ -101,7 +101,7 @@ def chosen(
     _, rival = next(found, (None, pairs[:0]))
     off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
     pairs = pairs[off <= tolerance_m]
-    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # who is merged away takes in nobody
+    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # what is merged away takes in nothing
     if evidence is not None:
         drifts = d * (d + 1) / 2 * np.log(1 + 2 * evidence.reach_m / tolerance_m)
         if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):

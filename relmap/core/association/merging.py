@@ -32,7 +32,7 @@ SLICE = 500
 LAST = 2**62
 """Beyond all landmarks."""
 ROUNDS = 5
-"""How often doubles are looked for in a row, as each merge tells of others."""
+"""How often doubles are looked for in a row, as each merge reveals others."""
 
 
 class Merger:

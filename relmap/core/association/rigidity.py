@@ -26,7 +26,7 @@ UNLIKE = 12.0
 Up to 8 was found in real logs; a mirrored scan of the figure eight has 24 and more."""
 CLEAR, FIRST = 0.02, 0.05
 """The same as a share of the extent of the scan, below which nothing is rejected; and below which
-nothing is where it is not known yet what is usual."""
+nothing is rejected while the usual misfit is not known."""
 FAR = 0.02
 """How far from where it should be an observation may be, as a share of that extent."""
 SLOWNESS = 0.1
@@ -109,7 +109,7 @@ class Rigidity:
     def believed(
         self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
     ) -> NDArray[np.int64] | None:
-        """Tell of which landmarks the observations are.
+        """Return the landmarks of the observations.
 
         Parameters
         ----------

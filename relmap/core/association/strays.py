@@ -1,7 +1,7 @@
 """Scans that were tied to nothing when they came, found in the map once there is one.
 
 After a sharp turn, or where much was missed, a scan may show too little of what those just before
-it saw.  The map tells of more: what was seen from there earlier, and later.
+it saw.  The map contains more: what was seen from there earlier, and later.
 """
 
 from __future__ import annotations

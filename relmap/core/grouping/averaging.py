@@ -145,6 +145,8 @@ class Averaging:
                 break
             together += [chart.landmarks[rest[members]] for members in bins.members]
             rest = np.delete(rest, np.concatenate(bins.members))
-        compared = self.n_comparisons + len(rest) <= allowed  # none was left out for want of room
+        compared = (
+            self.n_comparisons + len(rest) <= allowed
+        )  # none was left out because the budget ended
         alone = chart.landmarks[rest] if compared else rest[:0]
         self._motion.go_together(together, alone)

@@ -68,7 +68,7 @@ def _vote(
 ) -> tuple[NDArray[np.int64], int]:
     """Let some members of a bin, from the outermost to the innermost, vote on the others.
 
-    They catch what circles round the first member; nobody votes for himself.  Returns who stays,
+    They catch what circles round the first member; none votes for itself.  Returns which ones stay,
     and the number of comparisons.
     """
     k, n_stay = len(near), 0
@@ -104,8 +104,8 @@ def _company(
 ) -> tuple[NDArray[np.int64], int]:
     """Return which others keep their distance from a pivot, and the number of comparisons.
 
-    Whoever is static finds company in a small sample, here and there of all: where nobody in the
-    sample agrees, or the budget is too small, nobody is returned.  The sample is a first one and
+    A static landmark agrees with others in a small sample of all.  If none in the
+    sample agrees, or the budget is too small, none is returned.  The sample is a first one and
     every so many after it.
     """
     every, first = sample

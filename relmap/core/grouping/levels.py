@@ -10,7 +10,7 @@ from relmap.core.state.table import NONE, LandmarkState
 
 
 class GroupLevels:
-    """The highest-level group of every landmark's interval; lower ones that nobody needs are gone.
+    """The highest-level group of every landmark's interval; unneeded lower ones are dropped.
 
     A landmark's position is that of its highest-level group, and of equal levels of the one that
     averaged more of its observations.
@@ -53,7 +53,7 @@ class GroupLevels:
         reached: NDArray[np.int64],
         n_averaged: NDArray[np.int64],
     ) -> None:
-        """Let members (k,) have their positions from a group; drop groups that nobody needs now."""
+        """Take the positions of members (k,) from a group; drop groups that are not needed now."""
         self._release(members)
         if len(members):
             self._groups[self.n_groups] = group

@@ -54,7 +54,7 @@ class NoiseEstimate:
 
 
 def guess_noise(block: NDArray[np.float64]) -> float:
-    """Guess the noise of a block of which nobody knows yet what in it is static.
+    """Estimate the noise of a block before its static landmarks are known.
 
     The distances between static landmarks deviate least, and they are a good share of all.
 

@@ -50,7 +50,7 @@ def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) 
 
 @compiled
 def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index, Layout]:
-    """Return the first unknown (b,) of each block, and how the factor is laid out.
+    """Return the first unknown (b,) of each block, and the layout of the factor.
 
     The arguments are as from `relmap.core.linalg.elimination_kernels.minimum_degree`.
     """
@@ -108,7 +108,7 @@ def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place:
 
 @helper
 def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place: Index) -> None:
-    """Enter a symmetric part (n, n) over unknowns (n,), ascending, of what is laid out."""
+    """Enter a symmetric part (n, n) over unknowns (n,), ascending, into the layout."""
     start, column_of, _, _, offset = layout
     last = -1
     for b in range(len(unknowns)):

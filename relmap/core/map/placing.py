@@ -89,7 +89,7 @@ class Placing:
             self._schedule.begin_anew(moving, self._store.n_iterations)
 
     def next_last_pass(self) -> int | None:
-        """Return who needs its last pass next; None where nobody does yet.
+        """Return the landmark that needs its last pass next; None if there is none yet.
 
         Those that need none are done with at once, so that they never make the others wait.
         """

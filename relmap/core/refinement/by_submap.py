@@ -22,7 +22,7 @@ def refine_submaps(
     weighed: WeighedObservations,
     again: bool = False,
 ) -> list[Refined]:
-    """Move all landmarks to where the observations agree best; tell of each submap, in order.
+    """Move all landmarks to where the observations agree best; describe each submap, in order.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ class Spread:
         state = self.settled.state
         found = self.problem.covariances(state, self.settled.weight)
         found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
-        # No linear theory tells of errors as large as the map.
+        # No linear theory describes errors as large as the map.
         extent = np.ptp(state.positions[self.chosen], axis=0).max()
         found[np.trace(found, axis1=1, axis2=2) > found.shape[1] * extent**2] = np.nan
         return found

@@ -2,7 +2,7 @@
 
 A chain of groups is nearly as good as can be until landmarks are seen again after a long time; then
 the map has drifted on the way, and the drift must be spread over all of it.  So when enough of them
-came back one Gauss-Newton step is taken for the whole map.  What was condensed is laid together to
+came back one Gauss-Newton step is taken for the whole map.  What was condensed is combined into
 a bounded number of rigid bodies, the longer the longer the run, so that a step costs no more in a
 long run than in a short one.
 """

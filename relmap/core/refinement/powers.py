@@ -37,9 +37,9 @@ LOOSE, LOOSE_POSE = 1e-9, 1e-12
 EXACT = 1e-9
 """Residual, as a share of the map's size, that is taken for rounding."""
 SPARSE = 20
-"""Iterations from one in whose frame errors are told to the next."""
+"""Iterations from one in whose frame errors are given to the next."""
 REPEATS = 4
-"""Simulated runs from which the gain is told."""
+"""Simulated runs from which the gain is estimated."""
 
 
 def refine_by_powers(refined: Refined, seen: Observations) -> Refined:

@@ -59,7 +59,7 @@ def segment_residuals(
 ) -> SegmentResiduals:
     """Compare each segment's sum of squares with what noise alone would leave of it.
 
-    However little weight the refinement gives to what is far off, it is told here.
+    Outliers are reported here, however little weight the refinement gives them.
 
     Parameters
     ----------

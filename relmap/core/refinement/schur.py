@@ -122,7 +122,7 @@ class Elimination:
             What holds a body that hangs by too little, as a share of what holds it otherwise.
         with_matrix : bool
         along : (p, q) float64, optional
-            A direction in which nothing tells of a body; none.
+            A direction in which nothing measures a body; none if omitted.
         """
         from relmap.core.refinement.schur_kernels import eliminated_steps, reduced_equations
 

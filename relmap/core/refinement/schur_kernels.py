@@ -24,7 +24,7 @@ Bodies = tuple[Index, Index, Array, Array, Array, Array]
 Stretches = tuple[Index, Index, Index]
 
 STIFF = 1e3
-"""What holds a body along a direction in which nothing tells of it, as a share of what holds it
+"""What holds a body along a direction in which nothing measures it, as a share of what holds it
 otherwise."""
 
 
@@ -130,7 +130,7 @@ def reduced_equations(
         What holds a body that hangs by too little, as a share of what holds it otherwise.
     layout : as `relmap.core.linalg.cholesky_kernels` has it
     values : float64
-        The matrix, added to; nothing is where it is empty.
+        The matrix, added to in place; nothing is added if it is empty.
     right : (u,) float64
         Added to.
 

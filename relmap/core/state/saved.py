@@ -2,7 +2,7 @@
 
 A part of the engine says in `STATE` which of its attributes are state, by ``_attribute``, saved
 without the underscore, or ``name=attribute``; of a dataclass that says nothing it is all fields.
-What an attribute holds is told by its annotation in the class, or else by that of a new part.
+The kind of an attribute is given by its annotation in the class, or else by that of a new part.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ class StateReader:
         return found
 
     def _records(self, name: str, cls: type) -> dict[int, Any]:
-        """Return records of which each column is told one after the other."""
+        """Return records, each column written one after the other."""
         numbers = self._array(f"{name}/number", np.int64, 1).tolist()
         columns = []
         for key, (_, hint) in _members(cls).items():

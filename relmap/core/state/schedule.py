@@ -78,7 +78,7 @@ class GroupingSchedule:
     def note_due(self, landmarks: NDArray[np.int64]) -> None:
         """Queue those of the landmarks seen in this iteration that have become due.
 
-        One whose group fails for want of company is due again after as many more observations.
+        One whose group fails for lack of others is due again after as many more observations.
         """
         ready = landmarks[self._table.in_interval[landmarks] % self.group_after == 0]
         ready = ready[self.level_due(ready) > 0]

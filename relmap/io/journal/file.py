@@ -19,7 +19,7 @@ CHECKPOINT_PAGES = 4000
 
 BESIDE = ("-wal", "-shm")
 """How names of the files end that SQLite keeps beside its own."""
-THERE = "journal {} is there already: resume the run that it is of, or name another"
+THERE = "journal {} already exists: resume its run, or name another"
 
 
 def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
@@ -28,7 +28,7 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     Raises
     ------
     RelmapError
-        Where there is a file of that name, or it cannot be written.
+        If there is a file of that name, or it cannot be written.
     """
     if path.exists():
         raise RelmapError(THERE.format(path))

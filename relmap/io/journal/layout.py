@@ -30,7 +30,7 @@ version of what follows.
 
 A checksum is the CRC-32 of everything from the beginning, in the order in which it came: of
 ``meta`` (see `meta_checksum`), and of each scan and call that followed (see `checksum`).  So
-nothing can be changed, left out, added or moved without being told, but by who means to.
+no accidental change, loss, addition or reordering goes unnoticed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ SCHEMA = 3
 APPLICATION = 0x726C6D70
 """What SQLite's ``application_id`` says: relmap."""
 END = "end"
-"""The key of ``meta`` that tells where the journal ends."""
+"""The key of ``meta`` that marks the end of the journal."""
 META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)"
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
 """The entries of a covariance: those of its upper triangle."""
@@ -63,7 +63,7 @@ ODOMETRY = "CREATE TABLE odometry (iteration INTEGER PRIMARY KEY, motion BLOB)"
 
 @dataclass(frozen=True)
 class Layout:
-    """How the observations of one variant are laid out.
+    """The columns of the observations of one variant.
 
     Attributes
     ----------

@@ -85,7 +85,7 @@ class JournalReader:
     Raises
     ------
     RelmapError
-        Where it is not a journal, or one of another version, or nothing of it can be recovered.
+        If it is not a journal, or one of another version, or nothing of it can be recovered.
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,7 +100,7 @@ class JournalReader:
             raise RelmapError(f"journal {path} cannot be opened: {reason(error)}") from error
         try:
             self._check_version()
-            # All is read as it is now, whoever writes meanwhile.
+            # All is read as of now, even while another process writes.
             self._connection.execute("BEGIN")
             self._require({"meta": META})
             self.meta, self.end, begin = self._read_meta()
@@ -143,7 +143,7 @@ class JournalReader:
         Raises
         ------
         RelmapError
-            Where the journal is damaged; all scans before that were yielded.
+            If the journal is damaged; all scans before that were yielded.
         """
         self.read = self._before
         try:
@@ -187,7 +187,7 @@ class JournalReader:
         return check
 
     def _covariances(self) -> sqlite3.Cursor | None:
-        """Return a cursor at the first covariance; None where none came."""
+        """Return a cursor at the first covariance; None if none came."""
         if "covariances" not in self._more:
             return None
         names = ", ".join(("iteration", "row", *PAIRS))

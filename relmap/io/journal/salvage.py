@@ -32,7 +32,7 @@ def salvage(path: Path) -> int:
     Raises
     ------
     RelmapError
-        Where nothing can be recovered, or a file cannot be written.
+        If nothing can be recovered, or a file cannot be written.
     """
     damaged, whole, rest = (_beside(path, name) for name in (".damaged", ".whole", ".rest"))
     if damaged.exists() and whole.exists() and not path.exists():  # killed before the last step
@@ -40,7 +40,7 @@ def salvage(path: Path) -> int:
         with JournalReader(path) as reader:
             return sum(1 for _ in reader.scans())
     if damaged.exists():
-        raise RelmapError(f"{damaged} is there already: move it away first")
+        raise RelmapError(f"{damaged} already exists: move it away first")
     if not path.is_file():
         raise RelmapError(f"there is no journal {path}")
     try:

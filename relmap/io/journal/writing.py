@@ -66,7 +66,7 @@ class Journal:
         Raises
         ------
         RelmapError
-            Where there is a file of that name, or it cannot be written.
+            If there is a file of that name, or it cannot be written.
         """
         return cls(path, layout, create_file(path, layout, meta))
 
@@ -79,7 +79,7 @@ class Journal:
         Raises
         ------
         RelmapError
-            Where it cannot be written.
+            If it cannot be written.
         """
         journal, last = cls(reader.path, reader.layout, reader.end), reader.read
         without = "DELETE FROM calls WHERE iteration >= ?"
@@ -102,7 +102,7 @@ class Journal:
         Raises
         ------
         RelmapError
-            Where scans taken in before could not be written, and still cannot.
+            If scans taken in before could not be written, and still cannot.
         """
         if self._failure is not None:
             self.flush()
@@ -152,7 +152,7 @@ class Journal:
         Raises
         ------
         RelmapError
-            Where it cannot be written; it is then not noted.
+            If it cannot be written; it is then not noted.
         """
         k, check = self.n_scans, call_checksum(name, self._end.checksum)
         self._waiting.append(
@@ -170,7 +170,7 @@ class Journal:
         Raises
         ------
         RelmapError
-            Where it cannot be written; it is kept in memory and tried again.
+            If it cannot be written; it is kept in memory and tried again.
         """
         self._try(sure=True)
         if self._failure is not None:
@@ -194,7 +194,7 @@ class Journal:
             self._connection = None
 
     def __del__(self) -> None:
-        """Close what nobody closed."""
+        """Close a journal that was not closed."""
         with suppress(RelmapError):
             self.close()
 

@@ -1,1 +1,1 @@
-"""What others use to find planes."""
+"""Other methods of finding planes, to compare with."""

@@ -1,4 +1,4 @@
-"""A Gaussian mixture started from lines: what the shape of a wall adds is seen against it."""
+"""A Gaussian mixture started from lines: the control for what the wall shape adds."""
 
 from __future__ import annotations
 

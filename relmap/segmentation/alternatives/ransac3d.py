@@ -24,7 +24,7 @@ def _open3d() -> Any:
     Raises
     ------
     RelmapError
-        Where it cannot be loaded, as where a system library that it needs is missing.
+        If it cannot be loaded, as where a system library that it needs is missing.
     """
     try:
         import open3d
@@ -43,7 +43,7 @@ def _cloud(points: Floats) -> Any:
 def sequential_labels(points: Floats, sigma: float, least: int, seed: int) -> Ints:
     """Return the plane (n,) of each point (n, 3): the largest first, split at gaps along it.
 
-    Planes that are not vertical take their points away, but are not planes of the result.
+    Points of planes that are not vertical are removed; those planes are not returned.
     """
     _open3d().utility.random.seed(seed)
     labels, free, count = np.full(len(points), -1), np.arange(len(points)), 0

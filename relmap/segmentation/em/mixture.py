@@ -1,8 +1,8 @@
 """Walls by expectation maximisation: the mixture whose component is the shape of a wall.
 
 Gaussian in the direction of the noise, along the wall the sensor's own density between two unsharp
-ends, plus a uniform class of points of no wall.  A Gaussian mixture takes a wall apart, because a
-wall is not Gaussian along itself; this one does not.
+ends, plus a uniform class of points of no wall.  A Gaussian mixture splits a wall,
+because a wall is not Gaussian along itself; this one does not.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CONCERNED = 0.01
 
 @dataclass(frozen=True, eq=False)
 class WallMixture:
-    """Walls and what else a scan is made of.
+    """Walls and outliers that explain a scan.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class WallMixture:
     sigma : float
         Noise, metres.
     stray : float
-        Share of points of no wall.
+        Share of points that belong to no wall.
     area : float
-        What they are spread over, square metres.
+        Area over which they are spread, square metres.
     beam : float
         Angle (radians) between the beams that points lie on; 0 where they lie evenly on the walls.
     repeat : float
@@ -59,7 +59,7 @@ class WallMixture:
 
     @property
     def along(self) -> float:
-        """How far (metres) noise carries points along a wall: of beams none off its beam."""
+        """How far (metres) noise moves points along a wall; along beams, not at all."""
         return 0.0 if self.beam > 0 else self.sigma
 
     def density(self, xy: Floats) -> tuple[Floats, Floats]:
@@ -77,7 +77,7 @@ class WallMixture:
         return float(np.log(self.density(xy)[1]).sum())
 
     def evidence(self, xy: Floats) -> float:
-        """Return the log likelihood of points (n, 2) less what the parameters cost (BIC)."""
+        """Return the log likelihood of points (n, 2) minus the penalty for parameters (BIC)."""
         return self.likelihood(xy) - len(self.walls) * wall_cost(len(xy))
 
     def labels(self, xy: Floats) -> Ints:
@@ -111,7 +111,7 @@ class WallMixture:
 
 
 def wall_cost(n: int) -> float:
-    """Return the log likelihood that a wall must bring among n points, by the Bayesian criterion.
+    """Return the least gain in log likelihood that justifies a wall among n points (BIC).
 
     Schwarz, "Estimating the dimension of a model", 1978.
     """

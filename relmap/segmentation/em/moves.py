@@ -1,4 +1,4 @@
-"""How many walls there are: walls that explain nothing go, pieces of one wall join, gaps split.
+"""Choosing the number of walls: removing, joining and splitting them.
 
 EM never changes the number of its components.  Each move here is judged by what the likelihood of
 the points concerned gains or loses by it, against the parameters it costs (as BIC does), except
@@ -46,7 +46,7 @@ ROUGH = 0.05
 
 
 def prune(mixture: WallMixture, xy: Floats, least: int) -> WallMixture:
-    """Take away walls that the rest explains about as well, weakest first."""
+    """Remove walls whose points the rest explains about as well, weakest first."""
     penalty = wall_cost(len(xy))
     while len(mixture.walls):
         density, total = mixture.density(xy)
@@ -61,7 +61,7 @@ def prune(mixture: WallMixture, xy: Floats, least: int) -> WallMixture:
 
 
 def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Join walls that are one: pieces of one line without a gap, and pairs not worth their cost."""
+    """Join pieces of one line without a gap, and pairs that are not worth their cost."""
     names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
     while True:
         labels = mixture.labels(xy)
@@ -83,7 +83,7 @@ def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
 
 
 def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Floats | None:
-    """Return two walls as one, given the wall of each point; None where they are two."""
+    """Return two walls as one, given the wall of each point; None if they are two."""
     from relmap.segmentation.em.wall_kernels import sightings
 
     w, v = mixture.walls[i], mixture.walls[j]
@@ -117,7 +117,7 @@ def _join(mixture: WallMixture, xy: Floats, labels: Ints, i: int, j: int) -> Flo
 
 
 def bend(mixture: WallMixture, xy: Floats, suspects_only: bool = True) -> WallMixture:
-    """Split walls that are two: bent ones somewhere along, thick ones lengthwise."""
+    """Split bent walls across and thick walls lengthwise."""
     labels, walls = mixture.labels(xy), []
     for k, wall in enumerate(mixture.walls):
         own = xy[labels == k]
@@ -129,7 +129,7 @@ def bend(mixture: WallMixture, xy: Floats, suspects_only: bool = True) -> WallMi
 
 
 def _suspect(mixture: WallMixture, own: Floats, wall: Floats) -> bool:
-    """Tell whether points (m, 2) look bent, or thicker than the noise, about their wall."""
+    """Return whether points (m, 2) look bent, or thicker than the noise, about their wall."""
     from relmap.segmentation.em.wall_kernels import sightings
 
     _, t, d = sightings(own, wall, mixture.beam)
@@ -141,7 +141,7 @@ def _suspect(mixture: WallMixture, own: Floats, wall: Floats) -> bool:
 
 
 def _bent(mixture: WallMixture, xy: Floats, own: Floats, k: int) -> Floats | None:
-    """Return the two walls that a wall's points are better explained by, if they are."""
+    """Return two walls that explain a wall's points better, if there are any."""
     from relmap.segmentation.em.wall_kernels import sightings
 
     one, near = mixture.around([k], xy)
@@ -164,7 +164,7 @@ def _bent(mixture: WallMixture, xy: Floats, own: Floats, k: int) -> Floats | Non
 
 
 def _halves(t: Floats, d: Floats, sigma: float) -> list[Bools]:
-    """Return ways (m,) to part points at t along and d across a wall: ends, middle, sides."""
+    """Return splits (m,) of points at t along and d across a wall: ends, middle, sides."""
     low, first, middle, last, high = np.quantile(t, [0, 0.25, 0.5, 0.75, 1])
     cuts = [first, middle, last]
     if high - low > 12 * sigma:
@@ -173,7 +173,7 @@ def _halves(t: Floats, d: Floats, sigma: float) -> list[Bools]:
 
 
 def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
-    """Return the wall through points (m, 2), which goes the way of another."""
+    """Return the wall through points (m, 2), with the sense of direction of another."""
     from relmap.segmentation.em.step_kernels import fit_line
     from relmap.segmentation.em.wall_kernels import sightings
 
@@ -185,9 +185,9 @@ def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
 
 
 def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
-    """Tell whether no gap shows between two walls along the longer one, among n points in all.
+    """Return whether no gap shows between two walls along the longer one, among n points in all.
 
-    Of columns of beams those that are missing count, not points: a wall farther off has fewer.
+    With columns of beams, missing columns count, not points: a distant wall has fewer points.
     """
     from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
 

@@ -37,9 +37,9 @@ FIRST, BETWEEN, LAST = 20, 10, 40
 
 
 def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
-    """Return the walls of points (n, 2), robot frame, metres, however many they are.
+    """Return the walls of points (n, 2), robot frame, metres; their number is estimated.
 
-    Several starts on a few points; the best of them is improved on more and more.
+    Several starts on few points; the best is improved on more and more points.
     """
     few = part(xy, FEW, rng)
     mixture = search_walls(few, noise, rng)
@@ -58,7 +58,7 @@ def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> Wall
 def loosened(mixture: WallMixture, n: int) -> WallMixture:
     """Return walls found among n points a little longer, so that more points can show their ends.
 
-    With no noise at all nothing beyond an end would ever be counted in.
+    Without noise, no point beyond an end would ever be included.
     """
     walls = mixture.walls.copy()
     spacing = (walls[:, END] - walls[:, BEGIN]) / np.maximum(walls[:, SHARE] * n, 1.0)
@@ -81,13 +81,13 @@ def plausible(mixture: WallMixture, xy: Floats) -> WallMixture:
 
 
 def long_enough(mixture: WallMixture) -> Bools:
-    """Tell which walls (k,) are longer than thick."""
+    """Return which walls (k,) are longer than thick."""
     length = mixture.walls[:, END] - mixture.walls[:, BEGIN]
     return np.asarray(length > SHORTEST * mixture.sigma)
 
 
 def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
-    """Tell which walls (k,) have points (n, 2) on more than one beam: one gives no direction.
+    """Return which walls (k,) have points (n, 2) on several beams: one fixes no direction.
 
     Some of them may be a neighbour's.
     """
@@ -101,7 +101,7 @@ def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
 
 
 def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
-    """Return the walls of points (n, 2): of several starts what has the best evidence."""
+    """Return the walls of points (n, 2): the best by evidence of several starts."""
     sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
     nothing = WallMixture(
         np.zeros((0, WALL)),

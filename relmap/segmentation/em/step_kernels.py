@@ -30,7 +30,7 @@ NEWTON = 3
 def _gather(
     xy: Floats, share: Floats, total: Floats, wall: Floats, sigma: float, beam: float
 ) -> Floats:
-    """Return what a step of EM needs of a wall's points, in the wall's own frame.
+    """Return the statistics of a wall's points that a step of EM needs, in the wall's frame.
 
     Their weight, that with their precision across the wall, with this precision sums of t, d, tt,
     td and dd; the pull on both ends, and the outermost measures.

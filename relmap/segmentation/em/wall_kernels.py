@@ -3,7 +3,7 @@
 Walls are rows of numbers, see `relmap.segmentation.wall`.
 
 Points lie evenly on the walls, each with noise in all directions; or on beams, evenly spaced and
-`beam` radians apart, each with noise along its beam: its bearing is exact, and tells where on the
+`beam` radians apart, each with noise along its beam: its bearing is exact, and fixes where on the
 wall it was measured.
 
 Compiled code is cached, see `relmap.core.linalg.compiling`.
@@ -116,7 +116,7 @@ def end_blur(sigma: float, beam: float) -> float:
 def sighted(
     x: float, y: float, wall: Floats, foot: float, height: float, beam: float
 ) -> tuple[float, float, float, float]:
-    """Return what a point says of a wall.
+    """Return where a point is relative to a wall.
 
     Its place along the wall, as a `measure` and in metres; its distance from the line; and how many
     times as far off it is in the direction of its noise: across the wall, or along its beam, which

@@ -24,7 +24,7 @@ ELONGATED = 9.0
 
 @compiled
 def window_thickness(xy: Floats, seeds: Ints, radii: Floats) -> Floats:
-    """Return the standard deviation across the wall about each seed (s,); NaN where none shows.
+    """Return the standard deviation across the wall around each seed (s,); NaN if none is visible.
 
     Discs about the seed grow until two in a row are elongated: smaller ones lie within the noise.
     """
@@ -155,7 +155,7 @@ def grow_lines(
     """Grow a line from each pair of near points that the chances (tries, 2) draw.
 
     Of points at one bearing, `repeat` count as one along the line; lines that the sensor sees under
-    a `narrow` angle are none.
+    a `narrow` angle are discarded.
 
     Returns lines (tries, WALL), their points (tries, n) and scores (tries,): each point counts by
     how near it is (MSAC; Torr and Zisserman, 2000).

@@ -15,7 +15,7 @@ GATE = 3.0
 LEAST_SINE = 0.25
 """Walls that meet at a smaller angle fix no corner."""
 INFORMATION = 0.9032
-"""Integral of phi**2 / Phi: what a blurred end tells, in units of density / sigma."""
+"""Integral of phi**2 / Phi: the information of a blurred end, in units of density / sigma."""
 CONTESTED = 0.5
 """Where two walls meet they dispute the points between them: their own ends err by this much more,
 in units of the noise."""
@@ -41,7 +41,7 @@ class Sharpened:
     joined : (k, 2) bool
         Whether it does so in a corner with another wall.
     hidden : (k, 2) bool or None
-        Whether the next beam meets something nearer; None where points are in no order.
+        Whether the next beam meets something nearer; None if points are in no order.
     """
 
     mixture: WallMixture

@@ -1,4 +1,4 @@
-"""Why each wall ends where it ends, from the geometry of one scan."""
+"""Types of the ends of walls, from the geometry of one scan."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Limits:
 def sensor_limits(
     ends: Floats, spread: Floats, joined: Bools, view_rad: float | None, range_m: float | None
 ) -> Limits:
-    """Return the limits of the sensor; what is not given is estimated.
+    """Return the limits of the sensor; missing ones are estimated.
 
     The edge of the view is the farthest bearing of an end (m, 2, 2), as the view is centred ahead.
     The range shows only where two ends or more, in no corner, lie at one greatest distance.
@@ -55,7 +55,7 @@ def bearings(points: Floats) -> Floats:
 def type_ends(
     ends: Floats, spread: Floats, joined: Bools, limits: Limits, hidden: Bools | None = None
 ) -> NDArray[np.str_]:
-    """Return why each of two ends (m, 2) is where it is, one of `END_TYPES`.
+    """Return the type of each end (m, 2), one of `END_TYPES`.
 
     Parameters
     ----------
@@ -87,16 +87,20 @@ def type_ends(
     if hidden is not None:
         cut_by["occluded"] |= hidden & ~joined
     kind = np.zeros(far.shape, dtype=np.int64)
-    for reason in ("occluded", "range", "view"):  # the first of the order is written last
+    for reason in (
+        "occluded",
+        "range",
+        "view",
+    ):  # written last to first, so that the first type in order wins
         kind[cut_by[reason]] = END_TYPES.index(reason)
     return np.array(END_TYPES)[kind]
 
 
 def _hidden(bearing: Floats, far: Floats, turn: Floats, spread: Floats) -> Bools:
-    """Tell which ends (m, 2) lie beside the edge of a nearer wall that goes on beyond them."""
+    """Return which ends (m, 2) lie beside the edge of a nearer wall that goes on beyond them."""
     hidden = np.zeros(far.shape, dtype=np.bool_)
     for end in (0, 1):
-        edge = 1 - end  # a wall beyond my right end shows its left end there
+        edge = 1 - end  # a wall beyond the right end shows its left end there
         apart = np.abs(bearing[:, end, None] - bearing[None, :, edge])
         close = apart < turn[:, end, None] + turn[None, :, edge]
         margin = SURE * np.hypot(spread[:, end, None], spread[None, :, edge]) + 5 * SLACK_M

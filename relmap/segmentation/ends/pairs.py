@@ -1,4 +1,4 @@
-"""How two walls lie to one another."""
+"""Relations between two walls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PARALLEL_SINE = 0.3
 
 
 def flush(w: Floats, v: Floats, sigma: float) -> bool:
-    """Tell whether the shorter of two walls lies along the longer one's line, within the noise."""
+    """Return whether the shorter of two walls lies on the longer one's line, within noise."""
     if np.ptp(w[4:6]) < np.ptp(v[4:6]):
         w, v = v, w
     if abs(w[2] * v[3] - w[3] * v[2]) > PARALLEL_SINE:
@@ -24,7 +24,7 @@ def flush(w: Floats, v: Floats, sigma: float) -> bool:
 
 
 def side_by_side(w: Floats, v: Floats) -> bool:
-    """Tell whether most of the shorter of two walls lies beside the longer one."""
+    """Return whether most of the shorter of two walls lies beside the longer one."""
     if np.ptp(w[4:6]) < np.ptp(v[4:6]):
         w, v = v, w
     t = np.sort((corners(v) - w[:2]) @ w[2:4])
@@ -32,7 +32,7 @@ def side_by_side(w: Floats, v: Floats) -> bool:
 
 
 def one_hides_other(w: Floats, v: Floats, sigma: float) -> bool:
-    """Tell whether two walls share most of the smaller one's view: the sensor sees only one.
+    """Return whether two walls share most of the smaller one's view: the sensor sees only one.
 
     By more than the noise can make them seem to.
     """
@@ -51,7 +51,7 @@ def one_hides_other(w: Floats, v: Floats, sigma: float) -> bool:
 
 
 def within_reach(w: Floats, v: Floats, sigma: float) -> bool:
-    """Tell whether two walls come so close that they may be one."""
+    """Return whether two walls come so close that they may be one."""
     reach = 4 * sigma + 0.1 * min(w[END] - w[BEGIN], v[END] - v[BEGIN])
     for one, other in ((w, v), (v, w)):
         offset = corners(other) - one[:2]

@@ -1,4 +1,4 @@
-"""Walls are opaque: a nearer wall parts what is seen of the one behind it.
+"""Walls are opaque: a nearer wall splits the visible part of the one behind it.
 
 Where noise fills a narrow shadow, points alone do not show it; the wall that throws it does. The
 share of walls found in single scans hardly changes, but without this the corners beside a shadow
@@ -68,7 +68,7 @@ def part_at_shadows(mixture: WallMixture, xy: Floats) -> WallMixture:
 
 
 def _empty(t: Floats, low: float, high: float, wall: Floats, sigma: float) -> bool:
-    """Tell whether a stretch among sorted positions (m,) on a wall may hold nothing but noise."""
+    """Return whether a stretch among sorted positions (m,) on a wall may hold nothing but noise."""
     if len(t) < LEAST:
         return False
     if high - low < PLAIN * sigma:
@@ -80,7 +80,7 @@ def _empty(t: Floats, low: float, high: float, wall: Floats, sigma: float) -> bo
 
 
 def parted(walls: Floats, i: int, j: int, sigma: float, n: int) -> bool:
-    """Tell whether a shadow parts two walls, among n points, that else might be one."""
+    """Return whether a shadow separates two walls, among n points, that might be one."""
     if walls[i, END] - walls[i, BEGIN] < walls[j, END] - walls[j, BEGIN]:
         i, j = j, i
     w, v = walls[i], walls[j]

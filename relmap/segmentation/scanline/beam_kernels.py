@@ -76,7 +76,7 @@ def off_chords(xy: Floats, inlier: float, rounds: int) -> float:
 
 @helper
 def radii(xy: Floats) -> Floats:
-    """Return how far points (n,) are."""
+    """Return the ranges of points (n,)."""
     radius = np.empty(len(xy))
     for i in range(len(xy)):
         radius[i] = math.hypot(xy[i, 0], xy[i, 1])
@@ -85,7 +85,7 @@ def radii(xy: Floats) -> Floats:
 
 @helper
 def breaks(xy: Floats, turn: Floats, free: Floats, sigma: float) -> Bools:
-    """Tell after which points (n,) the next one is not on the same surface.
+    """Return after which points (n,) the next one is not on the same surface.
 
     `free` are the angles (n - 1,) between them without those of beams that met specks.
     """
@@ -102,7 +102,7 @@ def breaks(xy: Floats, turn: Floats, free: Floats, sigma: float) -> Bools:
 
 @compiled
 def range_breaks(xy: Floats, sigma: float) -> Ints:
-    """Tell after which points (n,) the next beam meets something else: 1, else 0."""
+    """Return after which points (n,) the next beam meets something else: 1, else 0."""
     broken = np.zeros(len(xy), dtype=np.int64)
     if len(xy) > 1:
         turn = turns(xy)
@@ -141,7 +141,7 @@ def _scatter(xy: Floats, first: int, last: int) -> float:
 
 @helper
 def _shift_breaks(xy: Floats, broken: Bools, pieces: list[tuple[int, int]]) -> None:
-    """Give each point beside a bend to the line it is nearer to."""
+    """Assign each point beside a bend to the nearer line."""
     for k in range(len(pieces) - 1):
         (a, b), (c, d) = pieces[k], pieces[k + 1]
         if b != c or broken[b - 1] or b - a < 4 or d - c < 4:
@@ -175,7 +175,7 @@ def _straight(
 
 @helper
 def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> bool:
-    """Tell whether beams go through between point b - 1 and point c, to meet something or nothing.
+    """Return whether beams pass between point b - 1 and point c.
 
     What lies nearer than the wall only hides it.
     """
@@ -225,7 +225,7 @@ def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
 def line_pieces(xy: Floats, beam: Ints, sigma: float, chance: float) -> Ints:
     """Return the straight pieces (m, 2) of a scan: first point, and one after the last.
 
-    Those that are at least as probable as `chance` to be none are left out.  `beam` are the
+    Pieces whose probability by chance is at least `chance` are left out.  `beam` are the
     numbers (n,) of the points before specks were left out.
     """
     if len(xy) < 3:

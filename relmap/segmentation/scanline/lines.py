@@ -76,9 +76,9 @@ def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
 
 
 def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
-    """Return which points are left (k,) without specks; all of them where there are but few.
+    """Return the points (k,) that remain without specks; all of them if specks are few.
 
-    Elsewhere what stands before a wall is as good a landmark as the wall is, as a door jamb.
+    Elsewhere an object in front of a wall, such as a door jamb, is as good a landmark.
     """
     from relmap.segmentation.scanline.speck_kernels import specks
 
@@ -126,9 +126,9 @@ def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixtu
 
 
 def hidden_ends(xy: Floats, labels: Ints) -> Bools:
-    """Tell which ends (k, 2) of the walls of a scan have something nearer just beside them.
+    """Return which ends (k, 2) of walls have something nearer just beside them.
 
-    However few beams meet it: a wall seen too steeply to be found hides others all the same.
+    A few beams are enough: a wall at too flat an angle to be found still hides others.
     """
     from relmap.segmentation.scanline.beam_kernels import range_breaks
 
@@ -144,9 +144,9 @@ def hidden_ends(xy: Floats, labels: Ints) -> Bools:
 
 
 def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
-    """Tell which ends (k, 2) of walls are no corners, for the surface goes on along a curve.
+    """Return which ends (k, 2) of walls are not corners because the surface continues as a curve.
 
-    Where a curve is cut into straight pieces depends on where it is seen from.
+    Where a curve is cut into straight pieces depends on the point of view.
     """
     along, swing = mixture.walls[:, UX : UY + 1], _swings(mixture, xy, labels)
     x, y = (along[:-1] * along[1:]).sum(axis=1), along[:-1, 0] * along[1:, 1]
@@ -158,7 +158,7 @@ def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
 
 
 def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
-    """Return how far each wall (k,) turns from its middle to its end, radians; 0 if not surely."""
+    """Return how far each wall (k,) turns from its middle to its end, radians; 0 if unsure."""
     walls, own = mixture.walls, np.flatnonzero(labels >= 0)
     of, n = labels[own], len(walls)
     x, y = (xy[own] - walls[of, :2]).T

@@ -20,7 +20,7 @@ than the next lie on one line with the next ones."""
 
 @helper
 def _goes_on(xy: Floats, i: int, j: int, sigma: float) -> bool:
-    """Tell whether two points are no farther apart than the beams between them account for."""
+    """Return whether two points are no farther apart than the beams between them account for."""
     gap = math.hypot(xy[j, 0] - xy[i, 0], xy[j, 1] - xy[i, 1])
     a, b = max(i - 1, 0), min(j + 1, len(xy) - 1)
     before = math.hypot(xy[i, 0] - xy[a, 0], xy[i, 1] - xy[a, 1])
@@ -50,7 +50,7 @@ def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
 
 @compiled
 def specks(xy: Floats, sigma: float) -> Bools:
-    """Tell which points (n,) are specks before a surface that goes on beside them."""
+    """Return which points (n,) are specks before a surface that goes on beside them."""
     n, found = len(xy), np.zeros(len(xy), dtype=np.bool_)
     if n < 3:
         return found

@@ -1,4 +1,4 @@
-"""The same surface points of walls in every scan: what walls and points can both be mapped from.
+"""Fixed surface points of walls, from which both planes and points can be mapped.
 
 A simulated scanner draws new points in each scan, and no point is ever seen again.  Here the points
 belong to the walls: each is a landmark, seen whenever its stretch of the wall is, with new noise
@@ -83,7 +83,7 @@ def scan_surface_points(
     Raises
     ------
     RelmapError
-        Where the spacing is not positive or the noise is negative.
+        If the spacing is not positive or the noise is negative.
     """
     if not (0 < spacing_m < np.inf and 0 <= noise < np.inf):
         raise RelmapError(

@@ -1,0 +1,103 @@
+"""Every real log at hand, and others' simulated logs: relmap beside what other methods get.
+
+    OMP_NUM_THREADS=1 python benchmarks/real.py DATA
+
+prints one table in markdown; DATA is a folder of the real data sets.  relmap has default settings,
+no odometry and no ids.  KISS-ICP and small_gicp (``relmap[peers]``) get the same scans; batch least
+squares, and an EKF as MRPT ships it, are given the ids.
+
+  usable  of walls: share of the scans that are in submaps of ten scans or more with an ATE of
+          at most 0.3 m each; of points: share of the landmarks seen ten times that are in the map
+  error   of walls: ATE of the largest submap, of other methods of the whole path; of points: RMSE
+          of the mapped landmarks seen ten times
+"""
+
+from __future__ import annotations
+
+import argparse
+from fnmatch import fnmatch
+from functools import partial
+from pathlib import Path
+
+from laser import LOGS, judged
+
+from relmap import PlaneMapper
+from relmap.comparison.compare import Compared, in_own_process
+from relmap.comparison.methods.registry import find_method
+from relmap.datasets import open_scans
+from relmap.evaluation import metrics
+from relmap.evaluation.feeding import Association, feed
+from relmap.evaluation.sources import FileSource
+
+VICTORIA, MRPT = "victoria-park", "mrpt-kf-slam"
+POINTS: dict[str, tuple[str, tuple[int, int] | None, str | None]] = {
+    "MRPT kf-slam (2-D)": (f"{MRPT}/kf-slam_demo", None, None),
+    "MRPT kf-slam 6D": (f"{MRPT}/kf-slam_6D_demo", None, None),
+    "MRPT kf-slam 6D, noncentered": (f"{MRPT}/kf-slam_6D_demo_noncentered", None, None),
+    "Victoria Park 1181:1642": (VICTORIA, (1181, 1642), VICTORIA),
+    "Victoria Park 4220:4634": (VICTORIA, (4220, 4634), VICTORIA),
+    "Victoria Park, all": (VICTORIA, None, VICTORIA),
+    "DLR circles": ("dlr-circles", None, "dlr-circles"),
+    "I-SLSJF simulation": ("slsjf-sim-8240", None, "slsjf-sim-8240"),
+}
+"""File or folder, iterations and truth; of MRPT's logs the truth stands beside the log."""
+ICP = ("kiss-icp", "small-gicp")
+TOLD = ("batch", "ekf-mrpt")
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
+    given = parser.parse_args()
+    data = given.data
+    print("| log | scans | submaps | usable | relmap, error [m] | other methods, error [m] |")
+    print("|---|---|---|---|---|---|")
+    for name in filter(partial(fnmatch, pat=given.log), (*LOGS, *POINTS)):
+        row = _walls(data / LOGS[name]) if name in LOGS else _points(data, name)
+        print(f"| {name} | {row} |", flush=True)
+
+
+def _walls(file: Path) -> str:
+    log, mapper = open_scans(file), PlaneMapper()
+    feed(mapper, log, "nearest", refine=True)
+    submaps = judged(mapper, log)
+    right = metrics.share_right(submaps[:, 0], submaps[:, 1], len(log))
+    others = _others(ICP, FileSource(file, truth=file), "nearest", "ate_m")
+    return f"{len(log)} | {len(submaps)} | {right:.0%} | {submaps[0, 1]:.3f} | {others}"
+
+
+def _points(data: Path, name: str) -> str:
+    path, scans, folder = POINTS[name]
+    log = data / path if folder else data / f"{path}.observations.csv.gz"
+    source = FileSource(log, None, scans, data / folder if folder else _truth_beside(log))
+    own = in_own_process("relmap-points", source, "nearest", None)
+    assert own.run is not None, own.note
+    usable, submaps = f"{own.run.figures['coverage']:.0%}", len(own.run.result.submaps)
+    error, others = _metres(own, "often_rmse_m"), _others(TOLD, source, "known", "often_rmse_m")
+    return f"{len(source.load().log)} | {submaps} | {usable} | {error} | {others}"
+
+
+def _truth_beside(log: Path) -> Path:
+    return log.with_name(log.name.replace(".observations.csv.gz", "_ground_truth.txt"))
+
+
+def _others(
+    names: tuple[str, ...], source: FileSource, association: Association, figure: str
+) -> str:
+    runs = [
+        in_own_process(name, source, association, None)
+        for name in names
+        if not find_method(name).missing
+    ]
+    return ", ".join(f"{run.method} {_metres(run, figure)}" for run in runs) or "-"
+
+
+def _metres(one: Compared, figure: str) -> str:
+    value = one.run.figures[figure] if one.run else None
+    return "-" if value is None else f"{value:.3f}" if value < 100 else "lost"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""Planes and points from the same scans: one run of either, judged by the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from relmap.evaluation.evaluate import evaluate
+from relmap.evaluation.feeding import Association
+from relmap.evaluation.run import run_mapper
+from relmap.evaluation.surface_points import SurfacePoints
+from relmap.io.results import Result
+from relmap.planes import PlaneMapper
+from relmap.points import PointMapper
+from relmap.segmentation import PlaneSegmenter
+
+Method = Literal["planes", "points", "points, ids given"]
+METHODS: tuple[Method, ...] = get_args(Method)
+HALF = 0.5
+"""A map that holds less than this share of the corners or points has failed."""
+
+
+@dataclass(frozen=True)
+class VariantRun:
+    """One run.
+
+    Attributes
+    ----------
+    method : str
+    spacing_m, noise, sigma : float
+        Noise is sigma in units of the spacing.
+    seed : int
+    map_rmse_m : float or None
+        Of corners or points after rigid alignment; None if nothing could be compared.
+    coverage : float
+        Share of the corners or points seen ten times that are in the map.
+    ate_m : float or None
+        Absolute trajectory error, over the poses that there are.
+    poses : float
+        Share of the scans that have a pose in the map's largest submap.
+    """
+
+    method: Method
+    spacing_m: float
+    noise: float
+    sigma: float
+    seed: int
+    map_rmse_m: float | None
+    coverage: float
+    ate_m: float | None
+    poses: float
+
+
+def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, VariantRun]:
+    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
+    if method == "planes":
+        run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
+        found = evaluate(run.result, seen.walls_truth)
+        rmse_m = found.corner_rmse_m
+    else:
+        association: Association = "nearest" if method == "points" else "known"
+        run = run_mapper(PointMapper(), seen.points, association, refine=True)
+        found = evaluate(run.result, seen.points_truth, seen.points)
+        rmse_m = found.landmark_rmse_m
+    about = (method, seen.spacing_m, seen.noise, seen.sigma, seen.seed)
+    matched = found.counts["matched_poses"] / len(seen.scans)
+    row = VariantRun(*about, rmse_m, found.coverage or 0.0, found.ate_m, matched)
+    return run.result, row

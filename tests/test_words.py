@@ -1,0 +1,71 @@
+"""Plain English: turns of phrase that must not come back, in documents, help texts and code."""
+
+from __future__ import annotations
+
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+BANNED = {
+    r"cannot be meant": "is impossible, is out of range",
+    r"nothing is where": "is empty if",
+    r"who is who": "association",
+    r"\b(is|are|was|were|be|being|not) told\b(?! (apart|from))": "is given, is reported",
+    r"\bcannot be had\b": "is not available",
+    r"\bstands? there twice\b": "is duplicated",
+    r"\bis laid\b": "is placed, is fixed",
+    r"\b(tells?|told) of\b": "describes, reports",
+    r"\b(whoever|somebody|nobody)\b": "name who it is",
+    r"\bfor want of\b": "without",
+    r"\blaid by\b": "fixed by",
+    r"\bfinds? out (which|who|itself)\b": "determines",
+    r"\bfalls? to pieces\b": "breaks",
+}
+"""What is banned, as a regular expression, and what to write instead."""
+DOCUMENTS = ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md"]
+DOCUMENTS += sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))
+SOURCES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "relmap").rglob("*.py"))
+
+
+def words_of(source: str) -> Iterator[str]:
+    """Yield comments, docstrings and messages of Python code."""
+    kinds = {tokenize.COMMENT, tokenize.STRING, getattr(tokenize, "FSTRING_MIDDLE", -1)}
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type in kinds:
+            yield token.string
+
+
+def found_in(text: str) -> list[str]:
+    plain = re.sub(r"\s+(# )?", " ", text)
+    return [
+        f"{match[0]!r}: {instead}"
+        for phrase, instead in BANNED.items()
+        for match in re.finditer(phrase, plain, re.IGNORECASE)
+    ]
+
+
+def test_a_banned_phrase_is_found() -> None:
+    assert found_in("What cannot\n    be meant raises an error.")
+    assert not found_in("Impossible values raise an error.")
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_documents_are_in_plain_english(name: str) -> None:
+    assert found_in((ROOT / name).read_text(encoding="utf-8")) == []
+
+
+def test_unreleased_changes_are_in_plain_english() -> None:
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    unreleased = text.partition("\n## Unreleased\n")[2].partition("\n## ")[0]
+    assert found_in(unreleased) == []
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_code_is_in_plain_english(name: str) -> None:
+    words = " ".join(words_of((ROOT / name).read_text(encoding="utf-8")))
+    assert found_in(words) == []
