@@ -13,14 +13,19 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
+from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
-from relmap.core.geometry.fitting_kernels import fit_rows
-from relmap.core.geometry.rotation_kernels import best_rotation
+from relmap.core.grouping import binning_kernels
 from relmap.core.grouping.averaging_kernels import steady_variance
-from relmap.core.grouping.binning_kernels import keeps_distance
 from relmap.core.grouping.chart_kernels import chart_block
-from relmap.core.linalg.small_kernels import inverse3
+from relmap.core.linalg import small_kernels
+from tests.kernels import callable_here
 from tests.worlds import random_rotation
+
+fit_rows = callable_here(fitting_kernels.fit_rows)
+best_rotation = callable_here(rotation_kernels.best_rotation)
+keeps_distance = callable_here(binning_kernels.keeps_distance)
+inverse3 = callable_here(small_kernels.inverse3)
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])

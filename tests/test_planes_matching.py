@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from relmap.planes.matching_kernels import assigned
+from relmap.planes import matching_kernels
 from relmap.planes.observation import checked_planes
 from relmap.planes.placement import STILL, place
 from relmap.planes.tracks import PlaneTracks
+from tests.kernels import callable_here
 
 
 def test_assignment_is_the_best_one() -> None:
     """Against scipy, for more rows than columns and fewer, with worthless pairs."""
-    rng = np.random.default_rng(0)
+    assigned, rng = callable_here(matching_kernels.assigned), np.random.default_rng(0)
     for _ in range(300):
         n, m = rng.integers(1, 9, 2)
         worth = np.where(rng.random((n, m)) < 0.5, rng.random((n, m)), 0.0)

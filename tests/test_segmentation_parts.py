@@ -8,9 +8,10 @@ from scipy.integrate import dblquad
 from scipy.optimize import minimize
 from scipy.stats import norm
 
+from relmap.segmentation.em import wall_kernels
 from relmap.segmentation.em.mixture import WallMixture, maximise, scan_area
 from relmap.segmentation.em.moves import bend, merge, split, widest_gap
-from relmap.segmentation.em.wall_kernels import bell, expect, gauss_step, weighted_line
+from relmap.segmentation.em.wall_kernels import expect
 from relmap.segmentation.ends.box_kernels import box_extent
 from relmap.segmentation.ends.corners import meet
 from relmap.segmentation.ends.end_types import Limits, type_ends
@@ -18,6 +19,7 @@ from relmap.segmentation.ends.pairs import one_hides_other
 from relmap.segmentation.ends.shadows import part_at_shadows, shadows
 from relmap.segmentation.noise import beam_angle, window_noise
 from relmap.segmentation.scanline.lines import hidden_ends, scan_walls
+from tests.kernels import callable_here
 
 
 def wall(x0: float, y0: float, x1: float, y1: float, share: float = 1.0) -> list[float]:
@@ -33,8 +35,9 @@ def on_wall(rng: np.random.Generator, row: list[float], n: int, sigma: float) ->
 
 
 def test_tables_are_the_normal_distribution() -> None:
+    step, bell = callable_here(wall_kernels.gauss_step), callable_here(wall_kernels.bell)
     for x in np.linspace(-7, 7, 401):
-        assert gauss_step(x) == pytest.approx(norm.cdf(x), abs=1e-6)
+        assert step(x) == pytest.approx(norm.cdf(x), abs=1e-6)
         assert bell(x) == pytest.approx(np.exp(-0.5 * x * x), abs=1e-6)
 
 
@@ -54,7 +57,7 @@ def test_weighted_line_is_the_first_principal_axis() -> None:
     xy = rng.normal(size=(200, 2)) @ [[2.0, 0.7], [0.1, 0.3]] + [5, -3]
     weight = rng.uniform(0, 1, 200)
     fitted = np.array(wall(0, 0, 1, 0))
-    weighted_line(xy, weight, fitted)
+    callable_here(wall_kernels.weighted_line)(xy, weight, fitted)
     mean = weight @ xy / weight.sum()
     _, vectors = np.linalg.eigh(((xy - mean) * weight[:, None]).T @ (xy - mean))
     assert abs(fitted[2:4] @ vectors[:, 1]) == pytest.approx(1)

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 
 Array = NDArray[np.float64]
 Fan = tuple[Array, Array, Array, NDArray[np.bool_]]
@@ -25,7 +25,7 @@ GAP_RAD = 0.1
 """Between bearings farther apart nothing was looked at."""
 
 
-@compiled
+@helper
 def _surfaces(seen: Fan) -> Array:
     """Return what lies between each beam and the one before, (n, 6).
 
@@ -35,7 +35,7 @@ def _surfaces(seen: Fan) -> Array:
     points, _, origin, _ = seen
     found = np.zeros((len(points), 6))
     for j in range(1, len(points)):
-        ax, ay = points[j - 1]
+        ax, ay = points[j - 1, 0], points[j - 1, 1]
         ux, uy = points[j, 0] - ax, points[j, 1] - ay
         length = ux * ux + uy * uy
         gap = length > (GAP_M + GAP * math.sqrt(ax * ax + ay * ay)) ** 2
@@ -50,7 +50,7 @@ def _surfaces(seen: Fan) -> Array:
     return found
 
 
-@compiled
+@helper
 def _squared_distance(x: float, y: float, surface: Array) -> float:
     """Return the squared distance of a point from a surface, or where it is a gap from its ends."""
     x, y = x - surface[0], y - surface[1]
@@ -61,7 +61,7 @@ def _squared_distance(x: float, y: float, surface: Array) -> float:
     return float((x - t * ux) ** 2 + (y - t * uy) ** 2)
 
 
-@compiled
+@helper
 def _compare(
     seen: Fan, surfaces: Array, other: Fan, motion: Array, near_m: float, step: int, sums: Array
 ) -> None:
@@ -107,7 +107,8 @@ def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int)
         motion = motions[k]
         c, s = math.cos(motion[0]), math.sin(motion[0])
         x, y = c * motion[1] + s * motion[2], -s * motion[1] + c * motion[2]
-        back = np.array([-motion[0], -x, -y])
+        back = np.empty(3)
+        back[0], back[1], back[2] = -motion[0], -x, -y
         _compare(later, after, earlier, motion, near_m, step, sums[k])
         _compare(earlier, before, later, back, near_m, step, sums[k])
     return sums
@@ -118,7 +119,7 @@ def on_walls(points: Array, ends: Array, near_m: float) -> NDArray[np.bool_]:
     """Tell which points (n, 2) are on walls, by their ends (m, 2, 2)."""
     solid = np.zeros(len(points), dtype=np.bool_)
     for j in range(len(ends)):
-        ax, ay = ends[j, 0]
+        ax, ay = ends[j, 0, 0], ends[j, 0, 1]
         ux, uy = ends[j, 1, 0] - ax, ends[j, 1, 1] - ay
         size = math.hypot(ux, uy)
         for k in range(len(points)):

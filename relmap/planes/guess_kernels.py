@@ -10,7 +10,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.order_kernels import ordered
 from relmap.planes.matching_kernels import Seen, Tracks, half_turn
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ AGREE_M = 0.15
 """A wall that is off by less agrees with a way."""
 
 
-@compiled
+@helper
 def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tuple[Array, Array]:
     """Return the turn of each track into each wall, and the length that tells it; (n, m) each."""
     angle, offset, ends, _, _ = tracks
@@ -44,14 +45,14 @@ def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tup
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         for j in range(m):
             turn[i, j] = half_turn(math.atan2(normal[j, 1], normal[j, 0]) - angle[i])
-            x, y = wall_ends[j, 0]
+            x, y = wall_ends[j, 0, 0], wall_ends[j, 0, 1]
             moved = normal[j, 0] * x + normal[j, 1] * y - offset[i]
             if abs(turn[i, j]) < reach_rad and abs(moved) < reach_m:
                 weight[i, j] = min(own, size[j])
     return turn, weight
 
 
-@compiled
+@helper
 def _support(turn: Array, weight: Array, chosen: float) -> tuple[float, float]:
     """Return how much of the walls' length is parallel after a turn, and by how much it is off.
 
@@ -70,7 +71,7 @@ def _support(turn: Array, weight: Array, chosen: float) -> tuple[float, float]:
     return total, off_total / max(total, 1e-12)
 
 
-@compiled
+@helper
 def turns(
     tracks: Tracks, seen: Seen, before: float, reach_m: float, reach_rad: float, most: int
 ) -> Array:
@@ -79,17 +80,22 @@ def turns(
     The nearer a turn is to the one before, the more it counts.
     """
     turn, weight = _turned(tracks, seen, reach_m, reach_rad)
-    every, mean = turn.ravel(), turn.ravel().copy()
+    every, mean, size = turn.ravel(), turn.ravel().copy(), weight.ravel()
     support = np.zeros(len(every))
     for k in range(len(every)):
-        if weight.ravel()[k] > 0:
+        if size[k] > 0:
             total, off = _support(turn, weight, every[k])
             mean[k] += off
             unusual = half_turn(every[k] - before) / USUAL_RAD
             support[k] = total * math.exp(-0.5 * unusual**2)
     found, count = np.empty(most), 0
-    while count < most and len(every) and support.max() > 0:
-        k = int(np.argmax(support))
+    while count < most:
+        k = -1
+        for q in range(len(every)):
+            if support[q] > 0 and (k < 0 or support[q] > support[k]):
+                k = q
+        if k < 0:
+            break
         found[count], count = mean[k], count + 1
         for q in range(len(every)):
             if abs(half_turn(every[q] - every[k])) < 2 * ALIKE_RAD:
@@ -97,13 +103,13 @@ def turns(
     return found[:count]
 
 
-@compiled
-def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> tuple[Array, Array, Array]:
-    """Return what pairs of parallel walls say of the way: normal, distance and size; k rows."""
+@helper
+def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
+    """Return what pairs of parallel walls say of the way: normal, distance and size; (k, 4)."""
     angle, _, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
     n, m = len(angle), len(size)
-    weight, told = np.empty(n * m), np.empty((n * m, 3))
+    weight, told = np.empty(n * m), np.empty((n * m, 4))
     count = 0
     for i in range(n):
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
@@ -114,18 +120,28 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> tuple[Arra
             turn = math.atan2(normal[j, 1], normal[j, 0]) - angle[i] - yaw
             if abs(half_turn(turn)) >= PARALLEL_RAD:
                 continue
-            nx, ny = normal[j]
+            nx, ny = normal[j, 0], normal[j, 1]
             at = nx * wall_ends[j, 0, 0] + ny * wall_ends[j, 0, 1]
             way = at - nx * x - ny * y
             if abs(way) < reach_m:
                 weight[count] = -min(own, size[j])
                 told[count, 0], told[count, 1], told[count, 2] = nx, ny, way
+                told[count, 3] = -weight[count]
                 count += 1
-    order = np.argsort(weight[:count])[:LINES]
-    return told[order, :2], told[order, 2], -weight[order]
+    return _rows(told, ordered(weight[:count]), LINES)
 
 
-@compiled
+@helper
+def _rows(of: Array, which: NDArray[np.int64], most: int) -> Array:
+    """Return the first rows of those chosen (k,)."""
+    found = np.empty((min(len(which), most), of.shape[1]))
+    for i in range(len(found)):
+        for k in range(of.shape[1]):
+            found[i, k] = of[which[i], k]
+    return found
+
+
+@helper
 def _noted(
     found: Array, count: int, x: float, y: float, reach_m: float, taken: NDArray[np.bool_]
 ) -> int:
@@ -140,7 +156,7 @@ def _noted(
     return count + 1
 
 
-@compiled
+@helper
 def _corners(
     tracks: Tracks,
     seen: Seen,
@@ -159,14 +175,14 @@ def _corners(
             if abs(half_turn(turn)) >= PARALLEL_RAD:
                 continue
             for e in range(2):
-                a, b = corner_at[i, e]
+                a, b = corner_at[i, e, 0], corner_at[i, e, 1]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
                 if static[j, e]:  # of a track without that corner x and y are NaN
                     count = _noted(found, count, x, y, reach_m, taken)
     return count
 
 
-@compiled
+@helper
 def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
     """Return the ways (k, 2) of one turn that corners, and walls that cross, imply.
 
@@ -175,8 +191,8 @@ def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
     """
     cells = np.int64(2 * math.ceil(reach_m / CELL_M) + 1)
     taken = np.zeros((cells, cells), dtype=np.bool_)
-    across, way, size = _lines(tracks, seen, yaw, reach_m)
-    found = np.empty((MOST, 2))
+    lines, found = _lines(tracks, seen, yaw, reach_m), np.empty((MOST, 2))
+    across, way, size = lines[:, :2], lines[:, 2], lines[:, 3]
     count = _corners(tracks, seen, yaw, reach_m, found, taken)
     for p in range(len(way)):
         x, y = way[p] * across[p, 0], way[p] * across[p, 1]
@@ -192,7 +208,7 @@ def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
         for p in range(len(way)):
             off = across[p, 0] * found[k, 0] + across[p, 1] * found[k, 1] - way[p]
             against[k] -= size[p] * max(1 - (off / AGREE_M) ** 2, 0.0)
-    return found[np.argsort(against)]
+    return _rows(found, ordered(against), count)
 
 
 @compiled
@@ -211,6 +227,6 @@ def implied(
         ways = _places(tracks, seen, yaw, reach_m)
         for k in range(min(len(ways), each)):
             motions[count, 0] = yaw
-            motions[count, 1], motions[count, 2] = ways[k]
+            motions[count, 1], motions[count, 2] = ways[k, 0], ways[k, 1]
             count += 1
     return motions[:count]

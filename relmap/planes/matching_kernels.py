@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import factorise, solve, unset
 
 Array = NDArray[np.float64]
 Tracks = tuple[Array, Array, Array, Array, Array]
@@ -80,7 +81,7 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
             y = 0.5 * (wall_ends[j, 0, 1] + wall_ends[j, 1, 1])
             across = nx * x + ny * y - offset[i]
             across_gate = ACROSS_M * widened + SIGMAS * spread
-            ux, uy = along[j]
+            ux, uy = along[j, 0], along[j, 1]
             right = ux * wall_ends[j, 0, 0] + uy * wall_ends[j, 0, 1]
             left = ux * wall_ends[j, 1, 0] + uy * wall_ends[j, 1, 1]
             gap = max(
@@ -111,7 +112,9 @@ def _cheapest_path(
     Returns that row, and for each row the one before it on its path.
     """
     n, rows = len(worth), len(price_row)
-    least, before, done = np.full(rows, np.inf), np.full(rows, -1), np.zeros(rows, dtype=np.bool_)
+    least, before, done = np.empty(rows), unset(rows), np.zeros(rows, dtype=np.bool_)
+    for r in range(rows):
+        least[r] = np.inf
     column, last = start, -1
     while column >= 0:
         best, row = np.inf, -1
@@ -134,21 +137,22 @@ def _cheapest_path(
     return last, before
 
 
-@compiled
+@helper
 def assigned(worth: Array) -> NDArray[np.int64]:
     """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
 
     -1 where a column gets none or one that is worth 0.  Shortest augmenting paths (Jonker and
     Volgenant, 1987), with rows that are worth nothing where there are more columns.
     """
-    (n, m), rows = worth.shape, max(worth.shape)
-    column_of, price_column, price_row = np.full(rows, -1), np.zeros(m), np.zeros(rows)
+    n, m = worth.shape
+    rows = max(n, m)
+    column_of, price_column, price_row = unset(rows), np.zeros(m), np.zeros(rows)
     for start in range(m):
         last, before = _cheapest_path(worth, start, column_of, price_column, price_row)
         while last >= 0:
             row, last = last, before[last]
             column_of[row] = column_of[last] if last >= 0 else start
-    row_of = np.full(m, -1)
+    row_of = unset(m)
     for r in range(n):
         if column_of[r] >= 0 and worth[r, column_of[r]] > 0:
             row_of[column_of[r]] = r
@@ -160,7 +164,9 @@ def _then(first: Array, second: Array) -> Array:
     """Return a motion followed by another."""
     c, s = math.cos(second[0]), math.sin(second[0])
     x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
-    return np.array([first[0] + second[0], x + second[1], y + second[2]])
+    both = np.empty(3)
+    both[0], both[1], both[2] = first[0] + second[0], x + second[1], y + second[2]
+    return both
 
 
 @helper
@@ -196,13 +202,13 @@ def correction(
         own = math.hypot(ends[i, 1, 0] - ends[i, 0, 0], ends[i, 1, 1] - ends[i, 0, 1])
         mid_x, mid_y = (ends[i, 0, 0] + ends[i, 1, 0]) / 2, (ends[i, 0, 1] + ends[i, 1, 1]) / 2
         for e in range(2):
-            x, y = wall_ends[j, e]
+            x, y = wall_ends[j, e, 0], wall_ends[j, e, 1]
             beyond = max(abs(ny * (x - mid_x) - nx * (y - mid_y)) / own - 0.5, 0.0)
             w = 1 / (1 + (1 + 12 * beyond**2) * (sd[i] / least_m) ** 2)
             _pull(A, b, nx, ny, x, y, nx * x + ny * y - offset[i], w)
             if static[j, e]:
-                ux, uy = along[j]
-                cx, cy = corner_at[i, e]
+                ux, uy = along[j, 0], along[j, 1]
+                cx, cy = corner_at[i, e, 0], corner_at[i, e, 1]
                 off = ux * (x - cx) + uy * (y - cy)
                 if abs(off) < NEAR_M:
                     _pull(A, b, ux, uy, cx, cy, off, CORNER)
@@ -210,7 +216,9 @@ def correction(
     A[2, 2] += held
     for i in range(3):
         A[i, i] += 1e-9
-    return np.asarray(np.linalg.solve(A, b))
+    factorise(A)
+    solve(A, b)
+    return b
 
 
 @compiled
@@ -231,7 +239,10 @@ def settled(
     for _ in range(rounds):
         there = carried(tracks, motion)
         track_of = assigned(agreement(there, seen, widened))
-        if track_of.max() < 0:
+        matched = 0
+        for j in range(len(track_of)):
+            matched += track_of[j] >= 0
+        if matched == 0:
             return motion, track_of, 0.0
         motion = _then(motion, correction(there, seen, track_of, held, least_m))
         widened = max(1.0, widened / 2)
@@ -241,6 +252,30 @@ def settled(
         if track_of[j] >= 0:
             score += worth[track_of[j], j]
     return motion, track_of, score
+
+
+@helper
+def _at_most(worth: Array) -> float:
+    """Return what the worth (n, m) of one row for each column sums up to at most."""
+    total = 0.0
+    for j in range(worth.shape[1]):
+        best = 0.0
+        for i in range(len(worth)):
+            best = max(best, worth[i, j])
+        total += best
+    return total
+
+
+@helper
+def _entered(motion: Array, score: float, found: Array, best: Array) -> None:
+    """Enter a motion among the best found so far."""
+    at = len(best)
+    while at > 0 and score > best[at - 1]:
+        at -= 1
+    for k in range(len(best) - 1, at - 1, -1):
+        best[k] = best[k - 1] if k > at else score
+        for q in range(3):
+            found[k, q] = found[k - 1, q] if k > at else motion[q]
 
 
 @compiled
@@ -261,21 +296,13 @@ def guesses(
                 continue
             c, s = math.cos(yaw), math.sin(yaw)
             for e in range(2):
-                a, b = corner_at[i, e]
+                a, b = corner_at[i, e, 0], corner_at[i, e, 1]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
                 # Of a track without that corner this is NaN.
                 if not (static[j, e] and math.hypot(x, y) < reach_m):
                     continue
-                motion = np.array([yaw, x, y])
-                worth = agreement(carried(tracks, motion), seen, roughly)
-                score = 0.0
-                for k in range(worth.shape[1]):
-                    score += worth[:, k].max()
-                at = most
-                while at > 0 and score > best[at - 1]:
-                    at -= 1
-                if at < most:
-                    for k in range(most - 1, at, -1):
-                        best[k], found[k] = best[k - 1], found[k - 1]
-                    best[at], found[at] = score, motion
+                motion = np.empty(3)
+                motion[0], motion[1], motion[2] = yaw, x, y
+                score = _at_most(agreement(carried(tracks, motion), seen, roughly))
+                _entered(motion, score, found, best)
     return found, best

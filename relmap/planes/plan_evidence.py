@@ -110,7 +110,7 @@ def _crossed(
 
     high = walls.low + BIN_M * np.diff(walls.first)
     given = (walls.base, walls.normal, walls.low, high), (walls.first, BIN_M), _grid(walls)
-    some = beams[0][::SAMPLED], beams[1][::SAMPLED]
+    some = beams[0][::SAMPLED].copy(), beams[1][::SAMPLED].copy()
     *_, off = beams_on_walls(some, *given, (FAR_M, FAR_M, LEAST_SINE))
     off = off[off < FAR_M]
     noise_m = MEDIAN * float(np.median(off)) if len(off) else 0.0

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import unset
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-@compiled
+@helper
 def _vote(
     line: tuple[float, float, float, float],
     beam: tuple[float, float, float, float],
@@ -38,7 +39,7 @@ def _vote(
     return -1, ny * (fx + crossed * dx) - nx * (fy + crossed * dy), off
 
 
-@compiled
+@helper
 def _cells(
     beam: tuple[float, float, float, float], corner: Array, cell_m: float, shape: Index
 ) -> Index:
@@ -81,9 +82,10 @@ def beams_on_walls(
     (origin, end), (base, normal, low, high), (first, bin_m) = beams, lines, bins
     corner, cell_m, shape, starts, members = grid
     hits, against = np.zeros(first[-1], np.int64), np.zeros(first[-1], np.int64)
-    off, last = np.full(len(end), np.inf), np.full(len(base), -1)
+    off, last = np.empty(len(end)), unset(len(base))
     for r in range(len(end)):
-        x, y = origin[r]
+        off[r] = np.inf
+        x, y = origin[r, 0], origin[r, 1]
         beam = x, y, end[r, 0] - x, end[r, 1] - y
         for cell in _cells(beam, corner, cell_m, shape):
             for w in members[starts[cell] : starts[cell + 1]]:

@@ -257,7 +257,7 @@ def _linearised(state: Walls, seen: Seen) -> Linearised:
     from relmap.planes.refinement_kernels import linearised
 
     walls = state.centre, state.angle, state.across, state.along
-    return Linearised(*linearised(seen, (state.yaw, state.t), walls))
+    return Linearised(*linearised(seen, (state.yaw, np.ascontiguousarray(state.t)), walls))
 
 
 def _blocks(

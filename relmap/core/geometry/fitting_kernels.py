@@ -57,7 +57,7 @@ def _moments(
     return moment, scatter
 
 
-@compiled
+@helper
 def fit_rows(
     source: NDArray[np.float64],
     target: NDArray[np.float64],

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import DEGENERATE
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import helper
 from relmap.core.linalg.small_kernels import diagonalise, inverse3, product
 
 STEPS = 15
@@ -69,7 +69,7 @@ def _by_eigenvector(moment: NDArray[np.float64]) -> NDArray[np.float64]:
     return R
 
 
-@compiled
+@helper
 def best_rotation(moment: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation (d, d) that fits a cross moment (3, 3) best.
 

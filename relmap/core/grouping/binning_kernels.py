@@ -15,7 +15,7 @@ VOTERS = 3
 """Further members that vote on who belongs to a bin."""
 
 
-@compiled
+@helper
 def keeps_distance(block: NDArray[np.float64], a: int, b: int, limit: float, fewest: int) -> bool:
     """Tell whether the distance of two rows of a block (n, i, d) varies by no more than a limit.
 

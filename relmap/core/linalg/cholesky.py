@@ -78,7 +78,9 @@ class Pattern:
         from relmap.core.linalg.elimination_kernels import minimum_degree
 
         order, tied_begin, tied = minimum_degree(width, begin, cliques)
-        return cls(*panels(width, order, tied_begin, tied))
+        first, (start, column_of, row_begin, rows, offset) = panels(width, order, tied_begin, tied)
+        panel = len(column_of) * np.repeat(np.arange(len(start) - 1), np.diff(row_begin))
+        return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
 
     @classmethod
     def of_levels(cls, level: NDArray[np.int64], q: int) -> Pattern:

@@ -52,7 +52,8 @@ def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) 
 def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index, Layout]:
     """Return the first unknown (b,) of each block, and the layout of the factor.
 
-    The arguments are as from `relmap.core.linalg.elimination_kernels.minimum_degree`.
+    The rows of a panel are not in order yet.  The arguments are as from
+    `relmap.core.linalg.elimination_kernels.minimum_degree`.
     """
     n = len(order)
     place, at = np.empty(n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64)
@@ -60,22 +61,31 @@ def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index
         place[order[p]] = p
         at[p + 1] = at[p] + width[order[p]]
     heads = _heads(width, order, begin, place, tied)
-    m, start = len(heads) - 1, at[heads]
+    m = len(heads) - 1
+    start, first = np.empty(m + 1, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for g in range(m + 1):
+        start[g] = at[heads[g]]
+    for p in range(n):
+        first[order[p]] = at[p]
     row_begin, offset = np.zeros(m + 1, dtype=np.int64), np.zeros(m + 1, dtype=np.int64)
     for g in range(m):
         p = heads[g]
-        height = width[order[p]] + width[tied[begin[p] : begin[p + 1]]].sum()
+        height = width[order[p]]
+        for q in range(begin[p], begin[p + 1]):
+            height += width[tied[q]]
         row_begin[g + 1] = row_begin[g] + height
         offset[g + 1] = offset[g] + height * (start[g + 1] - start[g])
     rows, column_of = np.empty(row_begin[m], dtype=np.int64), np.empty(at[n], dtype=np.int64)
     for g in range(m):
         p, r = heads[g], row_begin[g]
-        column_of[start[g] : start[g + 1]] = g
-        for q in np.append(p, np.sort(place[tied[begin[p] : begin[p + 1]]])):
-            for u in range(at[q], at[q + 1]):
-                rows[r] = u
+        for u in range(start[g], start[g + 1]):
+            column_of[u] = g
+        for k in range(begin[p] - 1, begin[p + 1]):
+            block = tied[k] if k >= begin[p] else order[p]
+            for u in range(width[block]):
+                rows[r] = first[block] + u
                 r += 1
-    return at[place], (start, column_of, row_begin, rows, offset)
+    return first, (start, column_of, row_begin, rows, offset)
 
 
 @helper

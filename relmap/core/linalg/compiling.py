@@ -4,10 +4,9 @@ Compiled code is cached on disk, beside the package or else in the user's cache 
 the first run on a machine waits for it.  Loading the compiler takes a moment too, so these modules
 are imported where they are used.
 
-How long the first run waits depends on the number of functions, on their lines, and on how often a
-function is compiled anew within those that call it.  A loop over numbers takes a hundredth of a
-second, where one slice assigned to another, `np.full`, `np.sort`, `np.dot` and arithmetic of whole
-arrays take a tenth to two.
+How long the first run waits depends on the number of functions and on their lines.  A loop over
+numbers takes a hundredth of a second, where one slice assigned to another, `np.full`, `np.sort`,
+`np.dot` and arithmetic of whole arrays take a tenth to two.
 """
 
 from __future__ import annotations
@@ -19,6 +18,10 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import event
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import FunctionPass, register_pass
+from numba.core.typed_passes import NopythonRewrites
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -37,12 +40,60 @@ def compiled(function: Function) -> Function:
         return cast("Function", _njit(**_OPTIONS)(function))
 
 
-def helper(function: Function) -> Function:
-    """Compile a function with those that call it, whose code holds it: they must be compiled too.
+class _PartLibrary(cast("Any", JITCodeLibrary)):  # type: ignore[misc]
+    """The code of a helper, as it is before optimising: it becomes part of what calls it.
 
-    It cannot be called from Python, which takes a fifth of the time to compile small functions.
+    numba would optimise it and turn it into machine code by itself, which nothing ever calls.
     """
-    return cast("Function", _njit(no_cpython_wrapper=True, **_OPTIONS)(function))
+
+    def _optimize_final_module(self) -> None:
+        """Leave that to the caller, which is optimised as a whole."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalized = True
+
+    def get_pointer_to_function(self, _name: str) -> int:
+        return 0  # as of what cannot be called from Python
+
+    @property
+    def codegen(self) -> _PartLibrary:
+        return self
+
+    def set_env(self, *_: object) -> None:
+        """Set nothing: only what Python calls has an environment."""
+
+
+class _AsPart(FunctionPass):
+    _name = "as_part"
+
+    def __init__(self) -> None:
+        """Numba's base class is abstract without one."""
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_cpython_wrapper = True
+        return False
+
+
+class _PartCompiler(CompilerBase):
+    def define_pipelines(self) -> list[Any]:
+        passes = cast("Any", DefaultPassBuilder).define_nopython_pipeline(self.state)
+        # Typed by now with the same options as its callers, with which it shares what numba
+        # compiles of its own, as `np.empty`.
+        passes.add_pass_after(_AsPart, NopythonRewrites)
+        passes.finalize()
+        return [passes]
+
+
+cast("Any", register_pass)(mutates_CFG=False, analysis_only=True)(_AsPart)
+
+
+def helper(function: Function) -> Function:
+    """Compile a function as a part of those that call it: they must be compiled too.
+
+    It cannot be called from Python.
+    """
+    return cast("Function", _njit(pipeline_class=_PartCompiler, **_OPTIONS)(function))
 
 
 class _Watch(event.Listener):

@@ -14,6 +14,8 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
 
 Index = NDArray[np.int64]
+NEVER = 2**62
+"""In place of the degree of what is eliminated."""
 
 
 @helper
@@ -38,30 +40,59 @@ def _union(
 @helper
 def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Index]:
     """Return the cliques of each of n members: from where, up to where, and which."""
-    count = np.bincount(member, minlength=n)
-    last = np.cumsum(count)
-    first = last - count
-    last = first.copy()
-    of = np.empty(len(member), dtype=np.int64)
+    first, of = np.zeros(n + 1, dtype=np.int64), np.empty(len(member), dtype=np.int64)
+    for m in member:
+        first[m + 1] += 1
+    for u in range(n):
+        first[u + 1] += first[u]
+    last = first[:n].copy()
     for e in range(len(begin) - 1):
         for m in member[begin[e] : begin[e + 1]]:
             of[last[m]] = e
             last[m] += 1
-    return first, last, of
+    return first[:n], last, of
 
 
 @helper
 def _absorb(
-    clique: int, u: int, first: Index, last: Index, of: Index, alive: NDArray[np.bool_]
+    clique: int, u: int, first: Index, last: Index, of: Index, gone: NDArray[np.bool_]
 ) -> None:
     """Put a clique in place of those of member u that it has swallowed."""
     kept = first[u]
     for k in range(first[u], last[u]):
-        if alive[of[k]]:
+        if not gone[of[k]]:
             of[kept] = of[k]
             kept += 1
     of[kept] = clique
     last[u] = kept + 1
+
+
+@helper
+def _with_room(numbers: Index, more: int) -> Index:
+    """Return numbers (n,) and room for more."""
+    longer = np.empty(len(numbers) + more, dtype=np.int64)
+    for i in range(len(numbers)):
+        longer[i] = numbers[i]
+    return longer
+
+
+@helper
+def _least(degree: Index) -> int:
+    """Return the first of those of the least degree."""
+    least = 0
+    for v in range(len(degree)):
+        if degree[v] < degree[least]:
+            least = v
+    return least
+
+
+@helper
+def _total(width: Index, which: Index) -> int:
+    """Return the sum of the widths of some."""
+    total = 0
+    for k in which:
+        total += width[k]
+    return total
 
 
 @compiled
@@ -86,28 +117,29 @@ def minimum_degree(width: Index, clique_begin: Index, cliques: Index) -> tuple[I
     begin, end = np.zeros(m + n + 1, dtype=np.int64), np.zeros(m + n, dtype=np.int64)
     for k in range(m):
         begin[k + 1] = end[k] = clique_begin[k + 1]
-    member = np.concatenate((cliques, np.empty(len(cliques), dtype=np.int64)))
-    alive, mark = np.ones(m + n, dtype=np.bool_), unset(n)
+    member = _with_room(cliques, len(cliques))
+    gone, mark = np.zeros(m + n, dtype=np.bool_), unset(n)
     degree, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for v in range(n):
         own = _union(v, begin, end, member, of[first[v] : last[v]], mark, v)
-        degree[v] = width[own].sum()
+        degree[v] = _total(width, own)
     stamp = n
     for new in range(m, m + n):
-        v = int(np.argmin(degree))
-        order[new - m], degree[v] = v, np.iinfo(np.int64).max
+        v = _least(degree)
+        order[new - m], degree[v] = v, NEVER
         tied = _union(v, begin, end, member, of[first[v] : last[v]], mark, stamp)
-        alive[of[first[v] : last[v]]] = False
+        for k in range(first[v], last[v]):
+            gone[of[k]] = True
         if used + len(tied) > len(member):
-            member = np.concatenate((member, np.empty(len(member) + len(tied), dtype=np.int64)))
+            member = _with_room(member, len(member) + len(tied))
         for u in tied:
             member[used] = u
             used += 1
         end[new] = begin[new + 1] = used
         for u in tied:
             stamp += 1
-            _absorb(new, u, first, last, of, alive)
+            _absorb(new, u, first, last, of, gone)
             own = _union(u, begin, end, member, of[first[u] : last[u]], mark, stamp)
-            degree[u] = width[own].sum()
+            degree[u] = _total(width, own)
         stamp += 1
     return order, begin[m:] - len(cliques), member[len(cliques) : used]

@@ -43,28 +43,52 @@ def median(values: NDArray[np.float64]) -> float:
 
 
 @helper
+def ordered(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the order (n,) of values, the smallest first, equal ones as they come (merge sort)."""
+    n, width = len(values), 1
+    order, merged = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+    for i in range(n):
+        order[i] = i
+    while width < n:
+        for begin in range(0, n, 2 * width):
+            middle, end = min(begin + width, n), min(begin + 2 * width, n)
+            a, b = begin, middle
+            for k in range(begin, end):
+                if a < middle and (b == end or values[order[a]] <= values[order[b]]):
+                    merged[k], a = order[a], a + 1
+                else:
+                    merged[k], b = order[b], b + 1
+        order, merged, width = merged, order, 2 * width
+    return order
+
+
+@helper
 def _in_sets(
     of: NDArray[np.int64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return where each set 0, 1, ... begins, and the values (n,) set after set."""
-    begin = np.zeros(of.max() + 2 if len(of) else 1, dtype=np.int64)
+    n = 0
+    for k in of:
+        n = max(n, k + 1)
+    begin, in_sets = np.zeros(n + 1, dtype=np.int64), np.empty(len(values))
     for k in of:
         begin[k + 1] += 1
-    begin = np.cumsum(begin)
-    at, ordered = begin.copy(), np.empty(len(values))
+    for k in range(n):
+        begin[k + 1] += begin[k]
+    at = begin.copy()
     for i in range(len(values)):
-        ordered[at[of[i]]] = values[i]
+        in_sets[at[of[i]]] = values[i]
         at[of[i]] += 1
-    return begin, ordered
+    return begin, in_sets
 
 
 @compiled
 def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the lower median of the values (n,) of each set 0, 1, ...; none may be empty."""
-    begin, ordered = _in_sets(of, values)
+    begin, in_sets = _in_sets(of, values)
     found = np.empty(len(begin) - 1)
     for k in range(len(found)):
-        own = ordered[begin[k] : begin[k + 1]]
+        own = in_sets[begin[k] : begin[k + 1]]
         found[k] = smallest(own, (len(own) - 1) // 2)
     return found
 
@@ -74,10 +98,10 @@ def quantiles(
     of: NDArray[np.int64], values: NDArray[np.float64], share: float
 ) -> NDArray[np.float64]:
     """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
-    begin, ordered = _in_sets(of, values)
+    begin, in_sets = _in_sets(of, values)
     found = np.empty(len(begin) - 1)
     for k in range(len(found)):
-        own = ordered[begin[k] : begin[k + 1]]
+        own = in_sets[begin[k] : begin[k + 1]]
         place = share * (len(own) - 1)
         below = int(place)
         low = smallest(own, below)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.compiling import helper
 
 SWEEPS = 20
 """Sweeps of Jacobi's method after which it ends anyway; five or six will do."""
@@ -44,7 +44,7 @@ def product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float6
     return result
 
 
-@compiled
+@helper
 def inverse3(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
     """Return the inverse of a symmetric matrix (3, 3), and whether it is positive definite."""
     inverse = np.empty((3, 3))

@@ -187,7 +187,9 @@ def eliminated_steps(rows: Rows, bodies: Bodies, kept: Index, step: Array, roots
             for a in range(steps.shape[1]):
                 steps[i, a] -= weight[row] * by_eliminated[row, a] * left
         solve(roots[i], steps[i])
-        steps[i] *= free[i] > 0
+        if free[i] <= 0:
+            for a in range(steps.shape[1]):
+                steps[i, a] = 0.0
     return steps
 
 

@@ -38,7 +38,7 @@ _STEP = ndtr(_GRID)
 _BELL = np.exp(-0.5 * _GRID**2)
 
 
-@compiled
+@helper
 def gauss_step(x: float) -> float:
     """Return the normal distribution function at x, from a table: to 5e-7."""
     if x >= REACH:
@@ -50,7 +50,7 @@ def gauss_step(x: float) -> float:
     return float(_STEP[cell] + (place - cell) * (_STEP[cell + 1] - _STEP[cell]))
 
 
-@compiled
+@helper
 def bell(x: float) -> float:
     """Return exp(-x**2 / 2), from a table: to 5e-7."""
     if abs(x) >= REACH:
@@ -184,7 +184,7 @@ def expect(
     return density, total
 
 
-@compiled
+@helper
 def weighted_line(xy: Floats, weight: Floats, wall: Floats) -> None:
     """Fit a wall's point and direction to weighted points by total least squares.
 

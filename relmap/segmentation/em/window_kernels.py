@@ -28,17 +28,18 @@ def window_thickness(xy: Floats, seeds: Ints, radii: Floats) -> Floats:
 
     Discs about the seed grow until two in a row are elongated: smaller ones lie within the noise.
     """
-    result = np.full(len(seeds), np.nan)
-    squares, levels = radii**2, len(radii)
+    result, levels = np.empty(len(seeds)), len(radii)
     for s in range(len(seeds)):
-        moments = np.zeros((levels, 6))
+        result[s], moments = np.nan, np.zeros((levels, 6))
         x0, y0 = xy[seeds[s], 0], xy[seeds[s], 1]
         for i in range(len(xy)):
             x, y = xy[i, 0] - x0, xy[i, 1] - y0
             square = x * x + y * y
-            if square > squares[-1]:
+            level = 0
+            while level < levels and radii[level] ** 2 < square:
+                level += 1
+            if level == levels:
                 continue
-            level = np.searchsorted(squares, square)
             m = moments[level]
             m[0] += 1
             m[1] += x
@@ -48,7 +49,8 @@ def window_thickness(xy: Floats, seeds: Ints, radii: Floats) -> Floats:
             m[5] += y * y
         total, running = np.zeros(6), 0
         for level in range(levels):
-            total += moments[level]
+            for k in range(6):
+                total[k] += moments[level, k]
             n = total[0]
             if n < LEAST:
                 continue
@@ -137,7 +139,9 @@ def _start_line(xy: Floats, seed: int, chance: float, band: float, window: float
     w[PX], w[PY] = xy[seed, 0], xy[seed, 1]
     length = math.hypot(xy[other, 0] - w[PX], xy[other, 1] - w[PY])
     w[UX], w[UY] = (xy[other, 0] - w[PX]) / length, (xy[other, 1] - w[PY]) / length
-    local, weight, inside = xy[near[:m]], np.empty(m), 0
+    local, weight, inside = np.empty((m, 2)), np.empty(m), 0
+    for i in range(m):
+        local[i, 0], local[i, 1] = xy[near[i], 0], xy[near[i], 1]
     for _ in range(ROUNDS):
         inside = 0
         for i in range(m):
@@ -162,7 +166,7 @@ def grow_lines(
     """
     tries, n, band = len(chances), len(xy), BAND * sigma
     walls, members = np.zeros((tries, WALL)), np.zeros((tries, n), dtype=np.bool_)
-    scores = np.zeros(tries)
+    scores, weight = np.zeros(tries), np.empty(n)
     for k in range(tries):
         seed, w = int(chances[k, 0] * n), walls[k]
         inside = _start_line(xy, seed, chances[k, 1], band, window, w)
@@ -172,9 +176,12 @@ def grow_lines(
         for _ in range(ROUNDS):
             if _run_about(xy, w, seed, band, gap, members[k]) < 3:
                 break
-            weighted_line(xy, members[k].astype(np.float64), w)
+            for i in range(n):
+                weight[i] = 1.0 if members[k, i] else 0.0
+            weighted_line(xy, weight, w)
         if _run_about(xy, w, seed, band, gap, members[k]) < 3 or _angle(w) < narrow:
-            members[k] = False
+            for i in range(n):
+                members[k, i] = False
             continue
         for i in range(n):
             if members[k, i]:

@@ -43,13 +43,13 @@ def exact_step(x: float) -> float:
 
 @helper
 def _end_slope(
-    at: float, other: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
+    at: float, other: float, t: Floats, weight: Floats, blur: float, density: float, beam: float
 ) -> float:
     """Return how fast the log likelihood falls when the lower end of a box moves up."""
     slope = 0.0
     for i in range(len(t)):
         z = (t[i] - at) / blur
-        if beams:
+        if beam > 0:
             slope += weight[i] / blur / max(z + 0.5, 1e-3) if z < 0.5 else 0.0
         elif z > 5:
             continue
@@ -64,20 +64,20 @@ def _end_slope(
 
 @helper
 def _bracket(
-    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
+    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beam: float
 ) -> tuple[float, float]:
     """Return places about the lower end between which the likelihood is greatest."""
     top = min(end - 0.5 * blur, begin + INWARD * blur)
     low = high = min(begin, top - blur)
     step = 0.5 * blur
     for _ in range(60):
-        if _end_slope(low, end, t, weight, blur, density, beams) < 0:
+        if _end_slope(low, end, t, weight, blur, density, beam) < 0:
             break
         low -= step
         step *= 2
     step = 0.5 * blur
     for _ in range(60):
-        if high >= top or _end_slope(high, end, t, weight, blur, density, beams) > 0:
+        if high >= top or _end_slope(high, end, t, weight, blur, density, beam) > 0:
             break
         high = min(high + step, top)
         step *= 2
@@ -85,8 +85,19 @@ def _bracket(
 
 
 @helper
+def _below(limit: float, t: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the places (n,) below a limit, and their weights."""
+    n, places, weights = 0, np.empty(len(t)), np.empty(len(t))
+    for i in range(len(t)):
+        if t[i] < limit:
+            places[n], weights[n] = t[i], weight[i]
+            n += 1
+    return places[:n], weights[:n]
+
+
+@helper
 def lower_end(
-    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beams: bool
+    begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beam: float
 ) -> float:
     """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
 
@@ -94,14 +105,15 @@ def lower_end(
     the blur is their spacing.
     """
     if blur < EXACT_M:
-        own = t[weight > 0.01]
-        return own.min() if len(own) > 0 else begin
-    near = t < begin + (INWARD + REACH) * blur
-    t, weight = t[near], weight[near]
-    low, high = _bracket(begin, end, t, weight, blur, density, beams)
+        least = np.inf
+        for i in range(len(t)):
+            least = min(least, t[i]) if weight[i] > 0.01 else least
+        return least if least < np.inf else begin
+    t, weight = _below(begin + (INWARD + REACH) * blur, t, weight)
+    low, high = _bracket(begin, end, t, weight, blur, density, beam)
     for _ in range(14):
         middle = 0.5 * (low + high)
-        if _end_slope(middle, end, t, weight, blur, density, beams) < 0:
+        if _end_slope(middle, end, t, weight, blur, density, beam) < 0:
             low = middle
         else:
             high = middle
@@ -117,7 +129,10 @@ def _density_at(begin: float, end: float, t: Floats, weight: Floats, beam: float
     Fewer of a column of beams meet a wall that is farther off: half as many make a whole column.
     """
     reach = max(min(FEW * beam, end - begin), beam)
-    return float(0.5 * weight[t < begin + reach].sum() / reach)
+    total = 0.0
+    for i in range(len(t)):
+        total += weight[i] if t[i] < begin + reach else 0.0
+    return 0.5 * total / reach
 
 
 @compiled
@@ -129,17 +144,21 @@ def fit_ends(
     The density is in points per `measure`; where points lie by beams, what it is at each end is
     seen from them.
     """
-    own = weight > (LEAST if beam > 0 else 1e-6)
-    if not own.any():
+    n, least, points, w = 0, LEAST if beam > 0 else 1e-6, np.empty((len(xy), 2)), np.empty(len(xy))
+    for i in range(len(xy)):
+        if weight[i] > least:
+            points[n, 0], points[n, 1], w[n] = xy[i, 0], xy[i, 1], weight[i]
+            n += 1
+    if n == 0:
         return
-    u, w = sightings(xy[own], wall, beam)[0], weight[own]
+    u, w = sightings(points[:n], wall, beam)[0], w[:n]
     foot, height = foot_and_height(wall)
     low, high = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
     blur = beam if beam > 0 else sigma
     dense = _density_at(low, high, u, w, beam) if beam > 0 else density
-    low = lower_end(low, high, u, w, blur, dense, beam > 0)
+    low = lower_end(low, high, u, w, blur, dense, beam)
     dense = _density_at(-high, -low, -u, w, beam) if beam > 0 else density
-    high = -lower_end(-high, -low, -u, w, blur, dense, beam > 0)
+    high = -lower_end(-high, -low, -u, w, blur, dense, beam)
     wall[BEGIN] = place(low, foot, height, beam)
     wall[END] = max(place(high, foot, height, beam), wall[BEGIN] + EXACT_M)
 
@@ -147,13 +166,15 @@ def fit_ends(
 @compiled
 def box_extent(t: Floats, sigma: float) -> tuple[float, float]:
     """Return the ends of an evenly filled, blurred box from positions (n,), of many from a part."""
-    t = t[:: len(t) // 2000 + 1]
-    low, high, weight = t.min(), t.max(), np.ones(len(t))
+    t = t[:: len(t) // 2000 + 1].copy()
+    low, high, weight = np.inf, -np.inf, np.ones(len(t))
+    for i in range(len(t)):
+        low, high = min(low, t[i]), max(high, t[i])
     if high - low <= 4 * sigma or len(t) < 8:
         return low, high
     first, last = low + sigma, high - sigma
     for _ in range(2):
         density = len(t) / max(last - first, sigma)
-        first = lower_end(first, last, t, weight, sigma, density, False)
-        last = -lower_end(-last, -first, -t, weight, sigma, density, False)
+        first = lower_end(first, last, t, weight, sigma, density, 0.0)
+        last = -lower_end(-last, -first, -t, weight, sigma, density, 0.0)
     return first, last

@@ -61,14 +61,19 @@ def off_chords(xy: Floats, inlier: float, rounds: int) -> float:
 
     Those more than `inlier` such medians off are left out, again and again, so many times at most.
     """
-    off = np.empty(len(xy) - 2)
+    off, inliers = np.empty(len(xy) - 2), np.empty(len(xy) - 2)
     for i in range(len(off)):
         dx, dy = xy[i + 2, 0] - xy[i, 0], xy[i + 2, 1] - xy[i, 1]
         across = dx * (xy[i + 1, 1] - xy[i, 1]) - dy * (xy[i + 1, 0] - xy[i, 0])
         off[i] = abs(across) / max(math.hypot(dx, dy), 1e-12)
     middle = median(off.copy())
     for _ in range(rounds):
-        before, middle = middle, median(off[off <= inlier * middle])
+        before, limit, n = middle, inlier * middle, 0
+        for i in range(len(off)):
+            if off[i] <= limit:
+                inliers[n] = off[i]
+                n += 1
+        middle = median(inliers[:n])
         if middle == before:
             break
     return middle
@@ -182,12 +187,15 @@ def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> boo
     wide = math.hypot(xy[c, 0] - xy[b - 1, 0], xy[c, 1] - xy[b - 1, 1])
     if wide < DOOR_M:
         return False
-    unseen = turn[b - 1 : c].sum() / median(turn.copy()) - (c - b) - 1
-    line = _fit(xy[np.array([b - 1, c])], 0, 2)
-    side = line[PX] * line[UY] - line[PY] * line[UX]  # where the sensor stands
-    through = 0
+    between, through = 0.0, 0
+    for i in range(b - 1, c):
+        between += turn[i]
+    unseen = between / median(turn.copy()) - (c - b) - 1
+    x, y = xy[b - 1, 0], xy[b - 1, 1]
+    ux, uy = (xy[c, 0] - x) / wide, (xy[c, 1] - y) / wide
+    side = x * uy - y * ux  # where the sensor stands
     for i in range(b, c):
-        off = (xy[i, 1] - line[PY]) * line[UX] - (xy[i, 0] - line[PX]) * line[UY]
+        off = (xy[i, 1] - y) * ux - (xy[i, 0] - x) * uy
         if off * side < 0 and abs(off) > OFF * sigma:
             through += 1
     return bool(unseen + through >= OPEN)
@@ -229,7 +237,7 @@ def line_pieces(xy: Floats, beam: Ints, sigma: float, chance: float) -> Ints:
     numbers (n,) of the points before specks were left out.
     """
     if len(xy) < 3:
-        return np.zeros((0, 2), dtype=np.int64)
+        return np.empty((0, 2), dtype=np.int64)
     pieces = [(0, 0)][:0]
     turn, start = turns(xy), 0
     usual, free = median(turn.copy()), turn.copy()
@@ -242,11 +250,12 @@ def line_pieces(xy: Floats, beam: Ints, sigma: float, chance: float) -> Ints:
             start = i + 1
     _shift_breaks(xy, broken, pieces)
     _join(xy, free, pieces, sigma)
-    kept = [(a, b) for a, b in pieces if _by_chance(xy, a, b, sigma) < chance]
-    result = np.zeros((len(kept), 2), dtype=np.int64)
-    for k in range(len(kept)):
-        result[k, 0], result[k, 1] = kept[k]
-    return result
+    kept, n = np.empty((len(pieces), 2), dtype=np.int64), 0
+    for a, b in pieces:
+        if _by_chance(xy, a, b, sigma) < chance:
+            kept[n, 0], kept[n, 1] = a, b
+            n += 1
+    return kept[:n]
 
 
 @compiled
@@ -254,6 +263,8 @@ def piece_walls(xy: Floats, pieces: Ints) -> Floats:
     """Return the walls (m, WALL) through pieces (m, 2) of a scan."""
     walls = np.zeros((len(pieces), WALL))
     for k in range(len(pieces)):
-        walls[k] = _fit(xy, pieces[k, 0], pieces[k, 1])
+        wall = _fit(xy, pieces[k, 0], pieces[k, 1])
+        for i in range(WALL):
+            walls[k, i] = wall[i]
         walls[k, SHARE] = (pieces[k, 1] - pieces[k, 0]) / len(xy)
     return walls

@@ -31,8 +31,12 @@ def _goes_on(xy: Floats, i: int, j: int, sigma: float) -> bool:
 @helper
 def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
     """Find points (n,) a little before a line on which those beside them lie, either way."""
-    own = np.flatnonzero(~found)
-    for k in range(BESIDE, len(own) - BESIDE):
+    own, n = np.empty(len(found), dtype=np.int64), 0
+    for i in range(len(found)):
+        if not found[i]:
+            own[n] = i
+            n += 1
+    for k in range(BESIDE, n - BESIDE):
         i, a, b = own[k], own[k - 1], own[k + 1]
         dx, dy = xy[b, 0] - xy[a, 0], xy[b, 1] - xy[a, 1]
         length = max(math.hypot(dx, dy), 1e-12)
@@ -42,7 +46,8 @@ def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
             continue
         on_line = 0
         for m in range(2, BESIDE + 1):
-            for j in (own[k - m], own[k + m]):
+            for at in range(k - m, k + m + 1, 2 * m):
+                j = own[at]
                 off = (dx * (xy[j, 1] - xy[a, 1]) - dy * (xy[j, 0] - xy[a, 0])) / length
                 on_line += abs(off) <= OFF * sigma
         found[i] = on_line > BESIDE - 1
@@ -64,7 +69,8 @@ def specks(xy: Floats, sigma: float) -> Bools:
                 j += 1
                 hidden = wide < (j - i + 1) * usual and radius[j - 1] < radius[j]
                 if hidden and _goes_on(xy, i, j, sigma):
-                    found[i + 1 : j] = True
+                    for k in range(i + 1, j):
+                        found[k] = True
                     break
             else:
                 j = i + 1
