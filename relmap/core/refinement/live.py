@@ -54,7 +54,7 @@ class LiveRefinement:
     global_map : GlobalMap
     """
 
-    STATE = "_landmark _points _weight _body _length _in_last _begun _noted _back"
+    STATE = "_landmark _points _weight _body _length _most _in_last _begun _noted _back"
 
     def __init__(self, segments: CondensedSegments, global_map: GlobalMap) -> None:
         self._segments = segments
@@ -63,6 +63,7 @@ class LiveRefinement:
         self._landmark = self._body = np.zeros(0, dtype=np.int64)
         self._points, self._weight = np.zeros((0, 3)), np.zeros(0)
         self._length = 1
+        self._most = BODIES
         self._in_last = 0
         self._begun = LEAST
         self._noted = 0
@@ -116,7 +117,7 @@ class LiveRefinement:
         else:
             self._extend(len(self._body) - int(last.sum()), n_bodies - 1, together)
             self._in_last += 1
-        if n_bodies >= BODIES:
+        if n_bodies >= self._most:
             self._join()
 
     def _extend(self, kept: int, body: int, seen: Seen) -> None:
@@ -143,7 +144,9 @@ class LiveRefinement:
             for seen in bodies[k : k + 2] if together is None else [together]:
                 self._extend(len(self._body), kept, seen)
                 kept += 1
-        self._length *= 2
+        # What shares too little is not tried again with each segment.
+        self._length *= 2 if kept < len(bodies) else 1
+        self._most = max(BODIES, 2 * kept)
 
     def _bodies(self) -> tuple[Indices, Points, Points, Indices]:
         landmark = self._table.landmark_of[self._landmark]
@@ -214,7 +217,7 @@ class LiveRefinement:
 def laid_together(one: Seen, other: Seen) -> Seen | None:
     """Lay what was seen in one stretch on that of another; None where they share too little."""
     _, mine, its = np.intersect1d(one[0], other[0], return_indices=True)
-    if not len(mine):
+    if len(mine) < one[1].shape[1]:
         return None
     counts = np.minimum(one[2][mine], other[2][its])
     at = np.zeros(len(mine), dtype=np.int64)
