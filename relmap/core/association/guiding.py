@@ -17,8 +17,9 @@ Array = NDArray[np.float64]
 
 MEMORY = 256
 """Comparisons with what landmarks tell that are remembered."""
-EVERY = 16
-"""Comparisons after which odometry is judged anew."""
+FIRST, EVERY = 16, 128
+"""Comparisons after which odometry is judged for the first time, then twice as many, and so on; and
+most that are waited for."""
 SIGMAS = 4.0
 """Standard deviations within which a landmark is looked for."""
 ALONE = 0.5
@@ -82,7 +83,8 @@ class OdometryGuide:
                 kept.drop(len(kept) - MEMORY + 1)
             kept.extend(motion[None])
         self._n_seen += 1
-        if self._n_seen % EVERY == 0:
+        n = self._n_seen
+        if n % EVERY == 0 or (n >= FIRST and n & (n - 1) == 0):
             found = motion_noise(self._odometry.values, self._measured.values)
             self.noise = found or self.noise
 
