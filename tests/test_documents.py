@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+import relmap
 from relmap.cli import main
 from tests.commands import PATIENCE_S
 
@@ -130,6 +131,12 @@ def test_the_claim_is_the_same_everywhere() -> None:
     for name in ("README.md", "ARCHITECTURE.md", "docs/concepts.md", "relmap/__init__.py"):
         texts[name] = " ".join((ROOT / name).read_text(encoding="utf-8").split())
     assert [name for name, text in texts.items() if CLAIM not in text] == []
+
+
+def test_the_document_of_python_names_all_that_is_public() -> None:
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    names = {name for name in relmap.__all__ if not name.startswith("_")}
+    assert {name for name in names if f"`{name}`" not in text} == set()
 
 
 def anchors(document: Path) -> set[str]:
