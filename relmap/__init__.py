@@ -1,4 +1,4 @@
-"""Maps of landmarks, without odometry, from their relative locations.
+"""Maps of landmarks from their relative locations; odometry is optional.
 
 No motion or pose estimate enters the map: scans are registered by matching landmarks, and
 probability is used only in weights and in the optional refinement.
