@@ -96,7 +96,7 @@ class OdometryUse:
 
     @classmethod
     def of(cls, noise: MotionNoise, slipped: NDArray[np.bool_]) -> OdometryUse:
-        """Return that of odometry of which nothing was made but that it was looked at.
+        """Return that of odometry which was checked, but not used.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""What odometry tells of where live tracks lie in the next scan.
+"""Where live tracks lie in the next scan, by odometry.
 
 A placement that many landmarks agree on needs no odometry.  Where few are in view it narrows what
 they may be, and where none are it carries the tracks along.
@@ -57,11 +57,11 @@ class OdometryGuide:
 
     @property
     def knows(self) -> bool:
-        """Whether odometry tells of the motion since the tracks were carried along last."""
+        """Whether odometry covers the motion since the tracks were last carried along."""
         return bool(np.isfinite(self._since[0, 0])) and not self.noise.is_wrong
 
     def predicted(self, d: int) -> Placement:
-        """Return where odometry has the frame of the tracks in that of the scan."""
+        """Return the placement of the tracks' frame in the scan's by odometry."""
         T_now_before = np.linalg.inv(self.noise.corrected(self._since[None])[0])
         return Placement(T_now_before[:d, :d], T_now_before[:d, 3], 0)
 
@@ -72,7 +72,7 @@ class OdometryGuide:
         return np.asarray(np.hypot(sigma_m[0], sigma_rad[0] * away) * np.sqrt(self._steps))
 
     def learn(self, placement: Placement) -> None:
-        """Compare odometry with where many landmarks have the frame of the tracks."""
+        """Compare odometry with a placement that many landmarks support."""
         if self._steps != 1 or not np.isfinite(self._since[0, 0]):
             return
         d = len(placement.t)
@@ -89,7 +89,7 @@ class OdometryGuide:
             self.noise = found or self.noise
 
     def placement(self, expected: Array, points: Array, noise_m: float, most_m: float) -> Placement:
-        """Return where odometry, and the few landmarks that are in view, have the tracks' frame.
+        """Return the placement of the tracks' frame by odometry and the few landmarks in view.
 
         Parameters
         ----------

@@ -35,9 +35,9 @@ class Bridged:
 
 
 def measured_motions(rows: SegmentRows) -> Array:
-    """Return the motion to each iteration (k, 4, 4) by landmarks alone; NaN where it is not known.
+    """Return the motion to each iteration (k, 4, 4) by landmarks alone; NaN if unknown.
 
-    Within segments: they tell of consecutive scans.
+    Both iterations must be in one segment.
     """
     k, d = len(rows.iteration_segment), rows.points.shape[1]
     placed = np.tile(np.eye(4), (k, 1, 1))
@@ -52,10 +52,10 @@ def measured_motions(rows: SegmentRows) -> Array:
 def noise_of(
     odometry: Array, measured: Array, rows: SegmentRows
 ) -> tuple[MotionNoise, NDArray[np.bool_]]:
-    """Return how noisy odometry is, as far as landmarks tell, and the steps (k,) it got wrong.
+    """Return the noise of odometry, measured by landmarks, and which steps (k,) it got wrong.
 
-    Landmarks tell more of several iterations than of one, in which their own noise counts as much;
-    but of one they tell which it was.
+    Wrong steps are found one by one.  The noise is measured over whole segments, where that of
+    the landmarks themselves counts less.
     """
     single = motion_noise(odometry, measured) or MotionNoise()
     slipped = single.slipped(odometry, measured)
@@ -75,10 +75,7 @@ def noise_of(
 
 
 def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]:
-    """Return odometry over segments (s, 4, 4), what landmarks tell of it, and its steps, typical.
-
-    Of segments that hold all their iterations.
-    """
+    """Return odometry over whole segments (s, 4, 4), the same by landmarks, and their steps."""
     d = rows.points.shape[1]
     segment = rows.iteration_segment
     inside = np.flatnonzero(segment != NOWHERE)

@@ -224,7 +224,7 @@ class ChainProblem:
         found = [(left, jacobian, self._of_seen, self._at_seen, weight[seen])]
         off_way, off_turn, jacobian = self._left_of_odometry(state)
         off = np.concatenate([off_way, off_turn], axis=1)
-        # A step of which one part cannot be believed is not believed.
+        # A slip spoils both parts of a step.
         each = np.minimum(weight[way], weight[turn])
         return [*found, (off, jacobian, self._of_moved, self._at_moved, each)]
 

@@ -156,7 +156,7 @@ def _settled(
     sigmas: Sigmas | None,
     to_the_last: bool,
 ) -> tuple[Settled[Chained], ChainProblem]:
-    """Return the state of the least robust cost, with the noise that what is left tells of."""
+    """Return the state of the least robust cost, and estimate the noise from its residuals."""
     known = sigmas is not None
     problem = ChainProblem(chain, odds, sigmas or Sigmas(), state.positions, anchor)
     for _ in range(TIMES):
