@@ -18,7 +18,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Bridged:
-    """All scans, laid by what landmarks and odometry say.
+    """All scans, placed by landmarks and odometry.
 
     Attributes
     ----------
