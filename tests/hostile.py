@@ -75,6 +75,11 @@ CIRCLES = (
     "STEP a.jpg 0 0 0 1 0 1 0 0 1\nLANDMARK_C 1 2 0.9 1 0 1 5\nLANDMARK_C 2 2 0.9 1 0 1 -1\n"
     "STEP b.jpg 1 0 0.1 1 0 1 0 0 1\nLANDMARK_C 1 1 0.9 1 0 1 5 6\n"
 )
+MOTIONS = "step,dx_m,dy_m,dz_m,dyaw_rad,dpitch_rad,droll_rad\n0,1,2,3,0.1,0.2,0.3\n1,9,9,9,0,0,0\n"
+BESIDE = {
+    "odometry.csv": "iteration,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n2,0.5,-1,0,0,0,0.6,0.8\n",
+    "odometry.tum": "# t x y z qx qy qz qw\n0.0 0 0 0 0 0 0 1\n1.5 1 0 0 0 0 0.6 0.8\n",
+}
 RELATIONS = "# a\n1.5 2.5 1 2 0 0 0 0.5\n2.5 3.5 0.1 0 0 0 0 -1e-3\n"
 POSES = "1,0,0,1\n0,1,0,2\n0,0,1,3\n0,0,0,4.5\n"
 CONFIG = 'group_after = 12\nmax_missed = 4\nregistration = "nearest-previous"\ngate_m = 0.5\n'
@@ -144,11 +149,13 @@ def readers() -> dict[str, Reader]:
         "trees.csv": TREES.encode(),
         "VictoriaParkSinSincronizar.mat": mat(TLsr=np.array([[0.1, 0.3, 0.5, 0.7]])),
         "data_sensor_clean_clean.mat": mat(data_sensor_clean_clean=trees),
+        "aa3_dr.mat": mat(time=np.arange(50.0, 800, 25), speed=np.ones(30), steering=np.ones(30)),
     }
     beacons = {
         "sensor_data.mat": mat(sensor_data=OBSERVED),
         "store_beaconsTrue.mat": mat(store_beaconsTrue=np.array([[4, 1, 2], [7, 3, 4.0]])),
         "store_robotTrue.mat": mat(False, store_robotTrue=np.eye(3)),
+        "store_robotOdo.mat": mat(store_robotOdo=np.eye(3)),
     }
     clouds = {
         "0.pcd": pcd(CLOUD),
@@ -174,7 +181,14 @@ def readers() -> dict[str, Reader]:
         found[f"carmen-log-{name}"] = Reader({"a": content.encode()}, "a", read)
     for name in clouds:
         found[f"point-clouds-{name}"] = Reader(clouds, name, _scan_log("", "point-clouds"))
-    for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat"):
+    wheels = {"a.observations.csv": MRPT.encode(), "a.odometry.csv": MOTIONS.encode()}
+    read = _log("a.observations.csv")
+    found["mrpt-landmarks-odometry"] = Reader(wheels, "a.odometry.csv", read)
+    for name, content in BESIDE.items():
+        beside = {"observations.csv": PLAIN.encode(), name: content.encode()}
+        found[name] = Reader(beside, name, _log("observations.csv"))
+    found["slsjf-sim-store_robotOdo.mat"] = Reader(beacons, "store_robotOdo.mat", _log(""))
+    for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat", "aa3_dr.mat"):
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
     for name in ("store_beaconsTrue.mat", "store_robotTrue.mat"):
         found[f"slsjf-sim-{name}"] = Reader(beacons, name, read_truth)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
+Odometry = Literal["auto", "none"]
 
 
 class Interval(NamedTuple):

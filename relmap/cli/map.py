@@ -19,7 +19,9 @@ HELP = """Make a map from a log of landmarks that a moving robot saw.
 
 INPUT is a file or folder.  The simplest is a CSV file with the header iteration,x,y,z or
 iteration,x,y (a planar world) and one row per landmark seen: its place in the robot's frame
-(x ahead, y left, z up, metres).  A column id may tell which landmark it is.
+(x ahead, y left, z up, metres).  A column id may tell which landmark it is.  The odometry that a
+log has is used; beside any log it may stand in odometry.csv, with the header iteration,x,y,yaw or
+iteration,x,y,z,qx,qy,qz,qw: how the robot moved from the iteration before to this one.
 
 \b
 Formats of INPUT:
@@ -113,6 +115,13 @@ _ElevationSigma = Annotated[
         help="In space, that of the angles above the horizontal; as --bearing-sigma if not given.",
     ),
 ]
+_Odometry = Annotated[
+    args.Odometry,
+    typer.Option(
+        help="Use the odometry that the log has, or that lies beside it as odometry.csv or "
+        "odometry.tum; or none, as in the paper."
+    ),
+]
 _Onto = Annotated[
     Path | None,
     typer.Option(
@@ -144,6 +153,7 @@ def map_command(
     range_sigma: _RangeSigma = None,
     bearing_sigma: _BearingSigma = None,
     elevation_sigma: _ElevationSigma = None,
+    odometry: _Odometry = "auto",
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
@@ -174,6 +184,7 @@ def map_command(
             onto=onto,
             animate=animate,
             sigmas=sigmas,
+            odometry=odometry,
             stopped=stopped,
         )
         report(job)

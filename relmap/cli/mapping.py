@@ -71,6 +71,9 @@ def _log_of(job: Job) -> Log:
         raise RelmapError(
             f"--association known needs the identity of each landmark, and {source} has no ids"
         )
+    reason: Any = getattr(log, "no_odometry", None)
+    if job.odometry == "auto" and reason:
+        typer.echo(f"relmap: {source}: mapped without odometry: {reason}", err=True)
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
 
 
@@ -105,7 +108,17 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             afterwards.enter_context(busy("refining and writing"))
 
         segmenter = bench.segmenter if bench else None
-        run = run_mapper(mapper, log, job.association, about, watched, job.refine, seen, segmenter)
+        run = run_mapper(
+            mapper,
+            log,
+            job.association,
+            about,
+            watched,
+            job.refine,
+            seen,
+            segmenter,
+            job.odometry == "auto",
+        )
         _write(folder, run)
         mapper.save(folder / MAPPER)
     if bench is not None:

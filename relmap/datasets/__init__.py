@@ -18,6 +18,7 @@ from relmap.datasets.headers import read_head
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
+from relmap.datasets.odometry import with_odometry_beside
 from relmap.datasets.point_clouds import PointClouds
 from relmap.datasets.relations import Relations, read_relations
 from relmap.datasets.scans import PointScan, ScanLog
@@ -83,13 +84,15 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
     Returns
     -------
     ObservationLog
+        With the odometry of the log itself or of ``odometry.csv`` or ``odometry.tum`` beside it.
 
     Raises
     ------
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _choose(Path(path), format, DATASETS, _LANDMARK_LOG).load(Path(path))
+    log = _choose(Path(path), format, DATASETS, _LANDMARK_LOG).load(Path(path))
+    return with_odometry_beside(log, Path(path))
 
 
 def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
@@ -105,14 +108,15 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
     Returns
     -------
     ScanLog
-        The points of a scan may be read only when they are asked for.
+        The points of a scan may be read only when they are asked for.  Odometry as `open_log`.
 
     Raises
     ------
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _choose(Path(path), format, SCAN_DATASETS, _SCAN_LOG).load(Path(path))
+    log = _choose(Path(path), format, SCAN_DATASETS, _SCAN_LOG).load(Path(path))
+    return with_odometry_beside(log, Path(path))
 
 
 def _choose(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.odometry import composed
 
 
 def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
@@ -89,7 +90,11 @@ def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
     kept = _rows(log, np.flatnonzero(~skipped))
     later = kept.iteration > first
     iteration = np.where(later, kept.iteration - (steps - 1), kept.iteration)
-    return replace(kept, iteration=iteration, end_iteration=log.end_iteration - (steps - 1))
+    end = log.end_iteration - (steps - 1)
+    numbers = np.arange(log.first_iteration, log.end_iteration)
+    left = np.flatnonzero((numbers <= first) | (numbers >= first + steps))
+    odometry = None if log.odometry is None else composed(log.odometry, left)
+    return replace(kept, iteration=iteration, end_iteration=end, odometry=odometry)
 
 
 def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLog:
