@@ -13,7 +13,6 @@ import math
 import os
 import re
 from dataclasses import replace
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import finite_numbers
-from relmap.datasets.odometry import motions
+from relmap.datasets.odometry import motions, path_of
 from relmap.datasets.scans import (
     ScanLog,
     in_time_order,
@@ -74,7 +73,7 @@ class MrptLaser:
 def _path(table: Table) -> Floats:
     """Return the poses (k, 4, 4) that the odometry adds up to."""
     steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
-    return np.array([*accumulate(steps[:-1], np.matmul, initial=np.eye(4))])
+    return path_of(np.roll(steps, 1, axis=0))
 
 
 def _columns(beams: int) -> list[Column]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -76,6 +76,12 @@ def composed(odometry: Floats, kept: Ints) -> Floats:
         for motion in odometry[begin + 1 : end + 1]:
             found[row] = found[row] @ motion
     return found
+
+
+def path_of(odometry: Floats) -> Floats:
+    """Return the poses (k, 4, 4) that motions add up to; where one is not known it stands still."""
+    steps = np.where(np.isnan(odometry), np.eye(4), odometry)
+    return np.array([*accumulate(steps[1:], np.matmul, initial=np.eye(4))])
 
 
 def moved_frame(odometry: Floats, T_robot_other: Floats) -> Floats:
@@ -214,10 +220,10 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
     at_s = log.stamps_s
     if at_s is None:
         at_s = log.first_iteration + np.arange(len(log), dtype=np.float64)
-    return motions(_between(stamps_s, poses, at_s))
+    return motions(poses_at(stamps_s, poses, at_s))
 
 
-def _between(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
+def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
     """Return poses (k, 4, 4) at other times; NaN beyond the ends and in gaps."""
     if len(poses) < 2:
         return np.full((len(at_s), 4, 4), np.nan)
