@@ -157,6 +157,13 @@ def readers() -> dict[str, Reader]:
         "store_robotTrue.mat": mat(False, store_robotTrue=np.eye(3)),
         "store_robotOdo.mat": mat(store_robotOdo=np.eye(3)),
     }
+    robots = {
+        "Barcodes.dat": b"# a\n1 5\n6 63\n7 81\n",
+        "Landmark_Groundtruth.dat": b"6 1 2 0.001 0.001\n7 3 4 0.001 0.001\n",
+        "Robot1_Measurement.dat": b"10.5 63 2 0.5\n10.5 81 3 -0.5\n10.7 5 1 0\n11 63 2 0.25\n",
+        "Robot1_Odometry.dat": b"10 0.5 0.1\n10.5 0.5 -0.1\n11 0 0\n",
+        "Robot1_Groundtruth.dat": b"10 0 0 0\n10.5 0.25 0 0.1\n11 0.5 0 0.05\n",
+    }
     clouds = {
         "0.pcd": pcd(CLOUD),
         "1.ply": ply(CLOUD[:2]),
@@ -190,6 +197,9 @@ def readers() -> dict[str, Reader]:
     found["slsjf-sim-store_robotOdo.mat"] = Reader(beacons, "store_robotOdo.mat", _log(""))
     for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat", "aa3_dr.mat"):
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
+    for name in robots:
+        read = read_truth if "Ground" in name else _log("", "mrclam")
+        found[f"mrclam-{name}"] = Reader(robots, name, read)
     for name in ("store_beaconsTrue.mat", "store_robotTrue.mat"):
         found[f"slsjf-sim-{name}"] = Reader(beacons, name, read_truth)
     for name in ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "summary.json"):

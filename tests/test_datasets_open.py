@@ -27,6 +27,7 @@ def test_formats_are_named() -> None:
         "victoria-park",
         "dlr-circles",
         "slsjf-sim",
+        "mrclam",
     )
     assert len({dataset.description for dataset in DATASETS}) == len(DATASETS)
 

@@ -30,6 +30,8 @@ Formats of INPUT:
   victoria-park    trees per scan, from the Victoria Park data set
   dlr-circles      circles on a floor, map.circles of the DLR spatial cognition data set
   slsjf-sim        range and bearing to beacons, the folder of I-SLSJF's simulation
+  mrclam           range and bearing to bar codes, the folder of MRCLAM (all robots, one after
+                   another) or RobotN_Measurement.dat in it (one robot)
 
 \b
 With --variant planes INPUT is a log of point scans, and walls are mapped:

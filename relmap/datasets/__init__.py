@@ -15,6 +15,7 @@ from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
 from relmap.datasets.headers import read_head
+from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
@@ -51,6 +52,7 @@ DATASETS: tuple[Dataset[ObservationLog], ...] = (
     VictoriaPark(),
     DlrCircles(),
     SlsjfSimulation(),
+    Mrclam(),
 )
 """Every format, in the order in which messages list them."""
 

@@ -85,7 +85,7 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
         Of points also
 
         * MRPT's ``..._ground_truth.txt`` or its folder;
-        * the folder of I-SLSJF's simulation;
+        * the folder of I-SLSJF's simulation, or of MRCLAM;
         * the folder of Victoria Park, whose trees were not surveyed: the published estimates of
           another program are a reference to compare with, not a truth;
         * the folder of DLR's circles, which has ids but no positions.
@@ -185,12 +185,15 @@ def _read_path(path: Path) -> Truth:
 
 def _read_data_set(path: Path) -> Truth:
     """Read the true landmarks of a data set."""
-    from relmap.datasets import dlr_circles, mrpt_landmarks, slsjf, victoria_park
+    from relmap.datasets import dlr_circles, mrclam, mrpt_landmarks, slsjf, victoria_park
 
     if mrpt_landmarks.is_ground_truth(path):
         return _static(*mrpt_landmarks.read_ground_truth(path))
     if slsjf.is_ground_truth(path):
         return _static(*slsjf.read_ground_truth(path))
+    if mrclam.is_ground_truth(path):
+        ids, positions, stamps_s, poses = mrclam.read_ground_truth(path)
+        return replace(_static(ids, positions, poses), stamps_s=stamps_s)
     if victoria_park.is_reference(path):
         return _static(*victoria_park.read_reference_map(path))
     if dlr_circles.DlrCircles().recognises(path):
