@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
@@ -54,6 +55,14 @@ def mat(compress: bool = True, **arrays: NDArray[np.float64]) -> bytes:
     with tempfile.TemporaryDirectory() as name:
         savemat(Path(name) / "a.mat", arrays, do_compression=compress)
         return (Path(name) / "a.mat").read_bytes()
+
+
+def parquet() -> bytes:
+    stream = io.BytesIO()
+    library = pytest.importorskip("pyarrow.parquet")
+    cells = {"iteration": [0, 0, 2], "x": [1.0, 2, 3], "y": [4, 5, 6], "id": ["a", "b", None]}
+    library.write_table(pytest.importorskip("pyarrow").table(cells), stream)
+    return stream.getvalue()
 
 
 def scans(**changes: object) -> bytes:
@@ -164,6 +173,8 @@ def readers() -> dict[str, Reader]:
         "Robot1_Odometry.dat": b"10 0.5 0.1\n10.5 0.5 -0.1\n11 0 0\n",
         "Robot1_Groundtruth.dat": b"10 0 0 0\n10.5 0.25 0 0.1\n11 0.5 0 0.05\n",
     }
+    own = {"a": b'frame;t;px;py;"n";name\n3;0.5;1,5;-2;"re;d";cone\n5;0.9;1;-2;;\n'}
+    columns = {"x": "px", "y": "py", "iteration": "frame", "stamp": "t", "id": "name"}
     clouds = {
         "0.pcd": pcd(CLOUD),
         "1.ply": ply(CLOUD[:2]),
@@ -197,6 +208,8 @@ def readers() -> dict[str, Reader]:
     found["slsjf-sim-store_robotOdo.mat"] = Reader(beacons, "store_robotOdo.mat", _log(""))
     for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat", "aa3_dr.mat"):
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
+    found["own-table"] = Reader(own, "a", lambda f: open_log(f / "a", columns=columns))
+    found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
     for name in robots:
         read = read_truth if "Ground" in name else _log("", "mrclam")
         found[f"mrclam-{name}"] = Reader(robots, name, read)

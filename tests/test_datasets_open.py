@@ -28,6 +28,7 @@ def test_formats_are_named() -> None:
         "dlr-circles",
         "slsjf-sim",
         "mrclam",
+        "own-table",
     )
     assert len({dataset.description for dataset in DATASETS}) == len(DATASETS)
 

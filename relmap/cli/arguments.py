@@ -40,6 +40,21 @@ def interval(text: str) -> Interval:
     raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
 
 
+def columns(text: str) -> dict[str, str]:
+    """Return what ``ours=theirs,ours=theirs`` names.
+
+    Raises
+    ------
+    RelmapError
+        Where it is not pairs, or names a column twice.
+    """
+    pairs = [part.partition("=") for part in text.split(",")]
+    found = {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
+    if len(found) < len(pairs) or not all(found.values()):
+        raise RelmapError(f"--columns is {text!r}: it must be pairs like x=px,y=py,iteration=frame")
+    return found
+
+
 def folder(text: str) -> Path:
     """Return the folder that an option names.
 

@@ -39,6 +39,8 @@ class Job:
         Of walls, whether to draw the whole run.
     odometry : "auto" or "none"
         Whether to use the odometry of the log, where it has any.
+    columns : dict of str to str, or None
+        What a table calls its columns.
     sigmas : tuple of float or None
         Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
@@ -60,6 +62,7 @@ class Job:
     animate: bool = False
     sigmas: tuple[float, ...] | None = None
     odometry: Odometry = "none"
+    columns: dict[str, str] | None = None
     stopped: Callable[[], bool] = lambda: False
 
     @property
@@ -76,6 +79,7 @@ class Job:
             "animate": self.animate,
             "sigmas": self.sigmas,
             "odometry": self.odometry,
+            "columns": self.columns,
         }
 
     @classmethod
@@ -109,6 +113,7 @@ class Job:
                 animate=bool(run["animate"]),
                 sigmas=tuple(map(float, run.get("sigmas") or ())) or None,
                 odometry="auto" if run.get("odometry") == "auto" else "none",
+                columns=dict(run["columns"]) if run.get("columns") else None,
                 journal=path.absolute(),
                 folder=Path(run["folder"]),
                 resumed=True,

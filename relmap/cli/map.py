@@ -32,6 +32,7 @@ Formats of INPUT:
   slsjf-sim        range and bearing to beacons, the folder of I-SLSJF's simulation
   mrclam           range and bearing to bar codes, the folder of MRCLAM (all robots, one after
                    another) or RobotN_Measurement.dat in it (one robot)
+  own-table        a CSV file with other names for its columns, see --columns, or a Parquet file
 
 \b
 With --variant planes INPUT is a log of point scans, and walls are mapped:
@@ -51,6 +52,7 @@ Examples:
   relmap map eight/observations.csv -o result
   relmap map eight/observations.csv -o result --association known --scans 0:300
   relmap map building/scans.npz -o result --variant planes
+  relmap map seen.csv -o result --columns x=px,y=py,iteration=frame,stamp=t,id=name
 """
 
 _Variant = Annotated[
@@ -124,6 +126,16 @@ _Odometry = Annotated[
         "odometry.tum; or none, as in the paper."
     ),
 ]
+_Columns = Annotated[
+    dict[str, str] | None,
+    typer.Option(
+        "--columns",
+        metavar="x=PX,y=PY,...",
+        parser=args.columns,
+        help="What a table of your own (CSV, Parquet) calls the columns iteration, stamp "
+        "(seconds), x, y, z and id; others are ignored.",
+    ),
+]
 _Onto = Annotated[
     Path | None,
     typer.Option(
@@ -156,9 +168,11 @@ def map_command(
     bearing_sigma: _BearingSigma = None,
     elevation_sigma: _ElevationSigma = None,
     odometry: _Odometry = "auto",
+    columns: _Columns = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
+    args.refuse(columns and (planes or log_format), "--columns is for tables of landmarks alone")
     if onto is not None:
         args.refuse(planes, "--onto adds to a map of points; walls are mapped in one go")
         args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
@@ -187,6 +201,7 @@ def map_command(
             animate=animate,
             sigmas=sigmas,
             odometry=odometry,
+            columns=columns,
             stopped=stopped,
         )
         report(job)

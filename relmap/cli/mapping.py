@@ -65,7 +65,7 @@ def _log_of(job: Job) -> Log:
 
     source = job.at(job.source)
     with busy("reading"):
-        log = read_log(source, job.variant, job.log_format, job.interval)
+        log = read_log(source, job.variant, job.log_format, job.interval, job.columns)
     ids = getattr(log, "ids", None)
     if job.association == "known" and (ids is None or not (ids >= 0).any()):
         raise RelmapError(
@@ -93,6 +93,7 @@ def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     """Map a log, and write result and pictures into an existing folder."""
     from relmap.evaluation.run import run_mapper
+    from relmap.io.results import write_names
 
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
@@ -120,6 +121,9 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             job.odometry == "auto",
         )
         _write(folder, run)
+        names = getattr(log, "names", None)
+        if names and job.association == "known":
+            write_names(folder, names)
         mapper.save(folder / MAPPER)
     if bench is not None:
         _draw_bench(folder, bench, job.animate)
@@ -146,6 +150,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
     about: dict[str, Any] = {
         "input": str(job.source),
         "format": job.log_format or recognised_format(job.at(job.source), job.variant),
+        "columns": job.columns,
         "variant": job.variant,
         "seed": 0 if job.variant == "planes" else None,
     }
@@ -158,9 +163,10 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 
 def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
+    from relmap.io.results import NAMES
     from relmap.planes.files import PLANES, submap_files
 
-    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
+    return [EVALUATION, NAMES, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 
 
 def _write(folder: Path, run: Run) -> None:

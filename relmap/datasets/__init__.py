@@ -6,6 +6,7 @@ Logs of landmarks all give an `ObservationLog`, logs of point scans a `ScanLog`;
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,12 +15,14 @@ from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
+from relmap.datasets.frames import log_of_frame
 from relmap.datasets.headers import read_head
 from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
 from relmap.datasets.odometry import with_odometry_beside
+from relmap.datasets.own_table import OwnTable
 from relmap.datasets.point_clouds import PointClouds
 from relmap.datasets.relations import Relations, read_relations
 from relmap.datasets.scans import PointScan, ScanLog
@@ -39,6 +42,7 @@ __all__ = [
     "Relations",
     "Scan",
     "ScanLog",
+    "log_of_frame",
     "open_log",
     "open_scans",
     "read_relations",
@@ -53,6 +57,7 @@ DATASETS: tuple[Dataset[ObservationLog], ...] = (
     DlrCircles(),
     SlsjfSimulation(),
     Mrclam(),
+    OwnTable(),
 )
 """Every format, in the order in which messages list them."""
 
@@ -73,7 +78,9 @@ _LANDMARK_LOG, _SCAN_LOG = "landmark log", "log of point scans"
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
 
-def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
+def open_log(
+    path: Path | str, format: str | None = None, columns: Mapping[str, str] | None = None
+) -> ObservationLog:
     """Read a landmark log of any known format.
 
     Parameters
@@ -82,6 +89,9 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
         A file, or a folder that holds a log.
     format : str or None
         One of `FORMATS`; None: recognised by the content.
+    columns : mapping of str to str, optional
+        What a table calls ``iteration``, ``stamp``, ``x``, ``y``, ``z`` and ``id``, where it is not
+        that; see `relmap.datasets.own_table`.
 
     Returns
     -------
@@ -93,8 +103,11 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    log = _choose(Path(path), format, DATASETS, _LANDMARK_LOG).load(Path(path))
-    return with_odometry_beside(log, Path(path))
+    datasets, path = DATASETS, Path(path)
+    if columns is not None:
+        datasets, format = (OwnTable(columns),), OwnTable.name
+    log = _choose(path, format, datasets, _LANDMARK_LOG).load(path)
+    return with_odometry_beside(log, path)
 
 
 def open_scans(path: Path | str, format: str | None = None) -> ScanLog:

@@ -80,6 +80,8 @@ class ObservationLog:
         How noisy each observation is; None if the log does not tell.
     odometry : (end_iteration - first_iteration, 4, 4) float64 or None
         Motion to each iteration from the one before, see `Scan`; that of the first is not used.
+    names : tuple of str or None
+        What the ids 0, 1 and so on stand for, where the log has texts for ids.
     """
 
     points_robot: Floats
@@ -91,6 +93,7 @@ class ObservationLog:
     stamps_s: Floats | None = None
     covariances: Floats | None = None
     odometry: Floats | None = None
+    names: tuple[str, ...] | None = None
 
     @property
     def dimension(self) -> int:

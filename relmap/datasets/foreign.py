@@ -10,7 +10,7 @@ from pathlib import Path
 
 HEAD_BYTES = 512
 """Bytes at the beginning of a file that identify its format."""
-ZIP = "a zip archive"
+ZIP, PARQUET = "a zip archive", "a Parquet file"
 _MOST_FILES = 20
 """Files of a folder that are looked at."""
 _GZIP_MAGIC, _GZIP_WINDOW = b"\x1f\x8b", 31
@@ -25,7 +25,7 @@ _MAGIC = (
     (0, b"PK\x03\x04", ZIP),
     (0, b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file"),
-    (0, b"PAR1", "a Parquet file"),
+    (0, b"PAR1", PARQUET),
     (0, b"glTF", "a glTF file"),
     (0, b"\x89PNG\r\n\x1a\n", "a PNG image"),
     (0, b"\xff\xd8\xff", "a JPEG image"),
