@@ -23,6 +23,7 @@ from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
 from relmap.planes.files import read_any
+from tests import bagfiles
 from tests.logs import PLAIN, TREES
 from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
 
@@ -63,6 +64,19 @@ def parquet() -> bytes:
     cells = {"iteration": [0, 0, 2], "x": [1.0, 2, 3], "y": [4, 5, 6], "id": ["a", "b", None]}
     library.write_table(pytest.importorskip("pyarrow").table(cells), stream)
     return stream.getvalue()
+
+
+def bag(kind: str) -> tuple[str, bytes]:
+    """Return name and content of a bag with scans, odometry, transforms and detections."""
+    types, still = bagfiles.Types(kind), np.eye(4)
+    messages = [("/tf_static", 0.5, types.transform(0.5, "base_link", "laser", still))]
+    for t in (1.0, 2.0, 3.0):
+        messages.append(("/odom", t, types.odometry(t, still)))
+        messages.append(("/scan", t, types.scan(t, [1.0, 2, 3], -1.0, 1.0)))
+        messages.append(("/seen", t, types.boxes(t, [("a", (1, 2, 3)), ("b", (3, 2, 1))])))
+    with tempfile.TemporaryDirectory() as folder:
+        file = bagfiles.file_of(bagfiles.write_bag(Path(folder), kind, types, messages))
+        return f"a{file.suffix}", file.read_bytes()
 
 
 def scans(**changes: object) -> bytes:
@@ -150,6 +164,16 @@ def _scan_log(name: str, form: str | None = None) -> Callable[[Path], object]:
     return read
 
 
+def _bags() -> dict[str, Reader]:
+    """Return the readers of bags."""
+    found = {}
+    for kind in bagfiles.KINDS:
+        file, content = bag(kind)
+        for what, read in (("scans", _scan_log(file)), ("seen", _log(file))):
+            found[f"bag-{kind}-{what}"] = Reader({file: content}, file, read)
+    return found
+
+
 def readers() -> dict[str, Reader]:
     """Return every reader by the name of what it reads."""
     mapped = _mapped()
@@ -210,6 +234,7 @@ def readers() -> dict[str, Reader]:
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
     found["own-table"] = Reader(own, "a", lambda f: open_log(f / "a", columns=columns))
     found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
+    found |= _bags()
     for name in robots:
         read = read_truth if "Ground" in name else _log("", "mrclam")
         found[f"mrclam-{name}"] = Reader(robots, name, read)

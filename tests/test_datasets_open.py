@@ -29,6 +29,7 @@ def test_formats_are_named() -> None:
         "slsjf-sim",
         "mrclam",
         "own-table",
+        "bag-detections",
     )
     assert len({dataset.description for dataset in DATASETS}) == len(DATASETS)
 

@@ -41,6 +41,8 @@ class Job:
         Whether to use the odometry of the log, where it has any.
     columns : dict of str to str, or None
         What a table calls its columns.
+    topics : tuple of str
+        Of a bag, those to read where there are several of a kind.
     sigmas : tuple of float or None
         Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
@@ -63,6 +65,7 @@ class Job:
     sigmas: tuple[float, ...] | None = None
     odometry: Odometry = "none"
     columns: dict[str, str] | None = None
+    topics: tuple[str, ...] = ()
     stopped: Callable[[], bool] = lambda: False
 
     @property
@@ -80,6 +83,7 @@ class Job:
             "sigmas": self.sigmas,
             "odometry": self.odometry,
             "columns": self.columns,
+            "topics": self.topics,
         }
 
     @classmethod
@@ -114,6 +118,7 @@ class Job:
                 sigmas=tuple(map(float, run.get("sigmas") or ())) or None,
                 odometry="auto" if run.get("odometry") == "auto" else "none",
                 columns=dict(run["columns"]) if run.get("columns") else None,
+                topics=tuple(map(str, run.get("topics") or ())),
                 journal=path.absolute(),
                 folder=Path(run["folder"]),
                 resumed=True,

@@ -33,6 +33,8 @@ Formats of INPUT:
   mrclam           range and bearing to bar codes, the folder of MRCLAM (all robots, one after
                    another) or RobotN_Measurement.dat in it (one robot)
   own-table        a CSV file with other names for its columns, see --columns, or a Parquet file
+  bag-detections   a bag of ROS 1 or 2, or an MCAP file, with Detection3DArray, MarkerArray,
+                   AprilTagDetectionArray or PoseArray (pip install 'relmap[bags]')
 
 \b
 With --variant planes INPUT is a log of point scans, and walls are mapped:
@@ -40,6 +42,8 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   carmen-log       2-D laser scans of CARMEN, .log or .log.gz
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
   point-clouds     a folder of .pcd or .ply files, one for each scan
+  bag-scans        a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2
+                   (pip install 'relmap[bags]')
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, submaps.csv,
 summary.json and mapper.npz, the state to go on from, and of walls also planes.csv and bench.png:
@@ -136,6 +140,15 @@ _Columns = Annotated[
         "(seconds), x, y, z and id; others are ignored.",
     ),
 ]
+_Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME",
+        help="Of a bag with several topics of scans, detections or odometry, the one to read; may "
+        "be given once for each of these.",
+    ),
+]
 _Onto = Annotated[
     Path | None,
     typer.Option(
@@ -169,6 +182,7 @@ def map_command(
     elevation_sigma: _ElevationSigma = None,
     odometry: _Odometry = "auto",
     columns: _Columns = None,
+    topic: _Topics = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
@@ -202,6 +216,7 @@ def map_command(
             sigmas=sigmas,
             odometry=odometry,
             columns=columns,
+            topics=tuple(topic or ()),
             stopped=stopped,
         )
         report(job)

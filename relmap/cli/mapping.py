@@ -65,15 +65,14 @@ def _log_of(job: Job) -> Log:
 
     source = job.at(job.source)
     with busy("reading"):
-        log = read_log(source, job.variant, job.log_format, job.interval, job.columns)
+        log = read_log(source, job.variant, job.log_format, job.interval, job.columns, job.topics)
     ids = getattr(log, "ids", None)
     if job.association == "known" and (ids is None or not (ids >= 0).any()):
         raise RelmapError(
             f"--association known needs the identity of each landmark, and {source} has no ids"
         )
-    reason: Any = getattr(log, "no_odometry", None)
-    if job.odometry == "auto" and reason:
-        typer.echo(f"relmap: {source}: mapped without odometry: {reason}", err=True)
+    if job.odometry == "auto" and log.odometry is None and log.no_odometry:
+        typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
 
 
@@ -151,6 +150,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
         "input": str(job.source),
         "format": job.log_format or recognised_format(job.at(job.source), job.variant),
         "columns": job.columns,
+        "topics": list(job.topics),
         "variant": job.variant,
         "seed": 0 if job.variant == "planes" else None,
     }

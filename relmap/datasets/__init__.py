@@ -6,11 +6,14 @@ Logs of landmarks all give an `ObservationLog`, logs of point scans a `ScanLog`;
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.bag_detections import BagDetections
+from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
@@ -58,6 +61,7 @@ DATASETS: tuple[Dataset[ObservationLog], ...] = (
     SlsjfSimulation(),
     Mrclam(),
     OwnTable(),
+    BagDetections(),
 )
 """Every format, in the order in which messages list them."""
 
@@ -66,6 +70,7 @@ SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
     CarmenLog(),
     MrptLaser(),
     PointClouds(),
+    BagScans(),
 )
 """Every format of point scans, likewise."""
 
@@ -79,7 +84,10 @@ Log = TypeVar("Log", ObservationLog, ScanLog)
 
 
 def open_log(
-    path: Path | str, format: str | None = None, columns: Mapping[str, str] | None = None
+    path: Path | str,
+    format: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    topics: Sequence[str] = (),
 ) -> ObservationLog:
     """Read a landmark log of any known format.
 
@@ -92,6 +100,8 @@ def open_log(
     columns : mapping of str to str, optional
         What a table calls ``iteration``, ``stamp``, ``x``, ``y``, ``z`` and ``id``, where it is not
         that; see `relmap.datasets.own_table`.
+    topics : sequence of str
+        Of a bag, those to read where there are several of a kind.
 
     Returns
     -------
@@ -106,11 +116,11 @@ def open_log(
     datasets, path = DATASETS, Path(path)
     if columns is not None:
         datasets, format = (OwnTable(columns),), OwnTable.name
-    log = _choose(path, format, datasets, _LANDMARK_LOG).load(path)
+    log = _of_topics(path, _choose(path, format, datasets, _LANDMARK_LOG), topics).load(path)
     return with_odometry_beside(log, path)
 
 
-def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
+def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str] = ()) -> ScanLog:
     """Read a log of point scans of any known format.
 
     Parameters
@@ -119,6 +129,8 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
         A file, or a folder that holds a log.
     format : str or None
         One of `SCAN_FORMATS`; None: recognised by the content.
+    topics : sequence of str
+        Of a bag, those to read where there are several of a kind.
 
     Returns
     -------
@@ -130,8 +142,18 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    log = _choose(Path(path), format, SCAN_DATASETS, _SCAN_LOG).load(Path(path))
-    return with_odometry_beside(log, Path(path))
+    path = Path(path)
+    log = _of_topics(path, _choose(path, format, SCAN_DATASETS, _SCAN_LOG), topics).load(path)
+    return with_odometry_beside(log, path)
+
+
+def _of_topics(path: Path, dataset: Dataset[Log], topics: Sequence[str]) -> Dataset[Log]:
+    """Return the format that reads these topics."""
+    if not topics:
+        return dataset
+    if not isinstance(dataset, BagScans | BagDetections):
+        raise RelmapError(f"{shown(path)}: is no bag ({dataset.name}) and has no topics")
+    return replace(dataset, topics=tuple(topics))
 
 
 def _choose(

@@ -80,6 +80,8 @@ class ObservationLog:
         How noisy each observation is; None if the log does not tell.
     odometry : (end_iteration - first_iteration, 4, 4) float64 or None
         Motion to each iteration from the one before, see `Scan`; that of the first is not used.
+    no_odometry : str
+        Why poses that stand in the log where odometry would are not taken for it, if so.
     names : tuple of str or None
         What the ids 0, 1 and so on stand for, where the log has texts for ids.
     """
@@ -93,6 +95,7 @@ class ObservationLog:
     stamps_s: Floats | None = None
     covariances: Floats | None = None
     odometry: Floats | None = None
+    no_odometry: str = ""
     names: tuple[str, ...] | None = None
 
     @property

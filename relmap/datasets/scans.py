@@ -183,7 +183,7 @@ def laser_scans(
     limit_m: float,
     T_robot_laser: Floats,
     stamps_s: Floats,
-    poses: Floats,
+    poses: Floats | None,
 ) -> ScanLog:
     """Make a log of 2-D laser scans, without the beams that did not return.
 
@@ -198,7 +198,7 @@ def laser_scans(
     T_robot_laser : (k, 3) float64
         x, y (metres) and yaw (radians) of the laser on the robot.
     stamps_s : (k,) float64
-    poses : (k, 4, 4) float64
+    poses : (k, 4, 4) float64 or None
         T_reference_robot.
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Literal, Protocol, TypeVar, cast
@@ -183,6 +183,7 @@ def read_log(
     log_format: str | None = None,
     scans: tuple[int, int] | None = None,
     columns: Mapping[str, str] | None = None,
+    topics: Sequence[str] = (),
 ) -> Log:
     """Read some iterations of a log, or all, of what a variant maps; see `open_log`, `open_scans`.
 
@@ -193,9 +194,9 @@ def read_log(
     """
     whole: Log
     if variant == "planes":
-        whole = open_scans(path, log_format)
+        whole = open_scans(path, log_format, topics)
     else:
-        whole = open_log(path, log_format, columns)
+        whole = open_log(path, log_format, columns, topics)
     return whole if scans is None else whole.between(*scans)
 
 
