@@ -9,6 +9,7 @@ import lzma
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,7 @@ BESIDE = {
     "odometry.csv": "iteration,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n2,0.5,-1,0,0,0,0.6,0.8\n",
     "odometry.tum": "# t x y z qx qy qz qw\n0.0 0 0 0 0 0 0 1\n1.5 1 0 0 0 0 0.6 0.8\n",
 }
+KITTI = "1 0 0 5 0 1 0 6 0 0 1 7\n0 -1 0 5 1 0 0 6 0 0 1 8\n"
 RELATIONS = "# a\n1.5 2.5 1 2 0 0 0 0.5\n2.5 3.5 0.1 0 0 0 0 -1e-3\n"
 POSES = "1,0,0,1\n0,1,0,2\n0,0,1,3\n0,0,0,4.5\n"
 CONFIG = 'group_after = 12\nmax_missed = 4\nregistration = "nearest-previous"\ngate_m = 0.5\n'
@@ -164,13 +166,31 @@ def _scan_log(name: str, form: str | None = None) -> Callable[[Path], object]:
     return read
 
 
-def _bags() -> dict[str, Reader]:
-    """Return the readers of bags."""
+def _of_other_programs() -> dict[str, Reader]:
+    """Return the readers of bags and Parquet, where what they need is installed."""
     found = {}
-    for kind in bagfiles.KINDS:
+    if find_spec("pyarrow"):
+        found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
+    for kind in bagfiles.KINDS if find_spec("rosbags") else ():
         file, content = bag(kind)
         for what, read in (("scans", _scan_log(file)), ("seen", _log(file))):
             found[f"bag-{kind}-{what}"] = Reader({file: content}, file, read)
+    return found
+
+
+def _paths() -> dict[str, Reader]:
+    """Return the readers of odometry beside a log, and of true paths."""
+    found = {}
+    wheels = {"a.observations.csv": MRPT.encode(), "a.odometry.csv": MOTIONS.encode()}
+    read = _log("a.observations.csv")
+    found["mrpt-landmarks-odometry"] = Reader(wheels, "a.odometry.csv", read)
+    for name, content in BESIDE.items():
+        beside = {"observations.csv": PLAIN.encode(), name: content.encode()}
+        found[name] = Reader(beside, name, _log("observations.csv"))
+    paths = {"tum": "1.5 0 0 0 0 0 0 1\n2 1 0 0 0 0 .6 .8\n", "kitti": KITTI}
+    for name, content in paths.items():
+        path = {"a": content.encode(), "times.txt": b"0.5\n1.5\n"}
+        found[f"truth-{name}"] = Reader(path, "a", lambda f: read_truth(f / "a"))
     return found
 
 
@@ -223,18 +243,12 @@ def readers() -> dict[str, Reader]:
         found[f"carmen-log-{name}"] = Reader({"a": content.encode()}, "a", read)
     for name in clouds:
         found[f"point-clouds-{name}"] = Reader(clouds, name, _scan_log("", "point-clouds"))
-    wheels = {"a.observations.csv": MRPT.encode(), "a.odometry.csv": MOTIONS.encode()}
-    read = _log("a.observations.csv")
-    found["mrpt-landmarks-odometry"] = Reader(wheels, "a.odometry.csv", read)
-    for name, content in BESIDE.items():
-        beside = {"observations.csv": PLAIN.encode(), name: content.encode()}
-        found[name] = Reader(beside, name, _log("observations.csv"))
+    found |= _paths()
     found["slsjf-sim-store_robotOdo.mat"] = Reader(beacons, "store_robotOdo.mat", _log(""))
     for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat", "aa3_dr.mat"):
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
     found["own-table"] = Reader(own, "a", lambda f: open_log(f / "a", columns=columns))
-    found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
-    found |= _bags()
+    found |= _of_other_programs()
     for name in robots:
         read = read_truth if "Ground" in name else _log("", "mrclam")
         found[f"mrclam-{name}"] = Reader(robots, name, read)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -122,6 +124,25 @@ def test_detections_are_a_landmark_log(kind: str, tmp_path: Path) -> None:
     assert_allclose(log.points_robot[:3], places, atol=1e-6)
     assert log.odometry is not None
     assert_allclose(log.odometry[1:], motions(WAY)[2:6], atol=1e-9)
+
+
+def test_a_bag_without_types_is_of_humble(tmp_path: Path) -> None:
+    types = Types("sqlite")
+    path = write_bag(tmp_path, "sqlite", types, [("/seen", 2.0, types.boxes(2.0, PLACES.items()))])
+    with closing(sqlite3.connect(file_of(path))) as base, base:
+        base.execute("DELETE FROM message_definitions")
+    log = open_log(file_of(path))
+    assert_allclose(log.points_robot, [*PLACES.values()])
+
+
+def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
+    types = Types("mcap")
+    odometry = types.odometry(1.0, np.eye(4))
+    odometry.pose.pose.orientation.w = np.nan
+    path = write_bag(tmp_path, "mcap", types, [("/odom", 1.0, odometry), *scanned(types)])
+    message = scan_failure(path)
+    assert f"{path}: topic /odom: position [" in message
+    assert "expected finite numbers and a unit quaternion" in message
 
 
 def test_classes_are_no_ids(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -44,13 +44,14 @@ def stamp_s(t: int, message: Any) -> float:
     return seconds if seconds > 0 else t / 1e9
 
 
-def pose_of(position: Any, orientation: Any) -> Floats:
-    """Return a pose (4, 4); RelmapError where the orientation is none."""
+def pose_of(position: Any, orientation: Any, where: str) -> Floats:
+    """Return a pose (4, 4); RelmapError, which begins with a place, where it is none."""
     quaternion = [orientation.x, orientation.y, orientation.z, orientation.w]
-    where = [position.x, position.y, position.z]
-    if not np.isfinite([*quaternion, *where]).all() or not 0.5 < np.linalg.norm(quaternion) < 2:
-        raise RelmapError(f"no pose: position {where}, orientation {quaternion}")
-    pose: Floats = poses_of(Rotation.from_quat([quaternion]), np.array([where]))[0]
+    at = [position.x, position.y, position.z]
+    if not np.isfinite([*quaternion, *at]).all() or not 0.5 < np.linalg.norm(quaternion) < 2:
+        told = f"position {at}, orientation {quaternion}"
+        raise RelmapError(f"{where}: {told}, expected finite numbers and a unit quaternion")
+    pose: Floats = poses_of(Rotation.from_quat([quaternion]), np.array([at]))[0]
     return pose
 
 
@@ -61,16 +62,17 @@ class Mounting:
         self._base = base
         self._parents: dict[str, tuple[str, Floats]] = {}
         moving: set[str] = set()
+        where = shown(bag.path)
         for topic in bag.topics_of(TRANSFORMS):
             for _, message in bag.messages(topic):
                 for transform in message.transforms:
-                    self._take_in(transform, moving)
+                    self._take_in(transform, moving, where)
         for child in moving:
             self._parents.pop(child, None)
 
-    def _take_in(self, transform: Any, moving: set[str]) -> None:
+    def _take_in(self, transform: Any, moving: set[str], where: str) -> None:
         child, parent = _name(transform.child_frame_id), _name(transform.header.frame_id)
-        T = pose_of(transform.transform.translation, transform.transform.rotation)
+        T = pose_of(transform.transform.translation, transform.transform.rotation, where)
         before = self._parents.setdefault(child, (parent, T))
         if before[0] != parent or np.abs(before[1] - T).max() > STILL:
             moving.add(child)
@@ -119,9 +121,8 @@ class Driven:
                 self.reason = NO_ODOMETRY
                 return
             self.base = _name(message.child_frame_id) or None
-            rows[stamp_s(t, message)] = pose_of(
-                message.pose.pose.position, message.pose.pose.orientation
-            )
+            pose, where = message.pose.pose, f"{shown(bag.path)}: topic {known[0]}"
+            rows[stamp_s(t, message)] = pose_of(pose.position, pose.orientation, where)
         self._stamps_s = np.array(sorted(rows))
         self._poses = np.array([rows[stamp] for stamp in sorted(rows)]).reshape(-1, 4, 4)
 

@@ -23,6 +23,20 @@ MAX_BYTES = 1 << 30
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _CHUNK, _CONNECTION, _MESSAGE = 5, 7, 2
+VISION_MSGS = {
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "vision_msgs/msg/ObjectHypothesisWithPose": (
+        "ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+    ),
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    "vision_msgs/msg/Detection3D": (
+        "std_msgs/Header header\nObjectHypothesisWithPose[] results\n"
+        "BoundingBox3D bbox\nstring id\n"
+    ),
+    "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nDetection3D[] detections\n",
+}
+"""Messages of detections that rosbags does not know by itself."""
+
 _TOPICS = "SELECT id, name, type FROM topics"
 _SIZE = struct.Struct("<I")
 
@@ -58,9 +72,18 @@ def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
                 size += len(message.raw)
                 if size > MAX_BYTES:
                     break
-    store = get_typestore(Stores.EMPTY if definitions else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY) if definitions else known_types()
     store.register(_types(definitions))
     return [each for each in found if each.type in store.types], store
+
+
+def known_types() -> Typestore:
+    """Return the types of bags that do not define them: those of ROS 2 Humble, as vision_msgs 4."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(_types(VISION_MSGS))
+    return store
 
 
 def _types(definitions: dict[str, str]) -> dict[str, Any]:

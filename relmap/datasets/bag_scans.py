@@ -7,6 +7,7 @@ upside down or not, they are planar. Stamps are those of the headers.
 from __future__ import annotations
 
 import weakref
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -114,12 +115,12 @@ def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> tuple[Floats, Float
 
 
 def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
-    times: list[int] = []
     stamps, places, frame = [], [], ""
+    written: Counter[int] = Counter()
     for t, message in bag.messages(topic):
         frame, T = mounting.of(message.header.frame_id)
-        places.append((t, times.count(t) if times and times[-1] == t else 0, T))
-        times = [*times, t] if times and times[-1] == t else [t]
+        places.append((t, written[t], T))
+        written[t] += 1
         stamps.append(stamp_s(t, message))
     if not stamps:
         raise RelmapError(f"{shown(bag.path)}: topic {topic} holds no cloud, expected some")

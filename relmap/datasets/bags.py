@@ -78,13 +78,12 @@ class Bag:
 
     def _open(self) -> None:
         from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
 
-        from relmap.datasets.bag_salvage import salvaged
+        from relmap.datasets.bag_salvage import known_types, salvaged
 
         files = _files(self.path)
         whole = [self.path] if (self.path / "metadata.yaml").is_file() else files
-        store = get_typestore(Stores.ROS2_HUMBLE)
+        store = known_types()
         for paths in [whole, *([files] if whole != files else [])]:
             try:
                 reader = AnyReader(paths, default_typestore=store)

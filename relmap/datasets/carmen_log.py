@@ -57,7 +57,8 @@ _FORMS = {
 class _Scan:
     """What one line holds; `limit_m` is what it says of the sensor's maximum.
 
-    Poses are x, y, yaw; `counted` is that of the robot where odometry stands.
+    Poses are x, y, yaw; `counted` is that of the robot where odometry stands, and `speeds` are the
+    wheels', ahead and of turns, if any.
     """
 
     ranges_m: Floats
@@ -116,7 +117,8 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     scans, poses = [scans[index] for index in order], poses[order]
     counted = planar_poses(*np.array([scan.counted for scan in scans]).T)
     hints = hints.moving([speed for scan in scans for speed in scan.speeds])
-    odometry, reason = odometry_of(poses, counted, hints, _of_laser(scans))
+    # The frame of FLASER lines is the laser's; they have no speeds.
+    odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
     log = laser_scans(
         path,
         [scan.ranges_m for scan in scans],
@@ -127,11 +129,6 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
         poses,
     )
     return replace(log, odometry=odometry, no_odometry=reason)
-
-
-def _of_laser(scans: list[_Scan]) -> bool:
-    """Tell whether the scans' frame is that of the laser, as in ``FLASER`` lines."""
-    return math.isinf(scans[0].limit_m)
 
 
 def _limit(scans: list[_Scan]) -> float:

@@ -208,13 +208,19 @@ def _with_quaternions(file: Path, numbers: Floats, lines: Ints) -> Floats:
     return poses_of(Rotation.from_quat(numbers[:, 3:]), numbers[:, :3])
 
 
-def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
+def read_tum(file: Path) -> tuple[Floats, Floats, Ints]:
+    """Return times (k,), poses (k, 4, 4) and lines (k,) of a TUM file; fails as `read_rows`."""
     rows = read_rows(file, _TUM_LIMITS, "#", "pose", "8 numbers: t x y z qx qy qz qw")
-    stamps_s, poses = rows.values[:, 0], _with_quaternions(file, rows.values[:, 1:], rows.lines)
+    poses = _with_quaternions(file, rows.values[:, 1:], rows.lines)
+    return rows.values[:, 0], poses, rows.lines
+
+
+def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
+    stamps_s, poses, lines = read_tum(file)
     late = np.flatnonzero(np.diff(stamps_s) <= 0)
     if len(late):
         raise RelmapError(
-            f"{shown(file)}: line {rows.lines[late[0] + 1]}: the time {stamps_s[late[0] + 1]:.10g} "
+            f"{shown(file)}: line {lines[late[0] + 1]}: the time {stamps_s[late[0] + 1]:.10g} "
             "does not grow, expected poses in the order of time"
         )
     at_s = log.stamps_s

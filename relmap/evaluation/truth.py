@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import quoted, require_path, shown
+from relmap.datasets.trajectories import is_trajectory, read_trajectory
 from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.results import SUMMARY
@@ -81,7 +82,8 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
     ----------
     path : Path
         A folder as `relmap simulate` writes it, with ``truth/landmarks.csv`` or ``landmarks.csv``
-        (of walls ``planes.csv``), and ``trajectory.tum`` beside it where the path is known.
+        (of walls ``planes.csv``), and ``trajectory.tum`` beside it where the path is known. Or a
+        trajectory as TUM or KITTI write it (`relmap.datasets.trajectories`).
         Of points also
 
         * MRPT's ``..._ground_truth.txt`` or its folder;
@@ -119,6 +121,9 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
         if (folder / TRAJECTORY).exists():
             stamps_s, poses = read_tum(folder / TRAJECTORY)
             truth = replace(truth, stamps_s=stamps_s, poses=poses)
+    elif not path.name.endswith(RELATIONS) and is_trajectory(path):
+        stamps_s, poses = read_trajectory(path)
+        truth = Truth(stamps_s=stamps_s, poses=poses)
     else:
         truth = (_read_path if variant == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
