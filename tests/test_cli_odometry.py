@@ -67,7 +67,7 @@ def test_a_corrected_path_is_told_once(
     (tmp_path / "a.log").write_text("".join(lines))
     assert main(["map", "a.log", "-o", "out", "--variant", "planes"]) == 0
     told_by_default = capsys.readouterr().err
-    assert "a.log: mapped without odometry: the pose where odometry would be is" in told_by_default
+    assert "a.log: mapped without odometry: the pose in the place of odometry is" in told_by_default
     assert main(["map", "a.log", "-o", "out", "--variant", "planes", "--odometry", "none"]) == 0
     assert "odometry" not in capsys.readouterr().err
 

@@ -83,7 +83,7 @@ def test_truth_is_at_the_images(robots: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "parts"),
     [
-        ("Barcodes.dat", CODES + "9 5\n", ["bar code 5 stands there twice"]),
+        ("Barcodes.dat", CODES + "9 5\n", ["bar code 5 is duplicated"]),
         ("Barcodes.dat", "1 2 3\n", ["line 1", "2 numbers: subject bar code"]),
         ("Robot1_Measurement.dat", "10 63 2\n", ["line 1", "4 numbers: t bar-code range bearing"]),
         ("Robot1_Measurement.dat", "# nothing\n", ["holds no measurement"]),

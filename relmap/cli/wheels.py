@@ -39,7 +39,7 @@ def pair(text: str) -> Pair:
     Raises
     ------
     RelmapError
-        Where it is not two finite numbers.
+        If it is not two finite numbers.
     """
     try:
         way, turn = map(float, text.split(":"))
@@ -89,12 +89,12 @@ class Counted:
     fault: Fault | None
 
     def wheels(self) -> Wheels | None:
-        """Return the wheels, checked; None where no odometry is asked for.
+        """Return the wheels, checked; None if no odometry is asked for.
 
         Raises
         ------
         RelmapError
-            Where a number is out of range, or a bias or fault is asked of no odometry.
+            If a number is out of range, or a bias or fault is asked of no odometry.
         """
         from relmap.simulation.odometry import Wheels
 

@@ -55,7 +55,7 @@ class BagDetections:
     description = "a bag with Detection3DArray, MarkerArray, AprilTagDetectionArray or PoseArray"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a bag with detections, or one that cannot be read."""
+        """Return whether it is a bag with detections, or one that cannot be read."""
         return is_bag(path) and topics_in(path, DETECTIONS) != []
 
     def load(self, path: Path) -> ObservationLog:

@@ -95,7 +95,7 @@ def _name(frame: str) -> str:
 
 
 class Driven:
-    """The odometry of a bag; none where there is none, or several topics have some.
+    """The odometry of a bag; none if there is none, or several topics have some.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ class Driven:
         self._poses = np.array([rows[stamp] for stamp in sorted(rows)]).reshape(-1, 4, 4)
 
     def at(self, stamps_s: Floats, frame: str, where: Path) -> Floats | None:
-        """Return the motions (k, 4, 4) of the robot between times; None where there is none."""
+        """Return the motions (k, 4, 4) of the robot between times; None if there is none."""
         if not len(self._poses):
             return None
         if self.base is not None and frame != self.base:

@@ -47,7 +47,7 @@ class BagScans:
     description = "a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a bag with scans, or one without detections, or cannot be read."""
+        """Return whether it is a bag with scans, or one without detections, or cannot be read."""
         return is_bag(path) and (
             not topics_in(path, DETECTIONS) or bool(topics_in(path, (LASER, CLOUD)))
         )
@@ -145,7 +145,7 @@ def cloud_points(message: Any, where: str) -> Floats:
     Raises
     ------
     RelmapError
-        Where it has no x, y, z or fewer bytes than points; `where` stands before the message.
+        If it has no x, y, z or fewer bytes than points; `where` stands before the message.
     """
     n, step = int(message.width) * int(message.height), int(message.point_step)
     order = ">" if message.is_bigendian else "<"

@@ -30,19 +30,19 @@ _LOG = logging.getLogger(__name__)
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a file is a bag, or a folder holds one, damaged or not."""
+    """Return whether a file is a bag, or a folder holds one, damaged or not."""
     if os.path.isdir(path):
         return bool(_files(path))
     return path.suffix in _ENDINGS and foreign_at(path) in BAGS
 
 
 def can_read() -> bool:
-    """Tell whether what reads bags is installed."""
+    """Return whether what reads bags is installed."""
     return find_spec("rosbags") is not None
 
 
 def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
-    """Return the topics of some types in a bag; None where it is none, or cannot be opened."""
+    """Return the topics of some types in a bag; None if it is none, or cannot be opened."""
     if not is_bag(path) or not can_read():
         return None
     try:
@@ -167,7 +167,7 @@ class Bag:
         Raises
         ------
         RelmapError
-            Where there is none, or several; the message lists what the bag holds.
+            If there is none, or several; the message lists what the bag holds.
         """
         if self._damage is not None:
             self._warn(self._damage, len(self._found))

@@ -1,13 +1,13 @@
-"""Which poses of a CARMEN log are odometry, and which the corrected path that stands in its place.
+"""Distinguishes odometry from corrected poses in CARMEN logs.
 
 Programs that correct a log often write the corrected pose into every field, that of the odometry
-too. A map that used it would know the answer. So a pose counts as odometry only with evidence:
+too; a map that used it would use the answer. So a pose counts as odometry only with evidence:
 
-* another pose of the scan departs from it in the course of the log (``FLASER`` has two,
-  ``VERTEX2`` is one): then that one is corrected and this one is not; or
-* the log tells with it how fast the wheels went (``ODOM``, ``ROBOTLASER1``), no line ``NEFF`` says
-  that a particle filter wrote it, and the laser is where ``robot_frontlaser_offset`` has it. What
-  rewrites poses writes speeds of 0.
+* another pose of the scan departs from it during the log (``FLASER`` has two, ``VERTEX2`` is one):
+  then that one is corrected and this one is not; or
+* the log also has the speeds of the wheels (``ODOM``, ``ROBOTLASER1``), no line ``NEFF``, which
+  particle filters write, and the laser is where ``robot_frontlaser_offset`` has it. Programs that
+  rewrite poses write speeds of 0.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ OFFSET = "robot_frontlaser_offset"
 SAME, MOST = 10 * FIXED, 0.9
 """Two paths are one where this share of their poses agrees so well; some are rounded more."""
 CORRECTED = (
-    "the pose where odometry would be is that of a corrected path: it comes without the speeds of "
-    "wheels, or a particle filter wrote it"
+    "the pose in the place of odometry is that of a corrected path: it has no wheel speeds, or a "
+    "particle filter wrote it"
 )
 
 
@@ -91,7 +91,7 @@ def odometry_of(
 
 
 def _same_path(a: Floats, b: Floats) -> bool:
-    """Tell whether two paths (k, 4, 4) are one, of frames fixed to one another or in other maps."""
+    """Return whether two paths (k, 4, 4) differ by a fixed frame or by another map alone."""
     if _constant(relative(a, b)):
         return True
     anchors = np.unique(np.array([1, 2, 3]) * (len(a) - 1) // 4)
@@ -99,7 +99,7 @@ def _same_path(a: Floats, b: Floats) -> bool:
 
 
 def _constant(relation: Floats, none: bool = False) -> bool:
-    """Tell whether most planar poses are the same, or those of no motion."""
+    """Return whether most planar poses are the same, or those of no motion."""
     apart = np.column_stack([relation[:, :2, 3], relation[:, :2, 0]])
     usual = np.array([0.0, 0.0, 1.0, 0.0]) if none else np.median(apart, axis=0)
     return bool((np.abs(apart - usual).max(axis=1) <= SAME).mean() >= MOST)

@@ -45,7 +45,7 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
     Raises
     ------
     RelmapError
-        Where a column is missing or a value cannot be used: the row, from 0, and the column.
+        If a column is missing or a value cannot be used: the row, from 0, and the column.
     """
     path = Path("data frame")
     check_columns(columns or {})

@@ -10,7 +10,7 @@ A folder with, for robots 1, 2 and so on, plain or gzipped, ``#`` before a comme
 * ``Landmark_Groundtruth.dat``: subject, x m, y m and their standard deviations.
 
 An image with a landmark is an iteration. Ids are those of the subjects; other robots, which move,
-and bar codes of nobody are left out. The folder is one log of all robots, one after another, with
+and unknown bar codes are left out. The folder is one log of all robots, one after another, with
 an unknown motion from the last image of one to the first of the next; a file of measurements is
 the log of one robot. To each time of robot N, (N - 1) x 100 000 s are added, so that times grow.
 """
@@ -55,7 +55,7 @@ class Mrclam:
     description = f"MRCLAM's folder with {BARCODES} and RobotN_Measurement.dat, or one such file"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether bar codes lie there, and measurements."""
+        """Return whether bar codes lie there, and measurements."""
         return os.path.isfile(file_beside(path, BARCODES)) and bool(_robots(path))
 
     def load(self, path: Path) -> ObservationLog:
@@ -126,7 +126,7 @@ class _Drive:
 
 
 def is_ground_truth(path: Path) -> bool:
-    """Tell whether the true landmarks lie in a folder, or beside a file of one of the robots."""
+    """Return whether the true landmarks lie in a folder, or beside a file of one of the robots."""
     return os.path.isfile(file_beside(path, LANDMARKS)) and (
         os.path.isdir(path) or path.name == LANDMARKS or bool(_NAME.fullmatch(path.name))
     )
@@ -153,7 +153,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
     Raises
     ------
     RelmapError
-        Where a file is missing or damaged.
+        If a file is missing or damaged.
     """
     path = Path(path)
     folder = path if os.path.isdir(path) else path.parent
@@ -183,7 +183,7 @@ def _vicon(file: Path, at_s: Floats) -> Floats:
 
 
 def _odometry(file: Path | None, at_s: Floats) -> Floats | None:
-    """Return the motions (k, 4, 4) of a robot between images; None where nothing tells them."""
+    """Return the motions (k, 4, 4) of a robot between images; None without a file."""
     if file is None:
         return None
     limits = (_TIME, _SPEED, _SPEED)
@@ -202,7 +202,7 @@ def _subjects(file: Path) -> dict[int, int]:
     rows = read_rows(file, [MAX_EXACT_INTEGER] * 2, "#", "bar code", "2 numbers: subject bar code")
     codes, counts = np.unique(rows.values[:, 1], return_counts=True)
     if (counts > 1).any():
-        raise RelmapError(f"{shown(file)}: bar code {codes[counts > 1][0]:.0f} stands there twice")
+        raise RelmapError(f"{shown(file)}: bar code {codes[counts > 1][0]:.0f} is duplicated")
     return {int(code): int(subject) for subject, code in rows.values}
 
 

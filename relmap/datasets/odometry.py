@@ -1,7 +1,7 @@
 """Odometry of logs: how the robot moved from one iteration to the next, as its wheels count.
 
-A motion is the pose (4, 4) of the robot in its own frame one iteration before; NaN where it is
-not known. Motions come from the log itself or from a file beside it:
+A motion is the pose (4, 4) of the robot in its own frame one iteration before; NaN if unknown.
+Motions come from the log itself or from a file beside it:
 
 * ``odometry.csv`` or ``odometry.csv.gz``: header ``iteration,x,y,yaw`` or
   ``iteration,x,y,z,qx,qy,qz,qw``, the motion from the iteration before to this one. An iteration
@@ -144,12 +144,12 @@ def relative(a: Floats, b: Floats) -> Floats:
 
 
 def with_odometry_beside(log: Log, path: Path) -> Log:
-    """Return a log with the odometry of the file beside it, where there is one.
+    """Return a log with the odometry of the file beside it, if there is one.
 
     Raises
     ------
     RelmapError
-        Where there are several, or the one is damaged.
+        If there are several, or the one is damaged.
     """
     names = [name for name in (*TABLES, TRAJECTORY) if os.path.isfile(file_beside(path, name))]
     if not names:
@@ -254,7 +254,7 @@ def write_odometry_csv(path: Path, odometry: Floats, first_iteration: int = 0) -
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     known = np.flatnonzero(np.isfinite(odometry).all(axis=(1, 2)))
     there = odometry[known]

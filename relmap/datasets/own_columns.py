@@ -1,4 +1,4 @@
-"""What stands in which column of a table of anybody's own, and the log that the numbers give."""
+"""The columns of a table of any origin, and the log that its numbers give."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Ids:
         self._of_row = array("q")
 
     def add(self, text: str, where: str) -> None:
-        """Add the id of a row, empty where there is none; RelmapError where it is too long."""
+        """Add the id of a row, empty where there is none; RelmapError if it is too long."""
         if len(text) > MAX_NAME:
             expected = f"expected at most {MAX_NAME} characters"
             raise RelmapError(f"{where}: {quoted(text)}, {expected}")
@@ -107,7 +107,7 @@ def log_of(path: Path, numbers: Numbers) -> ObservationLog:
     Raises
     ------
     RelmapError
-        Where there is no row, or a number is none that its column allows.
+        If there is no row, or a number is none that its column allows.
     """
     used, values, lines, place, names = numbers
     if not len(values):

@@ -1,9 +1,9 @@
-"""Tables of anybody's own: CSV with other names for the columns, Parquet, data frames.
+"""Tables with columns of any name: CSV and Parquet files, data frames.
 
-A row is one landmark seen. What stands in which column is told by name (``--columns
-x=px,y=py,iteration=frame,stamp=t,id=name``); what is not named has the name that
-`relmap.datasets.observation_csv` gives it. Other columns are ignored, and a warning says which. In
-place of numbers of iterations there may be times alone; ids may be texts.
+A row is one observation of a landmark. ``--columns x=px,y=py,iteration=frame,stamp=t,id=name``
+names the columns; the others have the names that `relmap.datasets.observation_csv` gives them.
+Other columns are ignored, and a warning lists them. Times may replace the numbers of iterations;
+ids may be texts.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class OwnTable:
     description = "a table, CSV or Parquet, whose columns --columns names"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a Parquet file: other tables are taken for observation logs."""
+        """Return whether it is a Parquet file: other tables are taken for observation logs."""
         return path.is_file() and foreign_at(path) == PARQUET
 
     def load(self, path: Path) -> ObservationLog:

@@ -26,7 +26,7 @@ _RIGID = 1e-3
 
 
 def is_trajectory(path: Path) -> bool:
-    """Tell whether the first line that is no comment holds 8 or 12 numbers."""
+    """Return whether the first line that is no comment holds 8 or 12 numbers."""
     if not os.path.isfile(path):
         return False
     with suppress(RelmapError):
@@ -54,7 +54,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     Raises
     ------
     RelmapError
-        Where a line holds no pose.
+        If a line holds no pose.
     """
     _, first = next((n, s) for n, s in numbered_lines(path) if s.partition("#")[0].strip())
     if len(first.partition("#")[0].split()) == _TUM:

@@ -66,7 +66,7 @@ def wheel_odometry(poses: Array, wheels: Wheels, rng: np.random.Generator) -> Ar
     Raises
     ------
     RelmapError
-        Where the noise of the wheels is out of range.
+        If the noise of the wheels is out of range.
     """
     wheels.check()
     true = motions(poses)[1:]
