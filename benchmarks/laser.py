@@ -31,6 +31,7 @@ import numpy as np
 from relmap import PlaneMapper
 from relmap.core.arrays import Floats, Ints
 from relmap.datasets import open_scans
+from relmap.datasets.odometry import composed
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.corners import match_corners
@@ -167,10 +168,12 @@ def _scans(step: int, log: ScanLog) -> ScanLog:
     assert log.poses is not None
     rows = np.arange(len(log))[::step]
     stamps_s = log.stamps_s[rows]
+    odometry = None if log.odometry is None or step < 0 else composed(log.odometry, rows)
     return replace(
         log,
         points_of=lambda index: log.points_of(int(rows[index])),
         poses=log.poses[rows],
+        odometry=odometry,
         stamps_s=stamps_s if step > 0 else stamps_s[0] - stamps_s,
     )
 

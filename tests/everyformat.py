@@ -30,6 +30,7 @@ POINTS = [
     ("victoria-park", "park"),
     ("dlr-circles", "circles"),
     ("slsjf-sim", "beacons"),
+    ("mrclam", "robots"),
 ]
 WALLS = [
     ("scans-npz", "npz"),
@@ -75,8 +76,9 @@ def write_points(folder: Path) -> None:
         write_truth(folder / name / "truth", of)
     _write_mrpt(folder / "mrpt", log, truth)
     _write_park(folder / "park", log, places)
-    _write_circles(folder / "circles", log)
+    _write_circles(folder / "circles", log, truth)
     _write_beacons(folder / "beacons", log, truth)
+    _write_robots(folder / "robots", log, truth)
 
 
 def _write_mrpt(folder: Path, log: ObservationLog, truth: Truth) -> None:
@@ -114,10 +116,11 @@ def _write_park(folder: Path, log: ObservationLog, places: NDArray[np.float64]) 
     savemat(folder / f"{name}.mat", {name: told})
 
 
-def _write_circles(folder: Path, log: ObservationLog) -> None:
+def _write_circles(folder: Path, log: ObservationLog, truth: Truth) -> None:
     lines = []
     for scan in log.scans():
-        lines.append("STEP image 0 -0.2 0 0 0 0 0 0 0")
+        x, y, yaw = _motion(truth.poses, scan.iteration)
+        lines.append(f"STEP image {-y} {-x} {-yaw} 0 0 0 0 0 0")
         assert scan.ids is not None
         for (x, y, _), i in zip(scan.points_robot, scan.ids, strict=True):
             lines.append(f"LANDMARK_C {-y} {-x} 0.9 0.001 0 0.001 {i}")
@@ -134,6 +137,31 @@ def _write_beacons(folder: Path, log: ObservationLog, truth: Truth) -> None:
     savemat(folder / "store_beaconsTrue.mat", {"store_beaconsTrue": beacons})
     path = np.vstack([truth.poses[:, :2, 3].T, _yaw(truth.poses)])
     savemat(folder / "store_robotTrue.mat", {"store_robotTrue": path})
+
+
+def _write_robots(folder: Path, log: ObservationLog, truth: Truth) -> None:
+    x, y, _ = log.points_robot.T
+    codes = [f"{subject} {100 - subject}" for subject in range(1, N + 6)]
+    text(folder / "Barcodes.dat", ["# Subject #    Barcode #", *codes])
+    rows = zip(log.iteration, _ids(log), np.hypot(x, y), np.arctan2(y, x), strict=True)
+    measured = [f"{0.2 * k} {100 - (i + 6)} {r} {b}" for k, i, r, b in rows]
+    text(folder / "Robot2_Measurement.dat.gz", measured)
+    path = np.column_stack([truth.poses[:, :2, 3], _yaw(truth.poses)]).tolist()
+    vicon = [f"{0.2 * k} {x} {y} {yaw}" for k, (x, y, yaw) in enumerate(path)]
+    text(folder / "Robot2_Groundtruth.dat", vicon)
+    steps = enumerate(_motion(truth.poses, k + 1) for k in range(K))
+    velocities = [f"{0.2 * k} {x / 0.2} {yaw / 0.2}" for k, (x, _, yaw) in steps]
+    text(folder / "Robot2_Odometry.dat", velocities)
+    places = enumerate(truth.landmarks_map.tolist(), 6)
+    text(folder / "Landmark_Groundtruth.dat", [f"{i} {x} {y} 1e-4 1e-4" for i, (x, y, _) in places])
+
+
+def _motion(poses: NDArray[np.float64], k: int) -> list[float]:
+    """Return x, y, yaw of the motion to pose k from the one before; none beyond the ends."""
+    if not 0 < k < len(poses):
+        return [0.0, 0.0, 0.0]
+    T = np.linalg.inv(poses[k - 1]) @ poses[k]
+    return [*T[:2, 3].tolist(), float(np.arctan2(T[1, 0], T[0, 0]))]
 
 
 def _ids(log: ObservationLog) -> NDArray[np.int64]:
@@ -212,8 +240,8 @@ def _write_mrpt_laser(
         f"# sensor on robot x={LASER_AHEAD_M} y=0 z=0.1 yaw=0 ; max range 8 m",
         f"t_s,gt_x,gt_y,gt_theta,odo_dx,odo_dy,odo_dtheta,{beams}",
     ]
-    for r, T, yaw, t in zip(ranges, poses, _yaw(poses), stamps_s, strict=True):
-        row = [t, *T[:2, 3], yaw, 0, 0, 0, *np.minimum(r, 8.0)]
+    for k, (r, T, yaw, t) in enumerate(zip(ranges, poses, _yaw(poses), stamps_s, strict=True)):
+        row = [t, *T[:2, 3], yaw, *_motion(poses, k + 1), *np.minimum(r, 8.0)]
         lines.append(",".join(repr(float(value)) for value in row))
     text(path, lines)
 

@@ -9,9 +9,11 @@ import lzma
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
@@ -22,6 +24,7 @@ from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
 from relmap.planes.files import read_any
+from tests import bagfiles
 from tests.logs import PLAIN, TREES
 from tests.scanlogs import CLOUD, CORRECTED, GRAPH, LASER, packed_pcd, pcd, ply
 
@@ -56,6 +59,27 @@ def mat(compress: bool = True, **arrays: NDArray[np.float64]) -> bytes:
         return (Path(name) / "a.mat").read_bytes()
 
 
+def parquet() -> bytes:
+    stream = io.BytesIO()
+    library = pytest.importorskip("pyarrow.parquet")
+    cells = {"iteration": [0, 0, 2], "x": [1.0, 2, 3], "y": [4, 5, 6], "id": ["a", "b", None]}
+    library.write_table(pytest.importorskip("pyarrow").table(cells), stream)
+    return stream.getvalue()
+
+
+def bag(kind: str) -> tuple[str, bytes]:
+    """Return name and content of a bag with scans, odometry, transforms and detections."""
+    types, still = bagfiles.Types(kind), np.eye(4)
+    messages = [("/tf_static", 0.5, types.transform(0.5, "base_link", "laser", still))]
+    for t in (1.0, 2.0, 3.0):
+        messages.append(("/odom", t, types.odometry(t, still)))
+        messages.append(("/scan", t, types.scan(t, [1.0, 2, 3], -1.0, 1.0)))
+        messages.append(("/seen", t, types.boxes(t, [("a", (1, 2, 3)), ("b", (3, 2, 1))])))
+    with tempfile.TemporaryDirectory() as folder:
+        file = bagfiles.file_of(bagfiles.write_bag(Path(folder), kind, types, messages))
+        return f"a{file.suffix}", file.read_bytes()
+
+
 def scans(**changes: object) -> bytes:
     arrays: dict[str, object] = {
         "points": np.arange(9.0).reshape(3, 3),
@@ -75,6 +99,12 @@ CIRCLES = (
     "STEP a.jpg 0 0 0 1 0 1 0 0 1\nLANDMARK_C 1 2 0.9 1 0 1 5\nLANDMARK_C 2 2 0.9 1 0 1 -1\n"
     "STEP b.jpg 1 0 0.1 1 0 1 0 0 1\nLANDMARK_C 1 1 0.9 1 0 1 5 6\n"
 )
+MOTIONS = "step,dx_m,dy_m,dz_m,dyaw_rad,dpitch_rad,droll_rad\n0,1,2,3,0.1,0.2,0.3\n1,9,9,9,0,0,0\n"
+BESIDE = {
+    "odometry.csv": "iteration,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n2,0.5,-1,0,0,0,0.6,0.8\n",
+    "odometry.tum": "# t x y z qx qy qz qw\n0.0 0 0 0 0 0 0 1\n1.5 1 0 0 0 0 0.6 0.8\n",
+}
+KITTI = "1 0 0 5 0 1 0 6 0 0 1 7\n0 -1 0 5 1 0 0 6 0 0 1 8\n"
 RELATIONS = "# a\n1.5 2.5 1 2 0 0 0 0.5\n2.5 3.5 0.1 0 0 0 0 -1e-3\n"
 POSES = "1,0,0,1\n0,1,0,2\n0,0,1,3\n0,0,0,4.5\n"
 CONFIG = 'group_after = 12\nmax_missed = 4\nregistration = "nearest-previous"\ngate_m = 0.5\n'
@@ -136,6 +166,34 @@ def _scan_log(name: str, form: str | None = None) -> Callable[[Path], object]:
     return read
 
 
+def _of_other_programs() -> dict[str, Reader]:
+    """Return the readers of bags and Parquet, where what they need is installed."""
+    found = {}
+    if find_spec("pyarrow"):
+        found["own-table-parquet"] = Reader({"a": parquet()}, "a", _log("a"))
+    for kind in bagfiles.KINDS if find_spec("rosbags") else ():
+        file, content = bag(kind)
+        for what, read in (("scans", _scan_log(file)), ("seen", _log(file))):
+            found[f"bag-{kind}-{what}"] = Reader({file: content}, file, read)
+    return found
+
+
+def _paths() -> dict[str, Reader]:
+    """Return the readers of odometry beside a log, and of true paths."""
+    found = {}
+    wheels = {"a.observations.csv": MRPT.encode(), "a.odometry.csv": MOTIONS.encode()}
+    read = _log("a.observations.csv")
+    found["mrpt-landmarks-odometry"] = Reader(wheels, "a.odometry.csv", read)
+    for name, content in BESIDE.items():
+        beside = {"observations.csv": PLAIN.encode(), name: content.encode()}
+        found[name] = Reader(beside, name, _log("observations.csv"))
+    paths = {"tum": "1.5 0 0 0 0 0 0 1\n2 1 0 0 0 0 .6 .8\n", "kitti": KITTI}
+    for name, content in paths.items():
+        path = {"a": content.encode(), "times.txt": b"0.5\n1.5\n"}
+        found[f"truth-{name}"] = Reader(path, "a", lambda f: read_truth(f / "a"))
+    return found
+
+
 def readers() -> dict[str, Reader]:
     """Return every reader by the name of what it reads."""
     mapped = _mapped()
@@ -144,12 +202,23 @@ def readers() -> dict[str, Reader]:
         "trees.csv": TREES.encode(),
         "VictoriaParkSinSincronizar.mat": mat(TLsr=np.array([[0.1, 0.3, 0.5, 0.7]])),
         "data_sensor_clean_clean.mat": mat(data_sensor_clean_clean=trees),
+        "aa3_dr.mat": mat(time=np.arange(50.0, 800, 25), speed=np.ones(30), steering=np.ones(30)),
     }
     beacons = {
         "sensor_data.mat": mat(sensor_data=OBSERVED),
         "store_beaconsTrue.mat": mat(store_beaconsTrue=np.array([[4, 1, 2], [7, 3, 4.0]])),
         "store_robotTrue.mat": mat(False, store_robotTrue=np.eye(3)),
+        "store_robotOdo.mat": mat(store_robotOdo=np.eye(3)),
     }
+    robots = {
+        "Barcodes.dat": b"# a\n1 5\n6 63\n7 81\n",
+        "Landmark_Groundtruth.dat": b"6 1 2 0.001 0.001\n7 3 4 0.001 0.001\n",
+        "Robot1_Measurement.dat": b"10.5 63 2 0.5\n10.5 81 3 -0.5\n10.7 5 1 0\n11 63 2 0.25\n",
+        "Robot1_Odometry.dat": b"10 0.5 0.1\n10.5 0.5 -0.1\n11 0 0\n",
+        "Robot1_Groundtruth.dat": b"10 0 0 0\n10.5 0.25 0 0.1\n11 0.5 0 0.05\n",
+    }
+    own = {"a": b'frame;t;px;py;"n";name\n3;0.5;1,5;-2;"re;d";cone\n5;0.9;1;-2;;\n'}
+    columns = {"x": "px", "y": "py", "iteration": "frame", "stamp": "t", "id": "name"}
     clouds = {
         "0.pcd": pcd(CLOUD),
         "1.ply": ply(CLOUD[:2]),
@@ -174,8 +243,15 @@ def readers() -> dict[str, Reader]:
         found[f"carmen-log-{name}"] = Reader({"a": content.encode()}, "a", read)
     for name in clouds:
         found[f"point-clouds-{name}"] = Reader(clouds, name, _scan_log("", "point-clouds"))
-    for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat"):
+    found |= _paths()
+    found["slsjf-sim-store_robotOdo.mat"] = Reader(beacons, "store_robotOdo.mat", _log(""))
+    for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat", "aa3_dr.mat"):
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
+    found["own-table"] = Reader(own, "a", lambda f: open_log(f / "a", columns=columns))
+    found |= _of_other_programs()
+    for name in robots:
+        read = read_truth if "Ground" in name else _log("", "mrclam")
+        found[f"mrclam-{name}"] = Reader(robots, name, read)
     for name in ("store_beaconsTrue.mat", "store_robotTrue.mat"):
         found[f"slsjf-sim-{name}"] = Reader(beacons, name, read_truth)
     for name in ("landmarks.csv", "tracks.csv.gz", "trajectory.tum", "summary.json"):

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
+from relmap.core.odometry import checked_odometry
 from relmap.datasets import ScanLog, open_scans
 
 ZEROS = "0 0 0 0 0"
@@ -40,6 +42,17 @@ def failure(path: Path, format: str | None = None) -> str:
     assert len(message.splitlines()) == 1
     assert len(message) < 600
     return message
+
+
+def planar(odometry: NDArray[np.float64]) -> list[list[float]]:
+    """Return x, y, yaw of motions in the plane."""
+    yaw = np.arctan2(odometry[:, 1, 0], odometry[:, 0, 0])
+    known = ~np.isnan(yaw)
+    flat = np.array([checked_odometry([0, 0, angle]) for angle in yaw[known]])
+    flat[:, :2, 3] = odometry[known, :2, 3]
+    assert_allclose(odometry[known], flat, atol=1e-12)
+    found: list[list[float]] = np.column_stack([odometry[:, :2, 3], yaw]).round(12).tolist()
+    return found
 
 
 def points_of(log: ScanLog) -> list[list[list[float]]]:

@@ -39,10 +39,12 @@ def saved_map() -> bytes:
 
 REST = bytes(range(256))
 KITTI = np.array([[12.5, -3, 0.5, 0.25]] * 9, dtype="<f4").tobytes()
-FILES = [
+BAGS = [
     ("a.bag", b"#ROSBAG V2.0\nE\0\0\0" + REST, "a ROS 1 bag"),
     ("a.db3", b"SQLite format 3\0" + REST, "an SQLite database, as ROS 2 bags are"),
     ("a.mcap", b"\x89MCAP0\r\n" + REST, "an MCAP file, as ROS 2 bags are"),
+]
+FILES = [
     ("a.rawlog", gzip.compress(b"\x8dCSensoryFrame\x02\1\0" + REST), "an MRPT rawlog, packed by"),
     ("a.bin", KITTI, "a KITTI cloud"),
     ("a.las", b"LASF" + REST, "a LAS or LAZ file"),
@@ -76,6 +78,19 @@ def test_a_file_of_another_format_is_named(
                 assert found.partition(", packed")[0] in failure(path, format)
 
 
+@pytest.mark.parametrize(("name", "data", "found"), BAGS)
+def test_a_bag_of_which_nothing_can_be_read_is_named(
+    tmp_path: Path, name: str, data: bytes, found: str
+) -> None:
+    pytest.importorskip("rosbags")
+    path = put(tmp_path, data, name)
+    for failure in (logs.failure, scanlogs.failure):
+        assert f"{path}: is {found}" in failure(path)
+        assert "and cannot be read: " in failure(path)
+    named = put(tmp_path, data, "a")
+    assert f"{named}: is {found}" in logs.failure(named)
+
+
 def test_what_a_folder_holds_instead_is_named(tmp_path: Path) -> None:
     put(tmp_path, "a", "LICENSE")
     put(tmp_path, KITTI, "000000.bin")
@@ -94,6 +109,6 @@ def test_not_every_bin_is_a_cloud_of_kitti(tmp_path: Path, data: bytes) -> None:
 
 
 def test_what_stands_in_the_place_of_a_cloud_is_named(tmp_path: Path) -> None:
-    for name, data, found in FILES[:4]:
+    for name, data, found in [*BAGS, FILES[0]]:
         put(tmp_path, data, "scan1.pcd")
         assert f"scan1.pcd: is {found}" in scanlogs.failure(tmp_path), name

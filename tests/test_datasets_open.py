@@ -27,6 +27,9 @@ def test_formats_are_named() -> None:
         "victoria-park",
         "dlr-circles",
         "slsjf-sim",
+        "mrclam",
+        "own-table",
+        "bag-detections",
     )
     assert len({dataset.description for dataset in DATASETS}) == len(DATASETS)
 
@@ -57,7 +60,7 @@ def test_missing_path_and_unknown_format(tmp_path: Path) -> None:
 
 
 def test_folder_without_a_log_and_folder_with_two(tmp_path: Path) -> None:
-    put(tmp_path, "step,dx_m\n0,1\n", "odometry.csv")
+    put(tmp_path, "step,dx_m\n0,1\n", "wheels.csv")
     message = failure(tmp_path)
     assert str(tmp_path) in message
     for dataset in DATASETS:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
@@ -174,3 +176,59 @@ def test_real_log_goes_through_the_projects_own_format(shared_data: Path, tmp_pa
     assert log.ids is not None
     assert np.array_equal(back.ids, log.ids)
     assert (back.first_iteration, back.end_iteration) == (log.first_iteration, log.end_iteration)
+
+
+def motions_of_landmarks(folder: Path, fewest: int) -> NDArray[np.float64]:
+    """Return x, y, yaw of the odometry, and of landmarks by their ids in two scans (k, 2, 3)."""
+    found = []
+    for before, now in pairwise(open_log(folder).scans()):
+        T = now.odometry
+        assert T is not None
+        assert before.ids is not None
+        assert now.ids is not None
+        _, i, j = np.intersect1d(before.ids, now.ids, return_indices=True)
+        known = before.ids[i] >= 0
+        if known.sum() >= fewest and np.isfinite(T).all():
+            R, t = fit_rigid(now.points_robot[j[known]], before.points_robot[i[known]])
+            seen = [*t, np.arctan2(R[1, 0], R[0, 0])]
+            found.append([[T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])], seen])
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "fewest", "way_m", "turn_rad"),
+    [("victoria-park", 6, 0.045, 0.002), ("dlr-circles", 5, 0.025, 0.006)],
+)
+def test_odometry_agrees_with_landmarks(
+    shared_data: Path, name: str, fewest: int, way_m: float, turn_rad: float
+) -> None:
+    odometry, seen = motions_of_landmarks(shared_data / name, fewest).transpose(1, 0, 2)
+    assert len(odometry) > 1000
+    assert np.median(np.linalg.norm(odometry[:, :2] - seen[:, :2], axis=1)) < way_m
+    assert np.median(np.abs(odometry[:, 2] - seen[:, 2])) < turn_rad
+    assert np.polyfit(odometry[:, 2], seen[:, 2], 1)[0] == pytest.approx(1, abs=0.06)
+    assert np.polyfit(odometry[:, 1], seen[:, 1], 1)[0] == pytest.approx(1, abs=0.1)
+
+
+def test_odometry_agrees_with_the_simulated_truth(shared_data: Path) -> None:
+    logs = {
+        shared_data / "slsjf-sim-8240": (slsjf.read_ground_truth, 0.003, 0.006),
+        shared_data / "mrpt-kf-slam" / "kf-slam_demo.observations.csv.gz": (
+            read_ground_truth,
+            0.05,
+            2e-4,
+        ),
+        shared_data / "mrpt-kf-slam" / "kf-slam_6D_demo.observations.csv.gz": (
+            read_ground_truth,
+            0.1,
+            0.003,
+        ),
+    }
+    for path, (truth, way_m, turn_rad) in logs.items():
+        odometry, poses = open_log(path).odometry, truth(path)[2]
+        assert odometry is not None
+        n = len(odometry)
+        error = np.linalg.inv(odometry[1:]) @ np.linalg.inv(poses[: n - 1]) @ poses[1:n]
+        assert np.median(np.linalg.norm(error[:, :3, 3], axis=1)) < way_m
+        turns = Rotation.from_matrix(error[:, :3, :3]).magnitude()
+        assert np.median(turns) < turn_rad

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from relmap import MapperConfig, PointMapper, RelmapError
 from relmap.datasets.base import Scan
@@ -84,3 +86,39 @@ def test_timing_in_milliseconds() -> None:
         {"median_ms": 2, "p95_ms": 3, "first_100_median_ms": 1, "last_100_median_ms": 3}
     )
     assert set(timing_of(np.empty(0)).values()) == {None}
+
+
+class Told(PointMapper):
+    """Keeps the odometry that it is given."""
+
+    told: list[object]
+
+    def update(self, *arguments: object, **more: Any) -> NDArray[np.int64]:
+        self.told = [*getattr(self, "told", []), more.get("odometry")]
+        return super().update(*arguments, **more)  # type: ignore[arg-type]
+
+
+def test_odometry_is_handed_over_where_it_is_asked_for() -> None:
+    log = simulate_figure_eight(density=10, iterations=12).log
+    odometry = np.tile(np.eye(4), (12, 1, 1))
+    odometry[:, 0, 3] = np.arange(12)
+    log = replace(log, odometry=odometry)
+    mapper = Told()
+    run_mapper(mapper, log.between(2, 9), odometry=True)
+    assert mapper.told[0] is None, "what was before the first scan is not in the log"
+    assert [T[0, 3] for T in mapper.told[1:]] == [3, 4, 5, 6, 7, 8]  # type: ignore[index]
+    run_mapper(mapper, log.between(9, 12), odometry=True)
+    assert mapper.told[7] is None
+    assert len([T for T in mapper.told if T is not None]) == 8
+    without = Told()
+    run_mapper(without, log)
+    assert without.told == [None] * 12
+
+
+def test_a_run_that_is_gone_on_with_knows_how_the_robot_moved_on() -> None:
+    log = simulate_figure_eight(density=10, iterations=12).log
+    log = replace(log, odometry=np.tile(np.eye(4), (12, 1, 1)))
+    mapper = Told()
+    seen = [mapper.update(scan.points_robot) for scan in log.between(0, 5).scans()]
+    run_mapper(mapper, log, seen=seen, odometry=True)
+    assert [T is None for T in mapper.told] == [True] * 5 + [False] * 7

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
+Odometry = Literal["auto", "none"]
 
 
 class Interval(NamedTuple):
@@ -37,6 +38,21 @@ def interval(text: str) -> Interval:
     if numbers and int(numbers[1]) < int(numbers[2]):
         return Interval(int(numbers[1]), int(numbers[2]))
     raise RelmapError(f"--scans is {text!r}: it must be A:B, whole numbers with 0 <= A < B")
+
+
+def columns(text: str) -> dict[str, str]:
+    """Return what ``ours=theirs,ours=theirs`` names.
+
+    Raises
+    ------
+    RelmapError
+        Where it is not pairs, or names a column twice.
+    """
+    pairs = [part.partition("=") for part in text.split(",")]
+    found = {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
+    if len(found) < len(pairs) or not all(found.values()):
+        raise RelmapError(f"--columns is {text!r}: it must be pairs like x=px,y=py,iteration=frame")
+    return found
 
 
 def folder(text: str) -> Path:

@@ -23,8 +23,9 @@ DIR is a folder that 'relmap map' wrote.  It prints a table and writes DIR/evalu
 \b
 TRUTH is
   a folder as 'relmap simulate' writes it
+  a trajectory, in the format of TUM or of KITTI (with its times.txt beside it)
   MRPT's ..._ground_truth.txt
-  the folder of I-SLSJF's simulation (slsjf-sim)
+  the folder of I-SLSJF's simulation (slsjf-sim), or of MRCLAM (mrclam)
   the folder of Victoria Park: trees mapped by another program, a reference rather than a truth
   the folder of DLR's circles: ids without places, so there is no RMSE
   walls only: a log of point scans with poses, or a .relations file of checked relations

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from relmap.cli.arguments import Association, Interval, Variant
+from relmap.cli.arguments import Association, Interval, Odometry, Variant
 from relmap.cli.console import tracked
 from relmap.core.errors import RelmapError
 from relmap.io.results import MAPPER
@@ -37,6 +37,12 @@ class Job:
         Result folder whose map the log is added to.
     animate : bool
         Of walls, whether to draw the whole run.
+    odometry : "auto" or "none"
+        Whether to use the odometry of the log, where it has any.
+    columns : dict of str to str, or None
+        What a table calls its columns.
+    topics : tuple of str
+        Of a bag, those to read where there are several of a kind.
     sigmas : tuple of float or None
         Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
@@ -57,6 +63,9 @@ class Job:
     onto: Path | None = None
     animate: bool = False
     sigmas: tuple[float, ...] | None = None
+    odometry: Odometry = "none"
+    columns: dict[str, str] | None = None
+    topics: tuple[str, ...] = ()
     stopped: Callable[[], bool] = lambda: False
 
     @property
@@ -72,6 +81,9 @@ class Job:
             "refine": self.refine,
             "animate": self.animate,
             "sigmas": self.sigmas,
+            "odometry": self.odometry,
+            "columns": self.columns,
+            "topics": self.topics,
         }
 
     @classmethod
@@ -104,6 +116,9 @@ class Job:
                 refine=bool(run["refine"]),
                 animate=bool(run["animate"]),
                 sigmas=tuple(map(float, run.get("sigmas") or ())) or None,
+                odometry="auto" if run.get("odometry") == "auto" else "none",
+                columns=dict(run["columns"]) if run.get("columns") else None,
+                topics=tuple(map(str, run.get("topics") or ())),
                 journal=path.absolute(),
                 folder=Path(run["folder"]),
                 resumed=True,

@@ -19,7 +19,9 @@ HELP = """Make a map from a log of landmarks that a moving robot saw.
 
 INPUT is a file or folder.  The simplest is a CSV file with the header iteration,x,y,z or
 iteration,x,y (a planar world) and one row per landmark seen: its place in the robot's frame
-(x ahead, y left, z up, metres).  A column id may tell which landmark it is.
+(x ahead, y left, z up, metres).  A column id may tell which landmark it is.  The odometry that a
+log has is used; beside any log it may stand in odometry.csv, with the header iteration,x,y,yaw or
+iteration,x,y,z,qx,qy,qz,qw: how the robot moved from the iteration before to this one.
 
 \b
 Formats of INPUT:
@@ -28,6 +30,11 @@ Formats of INPUT:
   victoria-park    trees per scan, from the Victoria Park data set
   dlr-circles      circles on a floor, map.circles of the DLR spatial cognition data set
   slsjf-sim        range and bearing to beacons, the folder of I-SLSJF's simulation
+  mrclam           range and bearing to bar codes, the folder of MRCLAM (all robots, one after
+                   another) or RobotN_Measurement.dat in it (one robot)
+  own-table        a CSV file with other names for its columns, see --columns, or a Parquet file
+  bag-detections   a bag of ROS 1 or 2, or an MCAP file, with Detection3DArray, MarkerArray,
+                   AprilTagDetectionArray or PoseArray (pip install 'relmap[bags]')
 
 \b
 With --variant planes INPUT is a log of point scans, and walls are mapped:
@@ -35,6 +42,8 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   carmen-log       2-D laser scans of CARMEN, .log or .log.gz
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
   point-clouds     a folder of .pcd or .ply files, one for each scan
+  bag-scans        a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2
+                   (pip install 'relmap[bags]')
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, submaps.csv,
 summary.json and mapper.npz, the state to go on from, and of walls also planes.csv and bench.png:
@@ -47,6 +56,7 @@ Examples:
   relmap map eight/observations.csv -o result
   relmap map eight/observations.csv -o result --association known --scans 0:300
   relmap map building/scans.npz -o result --variant planes
+  relmap map seen.csv -o result --columns x=px,y=py,iteration=frame,stamp=t,id=name
 """
 
 _Variant = Annotated[
@@ -113,6 +123,32 @@ _ElevationSigma = Annotated[
         help="In space, that of the angles above the horizontal; as --bearing-sigma if not given.",
     ),
 ]
+_Odometry = Annotated[
+    args.Odometry,
+    typer.Option(
+        help="Use the odometry that the log has, or that lies beside it as odometry.csv or "
+        "odometry.tum; or none, as in the paper."
+    ),
+]
+_Columns = Annotated[
+    dict[str, str] | None,
+    typer.Option(
+        "--columns",
+        metavar="x=PX,y=PY,...",
+        parser=args.columns,
+        help="What a table of your own (CSV, Parquet) calls the columns iteration, stamp "
+        "(seconds), x, y, z and id; others are ignored.",
+    ),
+]
+_Topics = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME",
+        help="Of a bag with several topics of scans, detections or odometry, the one to read; may "
+        "be given once for each of these.",
+    ),
+]
 _Onto = Annotated[
     Path | None,
     typer.Option(
@@ -144,9 +180,13 @@ def map_command(
     range_sigma: _RangeSigma = None,
     bearing_sigma: _BearingSigma = None,
     elevation_sigma: _ElevationSigma = None,
+    odometry: _Odometry = "auto",
+    columns: _Columns = None,
+    topic: _Topics = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
+    args.refuse(columns and (planes or log_format), "--columns is for tables of landmarks alone")
     if onto is not None:
         args.refuse(planes, "--onto adds to a map of points; walls are mapped in one go")
         args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
@@ -174,6 +214,9 @@ def map_command(
             onto=onto,
             animate=animate,
             sigmas=sigmas,
+            odometry=odometry,
+            columns=columns,
+            topics=tuple(topic or ()),
             stopped=stopped,
         )
         report(job)

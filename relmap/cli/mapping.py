@@ -65,12 +65,14 @@ def _log_of(job: Job) -> Log:
 
     source = job.at(job.source)
     with busy("reading"):
-        log = read_log(source, job.variant, job.log_format, job.interval)
+        log = read_log(source, job.variant, job.log_format, job.interval, job.columns, job.topics)
     ids = getattr(log, "ids", None)
     if job.association == "known" and (ids is None or not (ids >= 0).any()):
         raise RelmapError(
             f"--association known needs the identity of each landmark, and {source} has no ids"
         )
+    if job.odometry == "auto" and log.odometry is None and log.no_odometry:
+        typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
 
 
@@ -90,6 +92,7 @@ def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
     """Map a log, and write result and pictures into an existing folder."""
     from relmap.evaluation.run import run_mapper
+    from relmap.io.results import write_names
 
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
@@ -105,8 +108,21 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             afterwards.enter_context(busy("refining and writing"))
 
         segmenter = bench.segmenter if bench else None
-        run = run_mapper(mapper, log, job.association, about, watched, job.refine, seen, segmenter)
+        run = run_mapper(
+            mapper,
+            log,
+            job.association,
+            about,
+            watched,
+            job.refine,
+            seen,
+            segmenter,
+            job.odometry == "auto",
+        )
         _write(folder, run)
+        names = getattr(log, "names", None)
+        if names and job.association == "known":
+            write_names(folder, names)
         mapper.save(folder / MAPPER)
     if bench is not None:
         _draw_bench(folder, bench, job.animate)
@@ -133,6 +149,8 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
     about: dict[str, Any] = {
         "input": str(job.source),
         "format": job.log_format or recognised_format(job.at(job.source), job.variant),
+        "columns": job.columns,
+        "topics": list(job.topics),
         "variant": job.variant,
         "seed": 0 if job.variant == "planes" else None,
     }
@@ -145,9 +163,10 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 
 def _stale(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
+    from relmap.io.results import NAMES
     from relmap.planes.files import PLANES, submap_files
 
-    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
+    return [EVALUATION, NAMES, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 
 
 def _write(folder: Path, run: Run) -> None:

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from relmap.cli import wheels
 from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
 from relmap.cli.console import busy
+from relmap.cli.worldfiles import write_building, write_points
 
 if TYPE_CHECKING:
-    from relmap.datasets.base import ObservationLog
     from relmap.evaluation.sources import EightSource
-    from relmap.evaluation.truth import Truth
-    from relmap.simulation import Building
 
 Sampling = Literal["surface", "rays", "laser"]
 World = Literal[
@@ -48,11 +47,13 @@ _FIGURE_EIGHT = """Simulate a flight past point landmarks.
 
 It writes DIR/observations.csv (the observations, with the true identity of each landmark) and
 the truth: DIR/truth/landmarks.csv and DIR/truth/trajectory.tum.  The path is a figure eight of
-740 m that climbs 40 m and comes down again; a loop takes 900 iterations.
+740 m that climbs 40 m and comes down again; a loop takes 900 iterations.  With --odometry it
+also writes DIR/odometry.csv.
 
 \b
-Example:
+Examples:
   relmap simulate figure-eight -o eight --sigma 0.1
+  relmap simulate figure-eight -o sparse --density 3 --odometry 0.01:0.1
 """
 
 _WORLD = """Simulate landmarks that are hard to tell apart.
@@ -90,16 +91,23 @@ def figure_eight_command(
         float, typer.Option(help="Standard deviation of each observed coordinate, metres.")
     ] = 0.05,
     dynamic: Dynamic = 0.0,
+    odometry: wheels.Noise = None,
+    odometry_bias: wheels.Bias = None,
+    odometry_fault: wheels.Broken = None,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated figure eight; the help text explains the arguments."""
     from relmap.evaluation.sources import EightSource
 
     source = EightSource(density, iterations, noise, sigma, dynamic, seed)
-    typer.echo(f"wrote 3 files to {out}: {write_figure_eight(out, source)}")
+    counted = wheels.Counted(odometry, odometry_bias, odometry_fault)
+    n_files = 3 if counted.wheels() is None else 4
+    typer.echo(f"wrote {n_files} files to {out}: {write_figure_eight(out, source, counted)}")
 
 
-def write_figure_eight(out: Path, source: EightSource) -> str:
+def write_figure_eight(
+    out: Path, source: EightSource, counted: wheels.Counted = wheels.NONE
+) -> str:
     """Simulate the figure eight into a folder and return a line of counts.
 
     Raises
@@ -112,21 +120,8 @@ def write_figure_eight(out: Path, source: EightSource) -> str:
     with staged_folder(out) as staging, busy("simulating"):
         data = source.load()
         assert data.truth is not None
-        return _write_points(staging, data.log, data.truth)
-
-
-def _write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
-    """Write a run past landmarks into an existing folder and return a line of counts."""
-    from relmap.datasets.observation_csv import write_observation_csv
-    from relmap.evaluation.truth import write_truth
-
-    write_observation_csv(folder / "observations.csv", log)
-    (folder / "truth").mkdir()
-    write_truth(folder / "truth", truth)
-    return (
-        f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
-        f"{len(log.points_robot)} observations"
-    )
+        wheels.write_odometry(staging, counted, data.truth.poses, None, source.seed)
+        return write_points(staging, data.log, data.truth)
 
 
 @app.command("world", help=_WORLD)
@@ -158,6 +153,9 @@ def world_command(
         float, typer.Option(help="Degrees that the sensor turns to either side between scans.")
     ] = 0.0,
     view: Annotated[float, typer.Option(help="Width of the view, degrees.")] = 120.0,
+    odometry: wheels.Noise = None,
+    odometry_bias: wheels.Bias = None,
+    odometry_fault: wheels.Broken = None,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated world; the help text explains the arguments."""
@@ -181,12 +179,15 @@ def world_command(
         view_deg=view,
         seed=seed,
     )
+    counted = wheels.Counted(odometry, odometry_bias, odometry_fault)
+    counted.wheels()
     with staged_folder(out) as staging, busy("simulating"):
         world = simulate_world(spec)
-        counts = _write_points(staging, world.log, truth_of(world))
+        n_files = 4 + wheels.write_odometry(staging, counted, world.trajectory, None, seed)
+        counts = write_points(staging, world.log, truth_of(world))
         ids = csv_text(("row", "landmark"), enumerate(world.true_ids.tolist()))
         atomic_write(staging / "truth" / "ids.csv", ids)
-    typer.echo(f"wrote 4 files to {out}: {counts}")
+    typer.echo(f"wrote {n_files} files to {out}: {counts}")
 
 
 @app.command("building", help=_BUILDING)
@@ -239,6 +240,9 @@ def building_command(
         float,
         typer.Option(help="Laser only: share of the beams that meet small objects, up to 0.5."),
     ] = 0.0,
+    odometry: wheels.Noise = None,
+    odometry_bias: wheels.Bias = None,
+    odometry_fault: wheels.Broken = None,
     seed: Seed = 0,
 ) -> None:
     """Write a simulated building; the help text explains the arguments."""
@@ -246,6 +250,8 @@ def building_command(
     from relmap.simulation import simulate_building
     from relmap.simulation.sensor import sensor_of
 
+    counted = wheels.Counted(odometry, odometry_bias, odometry_fault)
+    counted.wheels()
     if beams is not None:
         points, sampling = beams, "laser"
     with staged_folder(out) as staging, busy("simulating"):
@@ -264,39 +270,11 @@ def building_command(
             people=people,
             clutter=clutter,
         )
-        _write_building(staging, building)
+        write_building(staging, building)
+        way, stamps_s = building.trajectory, building.stamps_s
+        n_files = 4 + wheels.write_odometry(staging, counted, way, stamps_s, seed)
     count = sum(len(scan.points) for scan in building.scans)
     typer.echo(
-        f"wrote 4 files to {out}: {len(building.walls)} sides of walls, "
+        f"wrote {n_files} files to {out}: {len(building.walls)} sides of walls, "
         f"{len(building.scans)} scans, {count} points"
     )
-
-
-def _write_building(folder: Path, building: Building) -> None:
-    """Write a run into an existing folder."""
-    import numpy as np
-
-    from relmap.datasets import write_scans_npz
-    from relmap.datasets.scans import SensorView
-    from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import csv_text
-    from relmap.plots.planes import write_building_png
-
-    truth = folder / "truth"
-    truth.mkdir()
-    axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans the plane
-    scans = [scan.points[:, axes] for scan in building.scans]
-    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
-    write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
-    ends = ("plane", "x0", "y0", "x1", "y1", "z0", "z1")
-    header = (*ends, "scans", "corner0", "corner1", "status", "seen0", "seen1")
-    status = np.where(building.moving, "dynamic", "static").tolist()
-    walls, seen = building.walls.tolist(), building.times_seen().tolist()
-    columns = walls, seen, status, building.seen_extents().tolist()
-    rows = [
-        [number, *wall, *times, moves, *extent]
-        for number, (wall, times, moves, extent) in enumerate(zip(*columns, strict=True))
-    ]
-    atomic_write(truth / "planes.csv", csv_text(header, rows))
-    write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)
-    write_building_png(folder / "building.png", building)

@@ -6,18 +6,26 @@ Logs of landmarks all give an `ObservationLog`, logs of point scans a `ScanLog`;
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from relmap.core.errors import RelmapError
+from relmap.datasets.bag_detections import BagDetections
+from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
+from relmap.datasets.frames import log_of_frame
 from relmap.datasets.headers import read_head
+from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
 from relmap.datasets.observation_csv import ObservationCsv, write_observation_csv
+from relmap.datasets.odometry import with_odometry_beside
+from relmap.datasets.own_table import OwnTable
 from relmap.datasets.point_clouds import PointClouds
 from relmap.datasets.relations import Relations, read_relations
 from relmap.datasets.scans import PointScan, ScanLog
@@ -37,6 +45,7 @@ __all__ = [
     "Relations",
     "Scan",
     "ScanLog",
+    "log_of_frame",
     "open_log",
     "open_scans",
     "read_relations",
@@ -50,6 +59,9 @@ DATASETS: tuple[Dataset[ObservationLog], ...] = (
     VictoriaPark(),
     DlrCircles(),
     SlsjfSimulation(),
+    Mrclam(),
+    OwnTable(),
+    BagDetections(),
 )
 """Every format, in the order in which messages list them."""
 
@@ -58,6 +70,7 @@ SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
     CarmenLog(),
     MrptLaser(),
     PointClouds(),
+    BagScans(),
 )
 """Every format of point scans, likewise."""
 
@@ -70,7 +83,12 @@ _LANDMARK_LOG, _SCAN_LOG = "landmark log", "log of point scans"
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
 
-def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
+def open_log(
+    path: Path | str,
+    format: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    topics: Sequence[str] = (),
+) -> ObservationLog:
     """Read a landmark log of any known format.
 
     Parameters
@@ -79,20 +97,30 @@ def open_log(path: Path | str, format: str | None = None) -> ObservationLog:
         A file, or a folder that holds a log.
     format : str or None
         One of `FORMATS`; None: recognised by the content.
+    columns : mapping of str to str, optional
+        What a table calls ``iteration``, ``stamp``, ``x``, ``y``, ``z`` and ``id``, where it is not
+        that; see `relmap.datasets.own_table`.
+    topics : sequence of str
+        Of a bag, those to read where there are several of a kind.
 
     Returns
     -------
     ObservationLog
+        With the odometry of the log itself or of ``odometry.csv`` or ``odometry.tum`` beside it.
 
     Raises
     ------
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _choose(Path(path), format, DATASETS, _LANDMARK_LOG).load(Path(path))
+    datasets, path = DATASETS, Path(path)
+    if columns is not None:
+        datasets, format = (OwnTable(columns),), OwnTable.name
+    log = _of_topics(path, _choose(path, format, datasets, _LANDMARK_LOG), topics).load(path)
+    return with_odometry_beside(log, path)
 
 
-def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
+def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str] = ()) -> ScanLog:
     """Read a log of point scans of any known format.
 
     Parameters
@@ -101,18 +129,31 @@ def open_scans(path: Path | str, format: str | None = None) -> ScanLog:
         A file, or a folder that holds a log.
     format : str or None
         One of `SCAN_FORMATS`; None: recognised by the content.
+    topics : sequence of str
+        Of a bag, those to read where there are several of a kind.
 
     Returns
     -------
     ScanLog
-        The points of a scan may be read only when they are asked for.
+        The points of a scan may be read only when they are asked for.  Odometry as `open_log`.
 
     Raises
     ------
     RelmapError
         If there is no log of a known format, or it is damaged: file, line, field.
     """
-    return _choose(Path(path), format, SCAN_DATASETS, _SCAN_LOG).load(Path(path))
+    path = Path(path)
+    log = _of_topics(path, _choose(path, format, SCAN_DATASETS, _SCAN_LOG), topics).load(path)
+    return with_odometry_beside(log, path)
+
+
+def _of_topics(path: Path, dataset: Dataset[Log], topics: Sequence[str]) -> Dataset[Log]:
+    """Return the format that reads these topics."""
+    if not topics:
+        return dataset
+    if not isinstance(dataset, BagScans | BagDetections):
+        raise RelmapError(f"{shown(path)}: is no bag ({dataset.name}) and has no topics")
+    return replace(dataset, topics=tuple(topics))
 
 
 def _choose(

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import MAX_ITERATION, ObservationLog
+from relmap.datasets.scans import in_time_order
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
 
 MAX_COORDINATE_M = 1e9
@@ -23,6 +27,11 @@ def iteration_column(name: str) -> Column:
 def metres_column(name: str, required: bool = True) -> Column:
     """Return a column of coordinates."""
     return Column(name, -MAX_COORDINATE_M, MAX_COORDINATE_M, "metres", required=required)
+
+
+def stamp_column(name: str, required: bool = True) -> Column:
+    """Return a column of times."""
+    return Column(name, -1e12, 1e12, "seconds", required=required)
 
 
 def id_column(name: str, required: bool = True) -> Column:
@@ -58,6 +67,30 @@ def assemble_log(
         end_iteration=int(iteration[order[-1]]) + 1,
         ids=ids,
         covariances=None if covariances is None else covariances[order],
+    )
+
+
+def with_stamps(path: Path, log: ObservationLog, stamps_s: Floats) -> ObservationLog:
+    """Return a log with the times of its rows (n,), seconds, in the order of time.
+
+    The time of an iteration is that of its earliest row; one without a row lies evenly between its
+    neighbours. Where times contradict the numbers of the iterations, they are numbered anew in the
+    order of time, and a warning says so.
+    """
+    numbers, begin, which = np.unique(log.iteration, return_index=True, return_inverse=True)
+    order, ascending = in_time_order(path, np.minimum.reduceat(stamps_s, begin))
+    later = np.empty_like(order)
+    later[order] = np.arange(len(order))
+    rows = np.argsort(later[which], kind="stable")
+    every = np.arange(log.first_iteration, log.end_iteration)
+    return replace(
+        log,
+        points_robot=log.points_robot[rows],
+        iteration=numbers[later[which]][rows],
+        rows=log.rows[rows],
+        ids=None if log.ids is None else log.ids[rows],
+        covariances=None if log.covariances is None else log.covariances[rows],
+        stamps_s=np.interp(every, numbers, ascending),
     )
 
 

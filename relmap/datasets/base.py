@@ -45,6 +45,9 @@ class Scan:
     rows : (n,) int64
         0-based rows of the log that hold the points.
     covariances : (n, d, d) float64 or None, robot frame, square metres
+    odometry : (4, 4) float64 or None
+        Motion since the iteration before: the pose of the robot in its frame there. NaN where it is
+        not known, None where the log has no odometry.
     """
 
     iteration: int
@@ -52,6 +55,7 @@ class Scan:
     ids: Ints | None
     rows: Ints
     covariances: Floats | None = None
+    odometry: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +78,12 @@ class ObservationLog:
         Time of each iteration, seconds; None if the log has no clock.
     covariances : (n, d, d) float64 or None, robot frame, square metres
         How noisy each observation is; None if the log does not tell.
+    odometry : (end_iteration - first_iteration, 4, 4) float64 or None
+        Motion to each iteration from the one before, see `Scan`; that of the first is not used.
+    no_odometry : str
+        Why poses that stand in the log where odometry would are not taken for it, if so.
+    names : tuple of str or None
+        What the ids 0, 1 and so on stand for, where the log has texts for ids.
     """
 
     points_robot: Floats
@@ -84,6 +94,14 @@ class ObservationLog:
     ids: Ints | None = None
     stamps_s: Floats | None = None
     covariances: Floats | None = None
+    odometry: Floats | None = None
+    no_odometry: str = ""
+    names: tuple[str, ...] | None = None
+
+    @property
+    def dimension(self) -> int:
+        """2 for a planar world, else 3."""
+        return int(self.points_robot.shape[1])
 
     def __len__(self) -> int:
         """Return the number of iterations, empty ones included."""
@@ -93,11 +111,13 @@ class ObservationLog:
         """Yield every iteration in order, the empty ones too."""
         numbers = np.arange(self.first_iteration, self.end_iteration + 1)
         offsets = np.searchsorted(self.iteration, numbers)
-        for number, begin, end in zip(numbers[:-1], offsets[:-1], offsets[1:], strict=True):
-            rows = slice(begin, end)
+        for index in range(len(self)):
+            rows = slice(offsets[index], offsets[index + 1])
             ids = None if self.ids is None else self.ids[rows]
             noise = None if self.covariances is None else self.covariances[rows]
-            yield Scan(int(number), self.points_robot[rows], ids, self.rows[rows], noise)
+            motion = None if self.odometry is None else self.odometry[index]
+            points, number = self.points_robot[rows], int(numbers[index])
+            yield Scan(number, points, ids, self.rows[rows], noise, motion)
 
     def between(self, begin: int, end: int) -> ObservationLog:
         """Return the part of the log in iterations ``range(begin, end)``.
@@ -114,9 +134,7 @@ class ObservationLog:
         """
         first, last = common_range(begin, end, self.first_iteration, self.end_iteration)
         rows = slice(*np.searchsorted(self.iteration, [first, last]))
-        stamps = None
-        if self.stamps_s is not None:
-            stamps = self.stamps_s[first - self.first_iteration : last - self.first_iteration]
+        steps = slice(first - self.first_iteration, last - self.first_iteration)
         return replace(
             self,
             points_robot=self.points_robot[rows],
@@ -125,8 +143,9 @@ class ObservationLog:
             first_iteration=first,
             end_iteration=last,
             ids=None if self.ids is None else self.ids[rows],
-            stamps_s=stamps,
+            stamps_s=None if self.stamps_s is None else self.stamps_s[steps],
             covariances=None if self.covariances is None else self.covariances[rows],
+            odometry=None if self.odometry is None else self.odometry[steps],
         )
 
 

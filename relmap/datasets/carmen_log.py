@@ -8,7 +8,9 @@
   robot frame is the robot's. A graph log has ``VERTEX2 id x y theta``, the optimised pose, before
   each scan.
 
-The stamp is t, the first of the two times. CARMEN: M. Montemerlo, N. Roy and S. Thrun, IROS 2003.
+Beside them ``ODOM x y theta tv rv accel t host t_logger``, and ``PARAM robot_frontlaser_offset``,
+how far the laser is ahead. The stamp is t, the first of the two times. Which pose is odometry, if
+any, `relmap.datasets.carmen_odometry` tells. CARMEN: M. Montemerlo, N. Roy and S. Thrun, IROS 2003.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,7 @@ import numpy as np
 from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.carmen_odometry import Hints, odometry_of
 from relmap.datasets.number_rows import NumberRows, finite_numbers
 from relmap.datasets.scans import (
     ScanLog,
@@ -52,14 +55,20 @@ _FORMS = {
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
-    """What one line holds; `limit_m` is what it says of the sensor's maximum."""
+    """What one line holds; `limit_m` is what it says of the sensor's maximum.
+
+    Poses are x, y, yaw; `counted` is that of the robot where odometry stands, and `speeds` are the
+    wheels', ahead and of turns, if any.
+    """
 
     ranges_m: Floats
     bearings_rad: Floats
     pose: list[float]
+    counted: list[float]
     T_robot_laser: list[float]
     stamp_s: float
     limit_m: float
+    speeds: list[float] = field(default_factory=list)
 
 
 class CarmenLog:
@@ -83,7 +92,7 @@ class CarmenLog:
         Of ``FLASER`` and ``ROBOTLASER1`` the kind is read that comes first.
         """
         scans: list[_Scan] = []
-        vertices, beams = NumberRows(path, 3), 0
+        vertices, beams, hints = NumberRows(path, 3), 0, Hints()
         kinds = {"FLASER": _flaser, "ROBOTLASER1": _robotlaser}
         for line in _lines(path):
             kind = line.cells[0]
@@ -94,25 +103,32 @@ class CarmenLog:
                 require_memory(f"{shown(path)}: line {line.number}", len(scans), beams)
             elif kind == "VERTEX2":
                 vertices.add(line.numbers(line.cells[2:], 3, 5), line.number)
+            else:
+                hints = hints.seen(line.cells)
         if not scans:
             raise RelmapError(f"{shown(path)}: holds no scan, expected {self.description}")
-        return _log(path, scans, vertices.values)
+        return _log(path, scans, vertices.values, hints)
 
 
-def _log(path: Path, scans: list[_Scan], vertices: Floats) -> ScanLog:
+def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> ScanLog:
     given = len(vertices) == len(scans)
-    x, y, yaw = (vertices if given else np.array([scan.pose for scan in scans])).T
+    poses = planar_poses(*(vertices if given else np.array([scan.pose for scan in scans])).T)
     order, stamps_s = in_time_order(path, np.array([scan.stamp_s for scan in scans]))
-    scans = [scans[index] for index in order]
-    return laser_scans(
+    scans, poses = [scans[index] for index in order], poses[order]
+    counted = planar_poses(*np.array([scan.counted for scan in scans]).T)
+    hints = hints.moving([speed for scan in scans for speed in scan.speeds])
+    # The frame of FLASER lines is the laser's; they have no speeds.
+    odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
+    log = laser_scans(
         path,
         [scan.ranges_m for scan in scans],
         [scan.bearings_rad for scan in scans],
         _limit(scans),
         np.array([scan.T_robot_laser for scan in scans]),
         stamps_s,
-        planar_poses(x, y, yaw)[order],
+        poses,
     )
+    return replace(log, odometry=odometry, no_odometry=reason)
 
 
 def _limit(scans: list[_Scan]) -> float:
@@ -133,12 +149,13 @@ def _lines(path: Path) -> Iterator[_Line]:
 
 def _flaser(line: _Line) -> _Scan:
     n = line.count(1)
-    values = line.numbers([*line.cells[2:-5], *line.cells[-3:-2]], n + 5, n + 11)
+    values = line.numbers(line.cells[2:-2], n + 7, n + 11)
     step = math.pi / (n if n % 2 == 0 else max(n - 1, 1))
     return _Scan(
         line.ranges(values[:n]),
         -math.pi / 2 + step * np.arange(n, dtype=np.float64),
         values[n : n + 3],
+        values[n + 3 : n + 6],
         [0.0, 0.0, 0.0],
         values[-1],
         math.inf,
@@ -154,9 +171,11 @@ def _robotlaser(line: _Line) -> _Scan:
         line.ranges(values[8 : n + 8]),
         values[1] + values[3] * np.arange(n, dtype=np.float64),
         robot,
+        robot,
         _in_frame(laser, robot),
         values[-1],
         values[4],
+        values[n + m + 15 : n + m + 17],
     )
 
 

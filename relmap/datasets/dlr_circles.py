@@ -5,26 +5,35 @@
     STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi
     LANDMARK_C pX pY quality cXX cXY cYY id
 
-A step of the odometry, then the circles seen after it, numbered by hand. In the file X points to
-the robot's right and -Y ahead; here x = -pY is ahead and y = -pX to the left. The data confirm the
-sign of Y (no circle lies behind the robot); that of X is the header's, since a map and its mirror
-image explain the numbers equally well.
+A step of the odometry (where the robot is, in its frame before the step), then the circles seen
+after it, numbered by hand. In the file X points to the robot's right and -Y ahead; here x = -pY is
+ahead and y = -pX to the left. The data confirm the sign of Y (no circle lies behind the robot);
+that of X is the header's, since a map and its mirror image explain the numbers equally well. Phi
+goes from X to Y, to the right, so that a turn to the left is -dPhi.
 """
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
-from relmap.datasets.assembly import assemble_log, id_column, iteration_column, metres_column
+from relmap.datasets.assembly import (
+    MAX_COORDINATE_M,
+    assemble_log,
+    id_column,
+    iteration_column,
+    metres_column,
+)
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import columns_of, members_of, only_one
 from relmap.datasets.number_rows import NumberRows, finite_numbers
+from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import Column, Table, checked_table
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
@@ -61,8 +70,8 @@ class DlrCircles:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, one iteration per step, ids negative where none was given.
 
-        The odometry is ignored. The covariances are taken where all are positive definite. A
-        circle with several ids counts as not identified.
+        The covariances are taken where all are positive definite. A circle with several ids counts
+        as not identified.
         """
         table, steps = _read(_only_file(path))
         points_robot = -np.column_stack([table.columns["pY"], table.columns["pX"]])
@@ -71,7 +80,9 @@ class DlrCircles:
         definite = bool((xx * yy > xy**2).all())
         noise = covariances if definite else None
         log = assemble_log(table, "step", points_robot, table.integers("id"), noise)
-        return replace(log, first_iteration=0, end_iteration=steps)
+        odometry = planar_poses(-steps[:, 1], -steps[:, 0], -steps[:, 2])
+        odometry[0] = math.nan
+        return replace(log, first_iteration=0, end_iteration=len(steps), odometry=odometry)
 
 
 def read_ids(path: Path) -> Ints:
@@ -90,29 +101,31 @@ def _only_file(path: Path) -> Path:
     return only_one(path, _files_in(path) if os.path.isdir(path) else (), "circle log", "*.circles")
 
 
-def _read(path: Path) -> tuple[Table, int]:
-    """Return the circles, checked, and the number of steps."""
-    rows, steps = NumberRows(path, len(_COLUMNS)), 0
+def _read(path: Path) -> tuple[Table, Floats]:
+    """Return the circles, checked, and dX, dY, dPhi of each step."""
+    rows, steps = NumberRows(path, len(_COLUMNS)), NumberRows(path, 3)
     for number, line in numbered_lines(path):
         cells = line.split()
         if not cells or cells[0].startswith("#"):
             continue
         problem = None
         if cells[0] == "STEP":
-            steps += 1
-            if len(finite_numbers(cells[2:])) != 9:
+            step = finite_numbers(cells[2:])
+            if len(step) == 9 and max(map(abs, step[:3])) <= MAX_COORDINATE_M:
+                steps.add(step[:3], number)
+            else:
                 problem = f"expected finite numbers: {STEP}"
         elif cells[0] not in _WORDS:
             problem = f"begins with neither STEP nor {_WORDS[1]}"
         elif len(circle := finite_numbers(cells[1:])) < 7:
             problem = f"expected finite numbers: {LANDMARK}"
-        elif not steps:
+        elif not len(steps.lines):
             problem = f"comes before the first step, expected {STEP}"
         else:
             only_id = circle[6] if len(circle) == 7 else -1.0
-            rows.add([steps - 1.0, *circle[:2], only_id, *circle[3:6]], number)
+            rows.add([len(steps.lines) - 1.0, *circle[:2], only_id, *circle[3:6]], number)
         if problem:
             raise RelmapError(f"{shown(path)}: line {number}: {quoted(line)}: {problem}")
     if not len(rows.lines):
         raise RelmapError(f"{shown(path)}: holds no circle, expected lines {LANDMARK}")
-    return checked_table(path, _COLUMNS, rows.values, rows.lines), steps
+    return checked_table(path, _COLUMNS, rows.values, rows.lines), steps.values

@@ -10,14 +10,19 @@ from pathlib import Path
 
 HEAD_BYTES = 512
 """Bytes at the beginning of a file that identify its format."""
-ZIP = "a zip archive"
+BAGS = (
+    "a ROS 1 bag",
+    "an SQLite database, as ROS 2 bags are (.db3)",
+    "an MCAP file, as ROS 2 bags are",
+)
+ZIP, PARQUET = "a zip archive", "a Parquet file"
 _MOST_FILES = 20
 """Files of a folder that are looked at."""
 _GZIP_MAGIC, _GZIP_WINDOW = b"\x1f\x8b", 31
 _MAGIC = (
-    (0, b"#ROSBAG V2", "a ROS 1 bag"),
-    (0, b"SQLite format 3\0", "an SQLite database, as ROS 2 bags are (.db3)"),
-    (0, b"\x89MCAP0\r\n", "an MCAP file, as ROS 2 bags are"),
+    (0, b"#ROSBAG V2", BAGS[0]),
+    (0, b"SQLite format 3\0", BAGS[1]),
+    (0, b"\x89MCAP0\r\n", BAGS[2]),
     (0, b"LASF", "a LAS or LAZ file"),
     (0, b"ASTM-E57", "an E57 file"),
     (0, b"\x93NUMPY", "a NumPy array (.npy)"),
@@ -25,7 +30,7 @@ _MAGIC = (
     (0, b"PK\x03\x04", ZIP),
     (0, b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file"),
-    (0, b"PAR1", "a Parquet file"),
+    (0, b"PAR1", PARQUET),
     (0, b"glTF", "a glTF file"),
     (0, b"\x89PNG\r\n\x1a\n", "a PNG image"),
     (0, b"\xff\xd8\xff", "a JPEG image"),

@@ -46,12 +46,17 @@ def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
         raise unreadable(folder, error) from error
 
 
+SEPARATORS = ",;\t"
+"""What may stand between the cells of a table; in its header the most frequent one does."""
+
+
 class Head(NamedTuple):
     """What precedes the rows of a table: comments without ``#``, and the header's cells."""
 
     comments: tuple[str, ...]
     columns: tuple[str, ...]
     line: int
+    separator: str
 
 
 def read_head(path: Path, stream: TextIO) -> Head:
@@ -67,7 +72,9 @@ def read_head(path: Path, stream: TextIO) -> Head:
         if text.startswith("#"):
             comments.append(text.lstrip("#").strip())
         elif text:
-            return Head(tuple(comments), tuple(cell.strip() for cell in text.split(",")), number)
+            separator = max(SEPARATORS, key=text.count)
+            cells = tuple(cell.strip() for cell in text.split(separator))
+            return Head(tuple(comments), cells, number, separator)
     problem = "holds no header" if number else "is empty"
     raise RelmapError(f"{shown(path)}: {problem}, expected a table with a header line")
 

@@ -6,6 +6,10 @@ DOWN. Comments above the header give the sensor's pose on the robot, and the noi
     # sensor on robot: t = 0.5 0.2 0.1 ; R (row major) = 1 0 0 0 1 0 0 0 1
     # sigma: range 0.01 m, yaw 0.001745 rad, pitch 0.001745 rad; ...
 
+``X.odometry.csv.gz`` beside ``X.observations.csv.gz``, where it is there, has the header
+``step,dx_m,dy_m,dz_m,dyaw_rad,dpitch_rad,droll_rad``: the motion that FOLLOWS each step, in the
+robot's frame at that step.
+
 The simulator's exact truth lies beside a log ``X.observations.csv.gz`` in
 ``X_ground_truth.txt`` (landmarks) and ``X_ground_truth_robot_path.txt``.
 """
@@ -15,6 +19,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +28,13 @@ from scipy.spatial.transform import Rotation
 from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.sensor import range_bearing_covariances
-from relmap.datasets.assembly import MAX_COORDINATE_M, assemble_log, id_column, iteration_column
+from relmap.datasets.assembly import (
+    MAX_COORDINATE_M,
+    assemble_log,
+    id_column,
+    iteration_column,
+    metres_column,
+)
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import NumberRows, finite_numbers, read_rows
@@ -37,6 +48,11 @@ _COLUMNS = (
     Column("range_m", 0.0, MAX_COORDINATE_M, "metres"),
     Column("yaw_rad", -math.tau, math.tau, "radians"),
     Column("pitch_rad", -math.tau, math.tau, "radians"),
+)
+_MOTION = (
+    iteration_column("step"),
+    *(metres_column(f"d{axis}_m") for axis in "xyz"),
+    *(Column(f"d{angle}_rad", -1e3, 1e3, "radians") for angle in ("yaw", "pitch", "roll")),
 )
 _HALLMARK = frozenset({"range_m", "yaw_rad"})
 _SENSOR = re.compile(r"sensor on robot: *t = *([^;]*);[^=]*= *(.*)")
@@ -78,7 +94,27 @@ class MrptLandmarks:
         if all(0 < sigma < math.inf for sigma in sigmas[:d]):
             R = R_robot_sensor[:d, :d]
             noise = R @ range_bearing_covariances(_points_sensor(table)[:, :d], *sigmas[:d]) @ R.T
-        return assemble_log(table, "step", points_robot[:, :d], table.integers("id"), noise)
+        log = assemble_log(table, "step", points_robot[:, :d], table.integers("id"), noise)
+        odometry = next((other for other in _odometry_files(file) if os.path.isfile(other)), None)
+        return log if odometry is None else replace(log, odometry=_odometry(odometry, log))
+
+
+def _odometry_files(file: Path) -> list[Path]:
+    """Return how the file of the odometry beside a log may be called."""
+    base, n = _LOG.subn("", file.name)
+    return [file.with_name(f"{base}.odometry.csv{end}") for end in ("", ".gz")] if n else []
+
+
+def _odometry(file: Path, log: ObservationLog) -> Floats:
+    """Return the motion (k, 4, 4) to each step, which the file names by the step before."""
+    columns = read_table(file, _MOTION).columns
+    index = columns["step"].astype(np.int64) + 1 - log.first_iteration
+    t = np.column_stack([columns[f"d{axis}_m"] for axis in "xyz"])
+    turns = np.column_stack([columns[f"d{angle}_rad"] for angle in ("yaw", "pitch", "roll")])
+    odometry = np.full((len(log), 4, 4), math.nan)
+    there = (index >= 0) & (index < len(log))
+    odometry[index[there]] = poses_of(Rotation.from_euler("ZYX", turns), t)[there]
+    return odometry
 
 
 def _points_sensor(table: Table) -> Floats:

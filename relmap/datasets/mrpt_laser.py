@@ -1,7 +1,8 @@
 """2-D laser scans of MRPT's simulator with the exact path, as ``*.scans.csv.gz``.
 
 Header ``t_s,gt_x,gt_y,gt_theta,odo_dx,odo_dy,odo_dtheta,r0,r1,...``: one row per scan, beams from
--90 degrees (right) to +90 degrees (left). A comment above describes the sensor::
+-90 degrees (right) to +90 degrees (left); ``odo_...`` is the odometry's motion, in the robot's
+frame, that FOLLOWS the scan. A comment above describes the sensor::
 
     # ... ; sensor on robot x=0.2 y=0 z=0.1 yaw=0 ; ..., max range 80 m
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.headers import TABLES, columns_of, only_one, tables_with
 from relmap.datasets.number_rows import finite_numbers
+from relmap.datasets.odometry import motions, path_of
 from relmap.datasets.scans import (
     ScanLog,
     in_time_order,
@@ -61,9 +64,16 @@ class MrptLaser:
         poses = planar_poses(*(table.columns[name] for name in ("gt_x", "gt_y", "gt_theta")))
         k = len(ranges)
         mounted = np.tile(sensor, (k, 1))
-        return laser_scans(
+        log = laser_scans(
             file, list(ranges), [bearing] * k, limit_m, mounted, stamps_s, poses[order]
         )
+        return replace(log, odometry=motions(_path(table)[order]))
+
+
+def _path(table: Table) -> Floats:
+    """Return the poses (k, 4, 4) that the odometry adds up to."""
+    steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
+    return path_of(np.roll(steps, 1, axis=0))
 
 
 def _columns(beams: int) -> list[Column]:

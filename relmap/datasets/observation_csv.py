@@ -1,7 +1,8 @@
 """The project's own observation log: ``observations.csv``, plain or gzipped.
 
-Header ``iteration,x,y[,z][,id]`` in any order, rows in any order; robot frame, metres; ``id`` is a
-known association, negative or empty where there is none. Without ``z`` the world is planar.
+Header ``iteration,x,y[,z][,id][,stamp]`` in any order, rows in any order; robot frame, metres;
+``id`` is a known association, negative or empty where there is none; ``stamp`` is the time of the
+iteration, seconds. Without ``z`` the world is planar. Semicolons and tabs separate as commas do.
 ``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the place, robot frame,
 square metres: all of them or none.
 """
@@ -26,6 +27,8 @@ from relmap.datasets.assembly import (
     id_column,
     iteration_column,
     metres_column,
+    stamp_column,
+    with_stamps,
 )
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import columns_of, only_one
@@ -36,14 +39,17 @@ FILE_NAMES = ("observations.csv", "observations.csv.gz")
 """The log's name in a folder."""
 
 _PAIRS = ("xx", "xy", "yy", "xz", "yz", "zz")
-_COLUMNS = (
+COLUMNS = (
     iteration_column("iteration"),
     metres_column("x"),
     metres_column("y"),
     metres_column("z", required=False),
     id_column("id", required=False),
+    stamp_column("stamp", required=False),
     *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
+"""What a log may say of each observation."""
+
 _GZIP_LEVEL = 4
 _ROWS_AT_ONCE = 50_000
 
@@ -52,7 +58,7 @@ class ObservationCsv:
     """Reads ``observations.csv``, or a folder that holds it."""
 
     name = "observation-csv"
-    description = f"observations.csv with the header {header_text(_COLUMNS)}"
+    description = f"observations.csv with the header {header_text(COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
         """Return whether the header is that of an observation log, or nearly so.
@@ -65,21 +71,27 @@ class ObservationCsv:
         found = columns_of(path)
         if any("iteration" in column.lower() for column in found):
             return True
-        return len(found & {column.name for column in _COLUMNS}) >= 2
+        return len(found & {column.name for column in COLUMNS}) >= 2
 
     def load(self, path: Path) -> ObservationLog:
         """Read the log."""
         file = only_one(path, _members(path), "observation log", " or ".join(FILE_NAMES))
-        table = read_table(file, _COLUMNS)
-        axes = [table.columns[axis] for axis in "xyz" if axis in table.columns]
+        table = read_table(file, COLUMNS)
         ids = table.integers("id") if "id" in table.columns else None
-        points = np.column_stack(axes)
-        noise = _covariances(table, points)
-        return assemble_log(table, "iteration", points, ids, noise)
+        points = points_of(table)
+        noise = covariances_of(table, points)
+        log = assemble_log(table, "iteration", points, ids, noise)
+        stamps_s = table.columns.get("stamp")
+        return log if stamps_s is None else with_stamps(file, log, stamps_s[log.rows])
 
 
-def _covariances(table: Table, points: Floats) -> Floats | None:
-    """Return the covariances (n, d, d) of points (n, d); None if there are none."""
+def points_of(table: Table) -> Floats:
+    """Return the points in a table, (n, 2) or, where it has z, (n, 3)."""
+    return np.column_stack([table.columns[axis] for axis in "xyz" if axis in table.columns])
+
+
+def covariances_of(table: Table, points: Floats) -> Floats | None:
+    """Return the covariances (n, d, d) of points (n, d); None where there are none."""
     d = points.shape[1]
     wanted = [f"c{pair}" for pair in _PAIRS if d == 3 or "z" not in pair]
     found = [name for name in table.columns if name[1:] in _PAIRS]

@@ -38,12 +38,16 @@ class PointScan:
         Time, seconds; the iteration where the log has no clock.
     T_reference_robot : (4, 4) float64 or None
         The pose that the log gives for comparison, if any.
+    odometry : (4, 4) float64 or None
+        Motion since the scan before: the pose of the robot in its frame there. NaN where it is not
+        known, None where the log has no odometry.
     """
 
     iteration: int
     points_robot: Floats
     stamp_s: float
     T_reference_robot: Floats | None
+    odometry: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,10 @@ class ScanLog:
     first_iteration : int
         Number of the first scan.
     sensor : SensorView
+    odometry : (k, 4, 4) float64 or None
+        Motion to each scan from the one before, see `PointScan`; that of the first is not used.
+    no_odometry : str
+        Why poses that stand in the log where odometry would are not taken for it, if so.
     """
 
     dimension: int
@@ -93,6 +101,8 @@ class ScanLog:
     poses: Floats | None = None
     first_iteration: int = 0
     sensor: SensorView = SensorView()
+    odometry: Floats | None = None
+    no_odometry: str = ""
 
     def __len__(self) -> int:
         """Return the number of scans, empty ones included."""
@@ -108,7 +118,9 @@ class ScanLog:
         """
         for index, stamp_s in enumerate(self.stamps_s.tolist()):
             pose = None if self.poses is None else self.poses[index]
-            yield PointScan(self.first_iteration + index, self.points_of(index), stamp_s, pose)
+            motion = None if self.odometry is None else self.odometry[index]
+            number, points = self.first_iteration + index, self.points_of(index)
+            yield PointScan(number, points, stamp_s, pose, motion)
 
     def between(self, begin: int, end: int) -> ScanLog:
         """Return the part of the log in iterations ``range(begin, end)``.
@@ -132,6 +144,7 @@ class ScanLog:
             stamps_s=self.stamps_s[rows],
             points_of=lambda index: points_of(skip + index),
             poses=None if self.poses is None else self.poses[rows],
+            odometry=None if self.odometry is None else self.odometry[rows],
             first_iteration=first,
         )
 
@@ -170,7 +183,7 @@ def laser_scans(
     limit_m: float,
     T_robot_laser: Floats,
     stamps_s: Floats,
-    poses: Floats,
+    poses: Floats | None,
 ) -> ScanLog:
     """Make a log of 2-D laser scans, without the beams that did not return.
 
@@ -185,7 +198,7 @@ def laser_scans(
     T_robot_laser : (k, 3) float64
         x, y (metres) and yaw (radians) of the laser on the robot.
     stamps_s : (k,) float64
-    poses : (k, 4, 4) float64
+    poses : (k, 4, 4) float64 or None
         T_reference_robot.
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)

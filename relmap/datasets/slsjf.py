@@ -7,8 +7,9 @@ the left), and three zeros. The exact truth lies in the same folder:
 * ``store_beaconsTrue.mat``: rows of id, x, y (metres).
 * ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.
 
-``parameters.txt``, if it exists, gives the noise: ``sigr = 0.1`` (metres) of the range and
-``sigtheta = (1*pi/180)`` (radians) of the bearing.
+``store_robotOdo.mat``, if it exists, has the same form: the path that the noisy speed and turn rate
+add up to, the odometry. ``parameters.txt``, if it exists, gives the noise: ``sigr = 0.1`` (metres)
+of the range and ``sigtheta = (1*pi/180)`` (radians) of the bearing.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from relmap.datasets.base import MAX_ITERATION, ObservationLog
 from relmap.datasets.headers import file_beside, file_in
 from relmap.datasets.matfile import is_matlab, read_matrix
 from relmap.datasets.number_rows import finite_numbers
+from relmap.datasets.odometry import motions
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table, checked_table
 from relmap.datasets.textfile import numbered_lines, shown
@@ -37,6 +39,7 @@ from relmap.datasets.textfile import numbered_lines, shown
 LOG_FILE = "sensor_data.mat"
 BEACONS_FILE = "store_beaconsTrue.mat"
 ROBOT_FILE = "store_robotTrue.mat"
+ODOMETRY_FILE = "store_robotOdo.mat"
 PARAMETERS_FILE = "parameters.txt"
 
 _SIGMA_RANGE = re.compile(r"\bsigr *= *([0-9.]+)")
@@ -81,7 +84,23 @@ class SlsjfSimulation:
         sigmas = _sigmas(file.with_name(PARAMETERS_FILE))
         noise = range_bearing_covariances(points, *sigmas) if sigmas else None
         log = assemble_log(table, "step", points, table.integers("id"), noise)
-        return replace(log, rows=table.lines[log.rows] - 1)
+        odometry = file.with_name(ODOMETRY_FILE)
+        motion = _odometry(odometry, log) if odometry.is_file() else None
+        return replace(log, rows=table.lines[log.rows] - 1, odometry=motion)
+
+
+def _odometry(file: Path, log: ObservationLog) -> Floats:
+    """Return the motions (k, 4, 4) of the steps of a log; NaN where the file does not reach."""
+    poses = np.full((len(log), 4, 4), math.nan)
+    there = _path(file)[log.first_iteration : log.end_iteration]
+    poses[: len(there)] = there
+    return motions(poses)
+
+
+def _path(file: Path) -> Floats:
+    """Return the pose (4, 4) in each column of a file."""
+    robot = _table(file, read_matrix(file, file.stem).T, _POSE, "column").columns
+    return planar_poses(robot["x"], robot["y"], robot["phi"])
 
 
 def _sigmas(file: Path) -> tuple[float, float] | None:
@@ -146,11 +165,9 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     """
     file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns
-    file = file_beside(path, ROBOT_FILE)
-    robot = _table(file, read_matrix(file, file.stem).T, _POSE, "column").columns
     positions = np.column_stack([beacons["x"], beacons["y"], np.zeros(len(beacons["x"]))])
     return (
         beacons["id"].astype(np.int64),
         positions,
-        planar_poses(robot["x"], robot["y"], robot["phi"]),
+        _path(file_beside(path, ROBOT_FILE)),
     )

@@ -76,7 +76,9 @@ class Table:
 def read_table(path: Path, columns: Sequence[Column]) -> Table:
     """Read a CSV file whose header names some of the columns, in any order.
 
-    Empty lines are skipped, and so are lines above the header that start with ``#``.
+    Empty lines are skipped, and so are lines above the header that start with ``#``. Cells are
+    separated as in the header, by commas, semicolons or tabs; between semicolons numbers may have
+    a decimal comma.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
         found = _columns_in_file(path, head, columns)
         line = head.line + 1
         while batch := stream.readlines(_BATCH_CHARACTERS):
-            values, lines = _parsed(path, batch, line, found)
+            values, lines = _parsed(path, batch, line, found, head.separator)
             line += len(batch)
             count += values.size
             if count > MAX_NUMBERS:
@@ -151,26 +153,31 @@ def _columns_in_file(path: Path, head: Head, columns: Sequence[Column]) -> list[
 
 
 def _parsed(
-    path: Path, batch: list[str], first_line: int, columns: Sequence[Column]
+    path: Path, batch: list[str], first_line: int, columns: Sequence[Column], separator: str
 ) -> tuple[Floats, Ints]:
     """Return the numbers (n, columns) in lines of a file, and the line of each row."""
-    values = parse_fast(batch, len(columns))
+    values = parse_fast(batch, len(columns), separator)
     lines = np.arange(first_line, first_line + len(batch))
     if values is None:
         filled = [k for k, text in enumerate(batch) if text.strip()]
         batch, lines = [batch[k] for k in filled], lines[filled]
-        rows = [_exact(path, text, int(n), columns) for text, n in zip(batch, lines, strict=True)]
+        rows = [
+            _exact(path, text, int(n), columns, separator)
+            for text, n in zip(batch, lines, strict=True)
+        ]
         values = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
     for row, k, problem in _first_outside(values, columns):
-        cell = batch[row].split(",")[k]
+        cell = batch[row].split(separator)[k]
         raise _wrong_cell(path, int(lines[row]), columns[k], cell, problem)
     return values, lines
 
 
-def _exact(path: Path, text: str, line: int, columns: Sequence[Column]) -> list[float]:
+def _exact(
+    path: Path, text: str, line: int, columns: Sequence[Column], separator: str
+) -> list[float]:
     """Return the numbers in a line."""
     require_utf8(path, line, text)
-    cells = text.split(",")
+    cells = text.split(separator)
     if len(cells) != len(columns):
         raise RelmapError(
             f"{shown(path)}: line {line}: {len(cells)} fields in {quoted(text)}, "
@@ -182,7 +189,7 @@ def _exact(path: Path, text: str, line: int, columns: Sequence[Column]) -> list[
             row.append(column.empty)
             continue
         try:
-            row.append(parse_number(cell))
+            row.append(parse_number(cell.replace(",", ".") if separator == ";" else cell))
         except ValueError:
             problem = "is not a number" if cell else "is empty"
             raise _wrong_cell(path, line, column, cell, problem) from None
@@ -213,12 +220,12 @@ def _first_outside(values: Floats, columns: Sequence[Column]) -> list[tuple[int,
     return sorted(found)[:1]
 
 
-def parse_fast(batch: list[str], width: int) -> Floats | None:
-    """Return the numbers of plain lines, (n, width); None if a line is anything else."""
+def parse_fast(batch: list[str], width: int, separator: str = ",") -> Floats | None:
+    """Return the numbers of plain lines, (n, width); None where a line is anything else."""
     if not batch[0].strip():
         return None
     try:
-        values = np.loadtxt(batch, delimiter=",", comments=None, ndmin=2)
+        values = np.loadtxt(batch, delimiter=separator, comments=None, ndmin=2)
     except ValueError:
         return None
     return values if values.shape == (len(batch), width) else None

@@ -2,11 +2,14 @@
 
 ``trees_per_scan.csv.gz``: header ``scan,t_ms,range_m,bearing_rad,diameter_m``; bearing 0 at the
 laser's right, pi/2 straight ahead. The robot frame is the LASER's (x ahead, y left), 3.78 m ahead
-of the rear axle's centre and 0.50 m to its left. Two files beside it are read if they exist:
+of the rear axle's centre and 0.50 m to its left. Three files beside it are read if they exist:
 
 * ``VictoriaParkSinSincronizar.mat``: ``TLsr`` (1, scans), the time of every scan, seconds.
 * ``data_sensor_clean_clean.mat``: t ms, range, bearing, x_est, y_est, tree id, associated by
   S. Huang and Z. Wang (UTS) with an EKF. Not a truth: another program's result.
+* ``aa3_dr.mat``: ``time`` (ms), ``speed`` (m/s) of the left rear wheel and ``steering`` (rad, to
+  the left): the odometry. The rear axle's centre moves as the published model of the car says, at
+  v / (1 - tan(steering) H / L), and turns by tan(steering) / L a metre.
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ from relmap.datasets.assembly import assemble_log, iteration_column
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.headers import TABLES, columns_of, file_beside, only_one, tables_with
 from relmap.datasets.matfile import read_matrix
+from relmap.datasets.odometry import driven, motions, moved_frame
+from relmap.datasets.scans import planar_poses
 from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import shown
 
@@ -34,6 +39,14 @@ CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
 
 ASSOCIATION_FILE = "data_sensor_clean_clean.mat"
 """Holds tree numbers."""
+
+WHEEL_FILE = "aa3_dr.mat"
+"""Holds speed and steering."""
+
+WHEELBASE_M, WHEEL_M = 2.83, 0.76
+"""L, between the axles, and H, from the centre of the rear axle to the wheel that is measured."""
+LASER_AHEAD_M, LASER_LEFT_M = 3.78, 0.50
+"""Where the laser is, from the rear axle's centre."""
 
 _COLUMNS = (
     iteration_column("scan"),
@@ -67,7 +80,8 @@ class VictoriaPark:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, laser frame, one iteration per scan.
 
-        Trees have ids if the association file lies in the same folder, -1 for a tree it lacks.
+        Trees have ids if the association file lies in the same folder, -1 for a tree it lacks, and
+        the log has odometry, of the laser, if the file of speed and steering does.
         Without the clock file the log ends with the last scan that has a tree, and the time of a
         scan without one is interpolated.
         """
@@ -76,7 +90,9 @@ class VictoriaPark:
         points_robot = _points(table.columns["range_m"], table.columns["bearing_rad"])
         log = assemble_log(table, "scan", points_robot, None)
         log = _with_clock(table, log, file.with_name(CLOCK_FILE))
-        association = file.with_name(ASSOCIATION_FILE)
+        wheel, association = file.with_name(WHEEL_FILE), file.with_name(ASSOCIATION_FILE)
+        if os.path.isfile(wheel):
+            log = replace(log, odometry=_odometry(log, wheel))
         if not os.path.isfile(association):
             return log
         return replace(log, ids=_match_ids(log, association))
@@ -176,6 +192,25 @@ def _match_ids(log: ObservationLog, file: Path) -> Ints:
     ids[matched] = rows[found, 5].astype(np.int64)
     _LOG.info("%d of %d tree numbers matched to %d trees", len(matched), len(same), len(ids))
     return ids
+
+
+def _odometry(log: ObservationLog, file: Path) -> Floats:
+    """Return the motions of the laser (k, 4, 4)."""
+    names = ("time", "speed", "steering")
+    time_ms, speed, steering = (read_matrix(file, name).ravel() for name in names)
+    alike = len(time_ms) == len(speed) == len(steering) > 1
+    turned = alike and bool((np.abs(steering) < math.pi / 3).all())
+    if not turned or not (np.diff(time_ms) > 0).all() or not (np.abs(speed) < 100).all():
+        raise RelmapError(
+            f"{shown(file)}: fields {', '.join(names)} are not as long as one another or out of "
+            "range, expected growing milliseconds, metres per second and radians"
+        )
+    assert log.stamps_s is not None
+    curvature = np.tan(steering) / WHEELBASE_M
+    centre_m_s = speed / (1 - curvature * WHEEL_M)
+    poses = driven(time_ms / 1000, centre_m_s, centre_m_s * curvature, log.stamps_s)
+    laser = planar_poses(*np.array([[LASER_AHEAD_M], [LASER_LEFT_M], [0.0]]))
+    return moved_frame(motions(poses), laser[0])
 
 
 def _nearest(ascending: Floats, values: Floats) -> Ints:

@@ -94,6 +94,7 @@ def feed(
     progress: Progress | None = None,
     n_seen: int = 0,
     segmenter: PlaneSegmenter | None = None,
+    odometry: bool = False,
     clock: Callable[[], float] = perf_counter,
 ) -> Fed:
     """Run a log through a method to its end, and take the time.
@@ -102,7 +103,7 @@ def feed(
     ----------
     method : Method
         A plane mapper is given the walls of a scan, every other method its points.
-    log, association, refine, progress, segmenter
+    log, association, refine, progress, segmenter, odometry
         As `run_mapper` takes them.
     n_seen : int
         Scans of the log that the method has taken in.
@@ -123,15 +124,12 @@ def feed(
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = _preparation(method, log, segmenter)
     labels, durations_s = [], []
-    takes_covariances = isinstance(method, PointMapper)
     for scan in progress(scans) if progress else scans:
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        noise = getattr(scan, "covariances", None)
-        more = {"beams": scan.points_robot} if isinstance(method, PlaneMapper) else {}
-        if noise is not None and takes_covariances:
-            more["covariances"] = noise
+        # The motion to the first scan of a log is from where no scan was taken.
+        more = _known_of(method, scan, odometry and scan.iteration > first)
         labels.append(method.update(seen, ids=scan.ids if known else None, **more))
         durations_s.append([between - began, clock() - between])
     over = clock()
@@ -141,6 +139,18 @@ def feed(
         method.refine()
     durations = np.array(durations_s).reshape(-1, 2)
     return Fed(labels, durations, finished - over, clock() - finished)
+
+
+def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
+    """Return what a mapper takes of a scan beside what it sees."""
+    more = {}
+    if isinstance(method, PlaneMapper):
+        more["beams"] = scan.points_robot
+    elif isinstance(method, PointMapper) and scan.covariances is not None:
+        more["covariances"] = scan.covariances
+    if odometry and scan.odometry is not None and isinstance(method, PointMapper | PlaneMapper):
+        more["odometry"] = scan.odometry
+    return more
 
 
 def _preparation(

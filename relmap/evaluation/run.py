@@ -59,6 +59,7 @@ def run_mapper(
     refine: bool = False,
     seen: Sequence[NDArray[np.int64]] = (),
     segmenter: PlaneSegmenter | None = None,
+    odometry: bool = False,
 ) -> Run:
     """Map a whole log.
 
@@ -80,6 +81,8 @@ def run_mapper(
         The labels of the scans of the log that the mapper has taken in.
     segmenter : PlaneSegmenter, optional
         Finds walls; by default one with the limits of the sensor that the log gives.
+    odometry : bool
+        Whether to give the odometry of the log, if it has any, to the mapper.
 
     Returns
     -------
@@ -91,7 +94,7 @@ def run_mapper(
         If ``known`` is asked of a log without ids, or a scan of the log is damaged.
     """
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
-    fed = feed(mapper, log, association, refine, progress, len(seen), segmenter)
+    fed = feed(mapper, log, association, refine, progress, len(seen), segmenter, odometry)
     labels, n_input = [*seen, *fed.labels], len(log)
     log = log.between(log.first_iteration, log.first_iteration + len(labels))
     result = result_of(mapper, log, labels, association, offset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Literal, Protocol, TypeVar, cast
@@ -181,6 +182,8 @@ def read_log(
     variant: Variant,
     log_format: str | None = None,
     scans: tuple[int, int] | None = None,
+    columns: Mapping[str, str] | None = None,
+    topics: Sequence[str] = (),
 ) -> Log:
     """Read some iterations of a log, or all, of what a variant maps; see `open_log`, `open_scans`.
 
@@ -189,7 +192,11 @@ def read_log(
     RelmapError
         If there is no such log or it is damaged.
     """
-    whole: Log = (open_scans if variant == "planes" else open_log)(path, log_format)
+    whole: Log
+    if variant == "planes":
+        whole = open_scans(path, log_format, topics)
+    else:
+        whole = open_log(path, log_format, columns, topics)
     return whole if scans is None else whole.between(*scans)
 
 

@@ -83,8 +83,8 @@ def _odometry(use: OdometryUse | None, offset: int) -> dict[str, Any] | None:
     if use is None:
         return None
     return {
-        "used": use.is_used,
-        "wrong_throughout": use.noise.is_wrong,
+        "used": bool(use.is_used),
+        "wrong_throughout": bool(use.noise.is_wrong),
         "scale": float(use.noise.scale),
         "sigma_share_of_way": float(use.noise.sigma_way),
         "sigma_rad": float(use.noise.sigma_rad),

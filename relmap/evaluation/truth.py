@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import quoted, require_path, shown
+from relmap.datasets.trajectories import is_trajectory, read_trajectory
 from relmap.evaluation.relations import RELATIONS, relations_by_clocks
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.results import SUMMARY
@@ -81,11 +82,12 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
     ----------
     path : Path
         A folder as `relmap simulate` writes it, with ``truth/landmarks.csv`` or ``landmarks.csv``
-        (of walls ``planes.csv``), and ``trajectory.tum`` beside it where the path is known.
+        (of walls ``planes.csv``), and ``trajectory.tum`` beside it where the path is known. Or a
+        trajectory as TUM or KITTI write it (`relmap.datasets.trajectories`).
         Of points also
 
         * MRPT's ``..._ground_truth.txt`` or its folder;
-        * the folder of I-SLSJF's simulation;
+        * the folder of I-SLSJF's simulation, or of MRCLAM;
         * the folder of Victoria Park, whose trees were not surveyed: the published estimates of
           another program are a reference to compare with, not a truth;
         * the folder of DLR's circles, which has ids but no positions.
@@ -119,6 +121,9 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
         if (folder / TRAJECTORY).exists():
             stamps_s, poses = read_tum(folder / TRAJECTORY)
             truth = replace(truth, stamps_s=stamps_s, poses=poses)
+    elif not path.name.endswith(RELATIONS) and is_trajectory(path):
+        stamps_s, poses = read_trajectory(path)
+        truth = Truth(stamps_s=stamps_s, poses=poses)
     else:
         truth = (_read_path if variant == "planes" else _read_data_set)(path)
     ids, counts = np.unique(truth.landmark_ids, return_counts=True)
@@ -185,12 +190,15 @@ def _read_path(path: Path) -> Truth:
 
 def _read_data_set(path: Path) -> Truth:
     """Read the true landmarks of a data set."""
-    from relmap.datasets import dlr_circles, mrpt_landmarks, slsjf, victoria_park
+    from relmap.datasets import dlr_circles, mrclam, mrpt_landmarks, slsjf, victoria_park
 
     if mrpt_landmarks.is_ground_truth(path):
         return _static(*mrpt_landmarks.read_ground_truth(path))
     if slsjf.is_ground_truth(path):
         return _static(*slsjf.read_ground_truth(path))
+    if mrclam.is_ground_truth(path):
+        ids, positions, stamps_s, poses = mrclam.read_ground_truth(path)
+        return replace(_static(ids, positions, poses), stamps_s=stamps_s)
     if victoria_park.is_reference(path):
         return _static(*victoria_park.read_reference_map(path))
     if dlr_circles.DlrCircles().recognises(path):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,6 +29,7 @@ MAP_PNG = "map.png"
 SUMMARY = "summary.json"
 MAPPER = "mapper.npz"
 EVALUATION = "evaluation.json"
+NAMES = "names.csv"
 
 LANDMARK_COLUMNS: dict[str, Kind] = {
     "landmark": "int",
@@ -104,6 +108,15 @@ class Result:
     def mapped(self) -> Bools:
         """Which landmarks have a place in the map, (n,)."""
         return np.asarray(np.isfinite(self.landmarks.position).all(axis=1))
+
+
+def write_names(folder: Path, names: Sequence[str]) -> None:
+    """Write what the landmarks 0, 1 and so on are called in the log, as ``landmark,name``."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["landmark", "name"])
+    rows.writerows(enumerate(names))
+    atomic_write(folder / NAMES, text.getvalue())
 
 
 def write_result(folder: Path, result: Result) -> None:

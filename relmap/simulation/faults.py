@@ -1,20 +1,25 @@
-"""Faults of the world and of sensors, put into a log with ids; one function each.
+"""Faults of the world, of sensors and of wheels, put into a log; one function each.
 
 Each function takes a log and returns another; nothing is changed in place.  False observations lie
 where other observations of the log lie, so that their place alone does not give them away.  A share
-is one of all observations, in [0, 1]; a `RelmapError` says where it is not, or where ids that a
-fault needs are missing.
+is one of all observations, in [0, 1]; a `RelmapError` says where it is not, or where ids or the
+odometry that a fault needs are missing.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
+from relmap.datasets.odometry import composed, motions, path_of, poses_at, relative
+from relmap.datasets.scans import ScanLog
+
+Log = TypeVar("Log", bound=ObservationLog | ScanLog)
 
 
 def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
@@ -89,7 +94,11 @@ def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
     kept = _rows(log, np.flatnonzero(~skipped))
     later = kept.iteration > first
     iteration = np.where(later, kept.iteration - (steps - 1), kept.iteration)
-    return replace(kept, iteration=iteration, end_iteration=log.end_iteration - (steps - 1))
+    end = log.end_iteration - (steps - 1)
+    numbers = np.arange(log.first_iteration, log.end_iteration)
+    left = np.flatnonzero((numbers <= first) | (numbers >= first + steps))
+    odometry = None if log.odometry is None else composed(log.odometry, left)
+    return replace(kept, iteration=iteration, end_iteration=end, odometry=odometry)
 
 
 def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLog:
@@ -100,10 +109,51 @@ def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLo
     return replace(_rows(log, order), iteration=iteration[order])
 
 
-def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draw a share of the observations, in ascending order."""
+def slipping_wheels(log: Log, share: float, rng: np.random.Generator) -> Log:
+    """Let the odometry count the way of a share of the steps twice."""
+    _check_share(share)
+    odometry = _odometry(log).copy()
+    slips = rng.choice(len(odometry), round(share * len(odometry)), replace=False)
+    odometry[slips, :3, 3] *= 2
+    return replace(log, odometry=odometry)
+
+
+def reversed_odometry(log: Log) -> Log:
+    """Let the odometry say that the robot went back where it went ahead, and turned as little."""
+    odometry = _odometry(log)
+    return replace(log, odometry=relative(odometry, np.broadcast_to(np.eye(4), odometry.shape)))
+
+
+def stale_odometry(log: Log, late: float) -> Log:
+    """Let the odometry be late, by so many seconds, or iterations where the log has no clock.
+
+    What would be of a time before the log, and what lies beside unknown motions, is not known.
+    """
+    odometry = _odometry(log)
+    at = np.arange(float(len(log))) if log.stamps_s is None else log.stamps_s
+    stale = motions(poses_at(at, path_of(odometry), at - late))
+    unknown = np.asarray(np.isnan(odometry).any(axis=(1, 2)))
+    unknown[0] = False
+    before = np.clip(np.searchsorted(at, at - late), 1, len(at) - 1)
+    around = unknown[before] | unknown[np.roll(before, 1)] | unknown[before - 1]
+    stale[around] = np.nan
+    return replace(log, odometry=stale)
+
+
+def _odometry(log: ObservationLog | ScanLog) -> NDArray[np.float64]:
+    if log.odometry is None:
+        raise RelmapError("the log has no odometry, and a fault of wheels needs it")
+    return log.odometry
+
+
+def _check_share(share: float) -> None:
     if not 0 <= share <= 1:
         raise RelmapError(f"share is {share}; it must lie in [0, 1]")
+
+
+def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Draw a share of the observations, in ascending order."""
+    _check_share(share)
     n = len(log.iteration)
     return np.sort(rng.choice(n, round(share * n), replace=False))
 

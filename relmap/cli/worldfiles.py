@@ -1,0 +1,55 @@
+"""The files that ``relmap simulate`` makes of a world."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from relmap.datasets.base import ObservationLog
+    from relmap.evaluation.truth import Truth
+    from relmap.simulation import Building
+
+
+def write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
+    """Write a run past landmarks into an existing folder and return a line of counts."""
+    from relmap.datasets.observation_csv import write_observation_csv
+    from relmap.evaluation.truth import write_truth
+
+    write_observation_csv(folder / "observations.csv", log)
+    (folder / "truth").mkdir()
+    write_truth(folder / "truth", truth)
+    return (
+        f"{len(truth.landmark_ids)} landmarks, {len(log)} iterations, "
+        f"{len(log.points_robot)} observations"
+    )
+
+
+def write_building(folder: Path, building: Building) -> None:
+    """Write a run into an existing folder."""
+    import numpy as np
+
+    from relmap.datasets import write_scans_npz
+    from relmap.datasets.scans import SensorView
+    from relmap.io.files import atomic_write, write_tum
+    from relmap.io.tables import csv_text
+    from relmap.plots.planes import write_building_png
+
+    truth = folder / "truth"
+    truth.mkdir()
+    axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans the plane
+    scans = [scan.points[:, axes] for scan in building.scans]
+    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
+    write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
+    ends = ("plane", "x0", "y0", "x1", "y1", "z0", "z1")
+    header = (*ends, "scans", "corner0", "corner1", "status", "seen0", "seen1")
+    status = np.where(building.moving, "dynamic", "static").tolist()
+    walls, seen = building.walls.tolist(), building.times_seen().tolist()
+    columns = walls, seen, status, building.seen_extents().tolist()
+    rows = [
+        [number, *wall, *times, moves, *extent]
+        for number, (wall, times, moves, extent) in enumerate(zip(*columns, strict=True))
+    ]
+    atomic_write(truth / "planes.csv", csv_text(header, rows))
+    write_tum(truth / "trajectory.tum", building.stamps_s, building.trajectory)
+    write_building_png(folder / "building.png", building)

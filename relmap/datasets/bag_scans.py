@@ -1,0 +1,166 @@
+"""Point scans in bags: ``sensor_msgs/LaserScan`` and ``sensor_msgs/PointCloud2``.
+
+The points are in the robot's frame (`relmap.datasets.bag_frames`); of a laser that lies level,
+upside down or not, they are planar. Stamps are those of the headers.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.bag_detections import DETECTIONS
+from relmap.datasets.bag_frames import Driven, Mounting, stamp_s
+from relmap.datasets.bags import Bag, is_bag, topics_in
+from relmap.datasets.scans import ScanLog, in_time_order, laser_scans, require_memory
+from relmap.datasets.textfile import shown
+
+LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
+LEVEL = np.cos(np.deg2rad(5.0))
+"""The cosine of the largest tilt of a laser whose scan counts as planar."""
+MAX_POINTS = 1 << 22
+"""In one cloud."""
+
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+
+
+@dataclass(frozen=True)
+class BagScans:
+    """Reads the scans of one topic.
+
+    Attributes
+    ----------
+    topics : tuple of str
+        Those to read where there are several of a kind, of scans and of odometry.
+    """
+
+    topics: tuple[str, ...] = ()
+    name = "bag-scans"
+    description = "a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2"
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether it is a bag with scans, or one without detections, or cannot be read."""
+        return is_bag(path) and (
+            not topics_in(path, DETECTIONS) or bool(topics_in(path, (LASER, CLOUD)))
+        )
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log; a cloud is read when its scan is asked for."""
+        with Bag(path) as bag:
+            topic = bag.chosen((LASER, CLOUD), self.topics, "LaserScan or PointCloud2")
+            driven = Driven(bag, self.topics)
+            mounting = Mounting(bag, driven.base)
+            read = _lasers if bag.types[topic] == LASER else _clouds
+            log, frame = read(bag, topic, mounting)
+        odometry = driven.at(log.stamps_s, frame, path)
+        return replace(log, odometry=odometry, no_odometry=driven.reason)
+
+
+def _lasers(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
+    stamps: list[float] = []
+    ranges, bearings, poses, frames, limits, beams = [], [], [], set(), [], 0
+    for t, message in bag.messages(topic):
+        frame, T_robot_laser = mounting.of(message.header.frame_id)
+        r, bearing, pose = _beams(bag, message, T_robot_laser)
+        beams += len(r)
+        require_memory(shown(bag.path), len(stamps), beams)
+        stamps.append(stamp_s(t, message))
+        ranges.append(r)
+        bearings.append(bearing)
+        poses.append(pose)
+        frames.add(frame)
+        limits.append(float(message.range_max))
+    if not stamps or not beams:
+        raise RelmapError(f"{shown(bag.path)}: topic {topic} holds no scan, expected some")
+    order, stamps_s = in_time_order(bag.path, np.array(stamps))
+    finite = [limit for limit in limits if 0 < limit < np.inf]
+    log = laser_scans(
+        bag.path,
+        [ranges[k] for k in order],
+        [bearings[k] for k in order],
+        min(finite, default=np.inf),
+        np.array(poses)[order],
+        stamps_s,
+        None,
+    )
+    return log, min(frames)
+
+
+def _beams(bag: Bag, message: Any, T_robot_laser: Floats) -> tuple[Floats, Floats, list[float]]:
+    """Return ranges and bearings from right to left, and x, y, yaw of the laser on the robot."""
+    r = np.asarray(message.ranges, dtype=np.float64)
+    first, step = float(message.angle_min), float(message.angle_increment)
+    bearing = first + step * np.arange(len(r), dtype=np.float64)
+    up = T_robot_laser[2, 2]
+    if abs(up) < LEVEL or not np.isfinite([first, step]).all() or abs(first) > 7 or abs(step) > 7:
+        raise RelmapError(
+            f"{shown(bag.path)}: the laser is not level on the robot, or its angles are none; "
+            "expected a laser that scans the plane"
+        )
+    nothing = ~np.isfinite(r) | (r < message.range_min) | (np.abs(r) > MAX_COORDINATE_M)
+    r = np.where(nothing, 0.0, r)
+    bearing = bearing if up > 0 else -bearing
+    if len(bearing) > 1 and bearing[1] < bearing[0]:
+        r, bearing = r[::-1], bearing[::-1]
+    yaw = np.arctan2(T_robot_laser[1, 0], T_robot_laser[0, 0])
+    return r, bearing, [*T_robot_laser[:2, 3].tolist(), float(yaw)]
+
+
+def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
+    stamps, places, frame = [], [], ""
+    written: Counter[int] = Counter()
+    for t, message in bag.messages(topic):
+        frame, T = mounting.of(message.header.frame_id)
+        places.append((t, written[t], T))
+        written[t] += 1
+        stamps.append(stamp_s(t, message))
+    if not stamps:
+        raise RelmapError(f"{shown(bag.path)}: topic {topic} holds no cloud, expected some")
+    order, stamps_s = in_time_order(bag.path, np.array(stamps))
+
+    reopened: list[Bag] = []
+
+    def points_of(index: int) -> Floats:
+        if not reopened:
+            reopened.append(Bag(bag.path))
+            weakref.finalize(points_of, reopened[0].close)
+        t, nth, T = places[order[index]]
+        points = cloud_points(reopened[0].message_at(topic, t, nth), shown(bag.path))
+        return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+    return ScanLog(3, stamps_s, points_of), frame
+
+
+def cloud_points(message: Any, where: str) -> Floats:
+    """Return the points (n, 3) of a ``PointCloud2`` that are finite.
+
+    Raises
+    ------
+    RelmapError
+        If it has no x, y, z or fewer bytes than points; `where` stands before the message.
+    """
+    n, step = int(message.width) * int(message.height), int(message.point_step)
+    order = ">" if message.is_bigendian else "<"
+    data = np.asarray(message.data, dtype=np.uint8)
+    fields = {field.name: field for field in message.fields}
+    there = all(axis in fields and fields[axis].datatype in _TYPES for axis in "xyz")
+    if not there or n > MAX_POINTS or n * step > len(data):
+        raise RelmapError(f"{where}: a cloud of {n} points has no x, y, z or is cut short")
+    columns = []
+    for axis in "xyz":
+        kind = np.dtype(order + _TYPES[fields[axis].datatype])
+        begin = int(fields[axis].offset)
+        if begin + kind.itemsize > step:
+            raise RelmapError(f"{where}: field {axis} of a cloud lies beyond its point")
+        cells = data[: n * step].reshape(n, step)[:, begin : begin + kind.itemsize]
+        columns.append(np.ascontiguousarray(cells).view(kind)[:, 0].astype(np.float64))
+    points = np.column_stack(columns)
+    return points[(np.abs(points) <= MAX_COORDINATE_M).all(axis=1)]

@@ -1,0 +1,208 @@
+"""Bags of ROS 1 and ROS 2 and MCAP files: which messages they hold, and their content.
+
+`rosbags` reads them; a bag that it refuses as damaged is read from its beginning as far as it goes
+(`relmap.datasets.bag_salvage`), and a warning says so.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.foreign import BAGS, foreign_at
+from relmap.datasets.headers import members_of
+from relmap.datasets.textfile import quoted, shown
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+    from relmap.datasets.bag_salvage import Found
+
+_ENDINGS = (".bag", ".db3", ".mcap")
+_MOST_LISTED = 12
+_LOG = logging.getLogger(__name__)
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a file is a bag, or a folder holds one, damaged or not."""
+    if os.path.isdir(path):
+        return bool(_files(path))
+    return path.suffix in _ENDINGS and foreign_at(path) in BAGS
+
+
+def can_read() -> bool:
+    """Return whether what reads bags is installed."""
+    return find_spec("rosbags") is not None
+
+
+def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
+    """Return the topics of some types in a bag; None if it is none, or cannot be opened."""
+    if not is_bag(path) or not can_read():
+        return None
+    try:
+        with Bag(path) as bag:
+            return bag.topics_of(types)
+    except RelmapError:
+        return None
+
+
+class Bag:
+    """A bag that is open; whatever is wrong with it comes as a RelmapError.
+
+    Attributes
+    ----------
+    path : Path
+    types : dict of str to str
+        The type of the messages of each topic, as ROS 2 calls it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if not can_read():
+            found = foreign_at(path)
+            raise RelmapError(f"{shown(path)}: is {found}: pip install 'relmap[bags]' to read it")
+        self.path = path
+        self.types: dict[str, str] = {}
+        self._reader: Any = None
+        self._found: list[Found] = []
+        self._damage: Exception | None = None
+        self._typestore: Typestore | None = None
+        self._is_ros1 = _files(path)[0].suffix == ".bag"
+        with _told(path):
+            self._open()
+
+    def _open(self) -> None:
+        from rosbags.highlevel import AnyReader
+
+        from relmap.datasets.bag_salvage import known_types, salvaged
+
+        files = _files(self.path)
+        whole = [self.path] if (self.path / "metadata.yaml").is_file() else files
+        store = known_types()
+        for paths in [whole, *([files] if whole != files else [])]:
+            try:
+                reader = AnyReader(paths, default_typestore=store)
+                reader.open()
+            except Exception as error:  # noqa: BLE001 - of a damaged file any error may come
+                reason = error
+                continue
+            self._reader, self._typestore = reader, reader.typestore
+            self.types = {each.topic: each.msgtype for each in reader.connections}
+            return
+        self._found, self._typestore = salvaged(files)
+        if not self._found:
+            raise reason
+        self.types = {found.topic: found.type for found in self._found}
+        self._damage = reason
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
+
+    def close(self) -> None:
+        """Close its files, if they are open."""
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()
+
+    def topics_of(self, types: Iterable[str]) -> list[str]:
+        """Return the topics whose messages are of one of the types, in order."""
+        return sorted(topic for topic, type_ in self.types.items() if type_ in types)
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Yield the time of each message of a topic, nanoseconds, and what it says."""
+        n = 0
+        try:
+            for t, raw in self._raw(topic):
+                with _told(self.path):
+                    message = self._decoded(topic, raw)
+                yield t, message
+                n += 1
+        except RelmapError as error:
+            if not n:
+                raise
+            self._warn(error.__cause__ or error, n)
+
+    def message_at(self, topic: str, t: int, nth: int) -> Any:
+        """Return the n-th message of a topic at a time, nanoseconds."""
+        with _told(self.path):
+            at = [raw for time, raw in self._raw(topic, t, t + 1) if time == t]
+            return self._decoded(topic, at[nth])
+
+    def _raw(
+        self, topic: str, start: int | None = None, stop: int | None = None
+    ) -> Iterator[tuple[int, bytes]]:
+        if self._reader is None:
+            yield from ((found.t, found.raw) for found in self._found if found.topic == topic)
+            return
+        connections = [each for each in self._reader.connections if each.topic == topic]
+        with _told(self.path):
+            for _, t, raw in self._reader.messages(connections, start, stop):
+                yield t, raw
+
+    def _decoded(self, topic: str, raw: bytes) -> Any:
+        assert self._typestore is not None
+        if self._is_ros1:
+            return self._typestore.deserialize_ros1(raw, self.types[topic])
+        return self._typestore.deserialize_cdr(raw, self.types[topic])
+
+    def _warn(self, error: BaseException, n: int) -> None:
+        reason = quoted(str(error) or type(error).__name__)
+        _LOG.warning("%s: damaged (%s): only the first %d messages", shown(self.path), reason, n)
+
+    def chosen(self, types: Sequence[str], topics: Sequence[str], what: str) -> str:
+        """Return the one topic of some types: of those that are named, or of all.
+
+        A warning says if the bag is damaged.
+
+        Raises
+        ------
+        RelmapError
+            If there is none, or several; the message lists what the bag holds.
+        """
+        if self._damage is not None:
+            self._warn(self._damage, len(self._found))
+        fitting = self.topics_of(types)
+        named = [topic for topic in topics if topic in fitting]
+        unknown = [topic for topic in topics if topic not in self.types]
+        if unknown:
+            raise self._refused(f"no topic {quoted(unknown[0])}")
+        if len(named or fitting) == 1:
+            return (named or fitting)[0]
+        if not fitting:
+            raise self._refused(f"no topic with {what}")
+        raise self._refused(f"several topics with {what}: name one with --topic")
+
+    def _refused(self, problem: str) -> RelmapError:
+        names = [f"{topic} ({type_})" for topic, type_ in sorted(self.types.items())]
+        listed = ", ".join(names[:_MOST_LISTED]) + ", ..." * (len(names) > _MOST_LISTED)
+        return RelmapError(f"{shown(self.path)}: {problem}; the bag holds {shown(listed)}")
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong in a reader of foreign files into a RelmapError."""
+    try:
+        yield
+    except (RelmapError, GeneratorExit):
+        raise
+    except Exception as error:  # of a damaged file any error may come
+        reason = quoted(str(error).partition("\n")[0] or type(error).__name__)
+        found = foreign_at(path) or "a bag"
+        raise RelmapError(f"{shown(path)}: is {found} and cannot be read: {reason}") from error
+
+
+def _files(path: Path) -> list[Path]:
+    """Return the files of a bag; none where a folder holds none."""
+    if not os.path.isdir(path):
+        return [path]
+    return [file for file in members_of(path, _ENDINGS) if foreign_at(file) in BAGS]

@@ -1,0 +1,105 @@
+"""Distinguishes odometry from corrected poses in CARMEN logs.
+
+Programs that correct a log often write the corrected pose into every field, that of the odometry
+too; a map that used it would use the answer. So a pose counts as odometry only with evidence:
+
+* another pose of the scan departs from it during the log (``FLASER`` has two, ``VERTEX2`` is one):
+  then that one is corrected and this one is not; or
+* the log also has the speeds of the wheels (``ODOM``, ``ROBOTLASER1``), no line ``NEFF``, which
+  particle filters write, and the laser is where ``robot_frontlaser_offset`` has it. Programs that
+  rewrite poses write speeds of 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.datasets.number_rows import finite_numbers
+from relmap.datasets.odometry import motions, moved_frame, relative
+from relmap.datasets.scans import FIXED, planar_poses
+
+OFFSET = "robot_frontlaser_offset"
+SAME, MOST = 10 * FIXED, 0.9
+"""Two paths are one where this share of their poses agrees so well; some are rounded more."""
+CORRECTED = (
+    "the pose in the place of odometry is that of a corrected path: it has no wheel speeds, or a "
+    "particle filter wrote it"
+)
+
+
+@dataclass(frozen=True)
+class Hints:
+    """What the lines between the scans say.
+
+    Attributes
+    ----------
+    filtered : bool
+        Whether a particle filter wrote the log.
+    moved : bool
+        Whether wheels are said to turn.
+    offset_m : float or None
+        How far the laser is ahead of the robot's centre.
+    """
+
+    filtered: bool = False
+    moved: bool = False
+    offset_m: float | None = None
+
+    def seen(self, cells: list[str]) -> Hints:
+        """Return what is known after another line, which may be of any kind."""
+        if cells[0] == "NEFF":
+            return replace(self, filtered=True)
+        if cells[0] == "ODOM":
+            return self.moving(finite_numbers(cells[4:6]))
+        offset = finite_numbers(cells[2:3]) if cells[:2] == ["PARAM", OFFSET] else []
+        return replace(self, offset_m=offset[0]) if offset and abs(offset[0]) < 100 else self
+
+    def moving(self, speeds: Sequence[float]) -> Hints:
+        """Return what is known after speeds, ahead and of turns."""
+        there = self.moved or any(abs(speed) > FIXED for speed in speeds)
+        return replace(self, moved=there) if there != self.moved else self
+
+
+def odometry_of(
+    poses: Floats, counted: Floats, hints: Hints, of_laser: bool
+) -> tuple[Floats | None, str]:
+    """Return the motions (k, 4, 4) of the scans' frame, or None and why there are none.
+
+    Parameters
+    ----------
+    poses : (k, 4, 4) float64
+        Of the scans' frame, perhaps corrected.
+    counted : (k, 4, 4) float64
+        Of the robot, where odometry stands.
+    hints : Hints
+    of_laser : bool
+        Whether the scans' frame is the laser's, not the robot's.
+    """
+    T_robot_frame = planar_poses(*np.array([[hints.offset_m or 0.0], [0.0], [0.0]]))[0]
+    if not of_laser:
+        T_robot_frame = np.eye(4)
+    if not _same_path(poses, counted):
+        return moved_frame(motions(counted), T_robot_frame), ""
+    mounted = np.linalg.norm((counted[0] @ T_robot_frame - poses[0])[:2, 3]) <= SAME
+    if hints.moved and not hints.filtered and (mounted or hints.offset_m is None):
+        return motions(poses), ""
+    return None, CORRECTED
+
+
+def _same_path(a: Floats, b: Floats) -> bool:
+    """Return whether two paths (k, 4, 4) differ by a fixed frame or by another map alone."""
+    if _constant(relative(a, b)):
+        return True
+    anchors = np.unique(np.array([1, 2, 3]) * (len(a) - 1) // 4)
+    return any(_constant(relative(relative(a[k], a), relative(b[k], b)), True) for k in anchors)
+
+
+def _constant(relation: Floats, none: bool = False) -> bool:
+    """Return whether most planar poses are the same, or those of no motion."""
+    apart = np.column_stack([relation[:, :2, 3], relation[:, :2, 0]])
+    usual = np.array([0.0, 0.0, 1.0, 0.0]) if none else np.median(apart, axis=0)
+    return bool((np.abs(apart - usual).max(axis=1) <= SAME).mean() >= MOST)

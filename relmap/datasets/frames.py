@@ -1,0 +1,116 @@
+"""Data frames of pandas and polars, and Parquet files, as tables of landmarks that were seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.foreign import PARQUET
+from relmap.datasets.own_columns import (
+    BY_NAME,
+    Ids,
+    Numbers,
+    check_columns,
+    chosen,
+    log_of,
+    with_ids,
+)
+from relmap.datasets.table import MAX_NUMBERS, Column
+from relmap.datasets.textfile import quoted, shown
+
+
+def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> ObservationLog:
+    """Return the log in a data frame.
+
+    Parameters
+    ----------
+    frame : pandas.DataFrame or polars.DataFrame
+        A row is one landmark seen.
+    columns : mapping of str to str, optional
+        What the frame calls ``iteration``, ``stamp`` (seconds, or a time), ``x``, ``y``, ``z``
+        (robot frame, metres) and ``id``, where it is not that. Iteration or stamp may be missing,
+        and so may z and id.
+
+    Returns
+    -------
+    ObservationLog
+
+    Raises
+    ------
+    RelmapError
+        If a column is missing or a value cannot be used: the row, from 0, and the column.
+    """
+    path = Path("data frame")
+    check_columns(columns or {})
+    theirs = chosen(path, [str(name) for name in frame.columns], columns or {})
+    found = {ours: frame[name].to_numpy() for ours, name in theirs.items()}
+    return log_of(path, numbers_of(path, found, "row", first=0))
+
+
+def read_parquet(path: Path, columns: Mapping[str, str]) -> dict[str, NDArray[Any]]:
+    """Return the columns that are read of a Parquet file."""
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError:
+        raise RelmapError(
+            f"{shown(path)}: is {PARQUET}: pip install 'relmap[parquet]' to read it"
+        ) from None
+    try:
+        with parquet.ParquetFile(path) as file:
+            wanted = chosen(path, list(file.schema_arrow.names), columns)
+            if file.metadata.num_rows * len(wanted) > MAX_NUMBERS:
+                raise RelmapError(f"{shown(path)}: more than {MAX_NUMBERS} numbers in its columns")
+            table = file.read(columns=list(wanted.values()))
+            return {ours: table.column(name).to_numpy() for ours, name in wanted.items()}
+    except (ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        reason = quoted(str(error).partition("\n")[0])
+        raise RelmapError(f"{shown(path)}: cannot be read as {PARQUET}: {reason}") from error
+
+
+def numbers_of(
+    path: Path, found: Mapping[str, NDArray[Any]], place: str, first: int = 1
+) -> Numbers:
+    """Return the numbers in the columns of a frame."""
+    used, ids, columns = [BY_NAME[ours] for ours in found], Ids(), []
+    n = len(next(iter(found.values())))
+    for column in used:
+        cells = found[column.name]
+        if column.name != "id":
+            columns.append(_as_floats(path, column, cells, first))
+            continue
+        for row, cell in enumerate(cells.tolist()):
+            ids.add(_as_text(cell), f"{shown(path)}: row {first + row}, field id")
+        columns.append(np.full(n, -1.0))
+    return with_ids(used, np.column_stack(columns), np.arange(first, first + n), place, ids)
+
+
+def _as_text(cell: object) -> str:
+    missing = cell is None or cell != cell or type(cell).__name__ == "NAType"
+    return "" if missing else str(cell).strip()
+
+
+def _as_floats(path: Path, column: Column, cells: NDArray[Any], first: int) -> Floats:
+    if cells.dtype.kind == "M" and column.name == "stamp":
+        seconds = cells.astype("datetime64[ns]").astype(np.int64) / 1e9
+        return np.where(np.isnat(cells), np.nan, seconds)
+    try:
+        if cells.dtype.kind not in "biufO":
+            raise ValueError(cells.dtype)
+        return np.asarray(cells, dtype=np.float64)
+    except (TypeError, ValueError):
+        wrong = next((k for k, cell in enumerate(cells.tolist()) if not _is_number(cell)), 0)
+        raise RelmapError(
+            f"{shown(path)}: row {first + wrong}, field {column.name}: "
+            f"{quoted(str(cells[wrong]))}, expected {column.expected}"
+        ) from None
+
+
+def _is_number(cell: object) -> bool:
+    return isinstance(cell, int | float)

@@ -1,0 +1,272 @@
+"""Odometry of logs: how the robot moved from one iteration to the next, as its wheels count.
+
+A motion is the pose (4, 4) of the robot in its own frame one iteration before; NaN if unknown.
+Motions come from the log itself or from a file beside it:
+
+* ``odometry.csv`` or ``odometry.csv.gz``: header ``iteration,x,y,yaw`` or
+  ``iteration,x,y,z,qx,qy,qz,qw``, the motion from the iteration before to this one. An iteration
+  without a row is one whose motion is not known.
+* ``odometry.tum``: lines ``t x y z qx qy qz qw``, poses in one odometry frame, at the log's times
+  or at others: between two poses the robot moved evenly.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+from itertools import accumulate, pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M, iteration_column, metres_column
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.headers import file_beside
+from relmap.datasets.number_rows import read_rows
+from relmap.datasets.scans import ScanLog, planar_poses, poses_of
+from relmap.datasets.table import Column, Table, read_table
+from relmap.datasets.textfile import replacing, shown
+
+TABLES, TRAJECTORY = ("odometry.csv", "odometry.csv.gz"), "odometry.tum"
+"""The names of the files beside a log."""
+
+GAP = 10.0
+"""So many times the usual time between two poses is a gap: what lies in it is not known."""
+
+Log = TypeVar("Log", ObservationLog, ScanLog)
+
+_PLANAR, _SPATIAL = ("x", "y", "yaw"), ("x", "y", "z", "qx", "qy", "qz", "qw")
+_COLUMNS = (
+    iteration_column("iteration"),
+    metres_column("x"),
+    metres_column("y"),
+    metres_column("z", required=False),
+    Column("yaw", -1e3, 1e3, "radians", required=False),
+    *(Column(name, -1.001, 1.001, required=False) for name in _SPATIAL[3:]),
+)
+_TUM_LIMITS = (1e12, *[MAX_COORDINATE_M] * 3, *[1.001] * 4)
+_UNIT = 1e-2
+"""How far the length of a quaternion may be from 1, as files round it."""
+
+
+def motions(poses: Floats) -> Floats:
+    """Return the motion to each of the poses (k, 4, 4) from the one before; of the first NaN."""
+    found = np.full(poses.shape, np.nan)
+    found[1:] = relative(poses[:-1], poses[1:])
+    return found
+
+
+def composed(odometry: Floats, kept: Ints) -> Floats:
+    """Return the motions (m, 4, 4) between the iterations that are kept, from those of all.
+
+    Parameters
+    ----------
+    odometry : (k, 4, 4) float64
+    kept : (m,) int64, ascending
+        Indices of iterations in range(k).
+    """
+    found = np.full((len(kept), 4, 4), np.nan)
+    for row, (begin, end) in enumerate(pairwise(kept.tolist()), 1):
+        found[row] = np.eye(4)
+        for motion in odometry[begin + 1 : end + 1]:
+            found[row] = found[row] @ motion
+    return found
+
+
+def path_of(odometry: Floats) -> Floats:
+    """Return the poses (k, 4, 4) that motions add up to; where one is not known it stands still."""
+    steps = np.where(np.isnan(odometry), np.eye(4), odometry)
+    return np.array([*accumulate(steps[1:], np.matmul, initial=np.eye(4))])
+
+
+def moved_frame(odometry: Floats, T_robot_other: Floats) -> Floats:
+    """Return the motions (k, 4, 4) of a frame (4, 4) that is fixed on the robot, from its own."""
+    back = relative(T_robot_other, np.eye(4))
+    return np.asarray(back @ odometry @ T_robot_other)
+
+
+def driven(stamps_s: Floats, speed_m_s: Floats, turn_rad_s: Floats, at_s: Floats) -> Floats:
+    """Return where a vehicle is that goes ahead and turns as it says.
+
+    Parameters
+    ----------
+    stamps_s, speed_m_s, turn_rad_s : (n,) float64
+        Each speed and turn rate holds until the next stamp; the stamps grow.
+    at_s : (k,) float64
+
+    Returns
+    -------
+    (k, 4, 4) float64
+        In its frame at the first stamp; NaN before it, and later than `GAP` usual steps after the
+        last.
+    """
+    usual = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 1.0
+    before = np.searchsorted(stamps_s, at_s, side="right") - 1
+    known = (before >= 0) & (at_s <= stamps_s[-1] + GAP * usual)
+    before = np.maximum(before, 0)
+    begun = np.concatenate([np.zeros((1, 3)), _arcs(speed_m_s, turn_rad_s, np.diff(stamps_s))])
+    yaw = np.cumsum(begun[:, 2])
+    start = np.concatenate([[0.0], yaw[:-1]])
+    xy = np.cumsum(_turned(begun[:, :2], start), axis=0)
+    rest = _arcs(speed_m_s[before], turn_rad_s[before], at_s - stamps_s[before])
+    x, y = (xy[before] + _turned(rest[:, :2], yaw[before])).T
+    poses = planar_poses(x, y, yaw[before] + rest[:, 2])
+    poses[~known] = np.nan
+    return poses
+
+
+def _arcs(speed_m_s: Floats, turn_rad_s: Floats, duration_s: Floats) -> Floats:
+    """Return x, y, yaw (n, 3) of arcs of circles; see `core.odometry.motion_from_velocity`."""
+    n = len(duration_s)
+    way, yaw = speed_m_s[:n] * duration_s, turn_rad_s[:n] * duration_s
+    along, across = np.sinc(yaw / math.pi), np.sin(yaw / 2) * np.sinc(yaw / math.tau)
+    return np.column_stack([way * along, way * across, yaw])
+
+
+def _turned(xy: Floats, yaw: Floats) -> Floats:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
+
+
+def relative(a: Floats, b: Floats) -> Floats:
+    """Return the poses b in the frames a, both (..., 4, 4)."""
+    found = np.broadcast_to(np.eye(4), np.broadcast_shapes(a.shape, b.shape)).copy()
+    back = np.swapaxes(a[..., :3, :3], -1, -2)
+    found[..., :3, :3] = back @ b[..., :3, :3]
+    found[..., :3, 3] = (back @ (b[..., :3, 3] - a[..., :3, 3])[..., None])[..., 0]
+    found[np.isnan(found[..., :3, :]).any(axis=(-1, -2))] = np.nan
+    return found
+
+
+def with_odometry_beside(log: Log, path: Path) -> Log:
+    """Return a log with the odometry of the file beside it, if there is one.
+
+    Raises
+    ------
+    RelmapError
+        If there are several, or the one is damaged.
+    """
+    names = [name for name in (*TABLES, TRAJECTORY) if os.path.isfile(file_beside(path, name))]
+    if not names:
+        return log
+    if len(names) > 1:
+        raise RelmapError(f"{shown(path)}: {' and '.join(names)} lie beside it, expected one")
+    file = file_beside(path, names[0])
+    found = _read_trajectory(file, log) if names[0] == TRAJECTORY else _read_motions(file, log)
+    return replace(log, odometry=_in_plane(found) if log.dimension == 2 else found)
+
+
+def _in_plane(odometry: Floats) -> Floats:
+    yaw = np.arctan2(odometry[:, 1, 0], odometry[:, 0, 0])
+    flat = planar_poses(odometry[:, 0, 3], odometry[:, 1, 3], yaw)
+    flat[np.isnan(yaw)] = np.nan
+    return flat
+
+
+def _read_motions(file: Path, log: ObservationLog | ScanLog) -> Floats:
+    table = read_table(file, _COLUMNS)
+    iteration, poses = table.integers("iteration"), _poses(table)
+    order = np.argsort(iteration, kind="stable")
+    again = np.flatnonzero(np.diff(iteration[order]) == 0)
+    if len(again):
+        row = int(order[again[0] + 1])
+        table.fail(row, "iteration", f"{iteration[row]} occurs twice, expected each once")
+    odometry = np.full((len(log), 4, 4), np.nan)
+    index = iteration - log.first_iteration
+    there = (index >= 0) & (index < len(log))
+    odometry[index[there]] = poses[there]
+    return odometry
+
+
+def _poses(table: Table) -> Floats:
+    names = [name for name in table.columns if name != "iteration"]
+    if sorted(names) == sorted(_PLANAR):
+        return planar_poses(*(table.columns[name] for name in _PLANAR))
+    if sorted(names) != sorted(_SPATIAL):
+        raise RelmapError(
+            f"{shown(table.path)}: columns {', '.join(names)}, expected iteration and "
+            f"{', '.join(_PLANAR)}, or iteration and {', '.join(_SPATIAL)}"
+        )
+    numbers = np.column_stack([table.columns[name] for name in _SPATIAL])
+    return _with_quaternions(table.path, numbers, table.lines)
+
+
+def _with_quaternions(file: Path, numbers: Floats, lines: Ints) -> Floats:
+    """Return poses (n, 4, 4) of x, y, z and quaternion, (n, 7)."""
+    length = np.linalg.norm(numbers[:, 3:], axis=1)
+    wrong = np.abs(length - 1) > _UNIT
+    if wrong.any():
+        raise RelmapError(
+            f"{shown(file)}: line {lines[np.argmax(wrong)]}: the quaternion has the length "
+            f"{length[np.argmax(wrong)]:.4g}, expected 1"
+        )
+    return poses_of(Rotation.from_quat(numbers[:, 3:]), numbers[:, :3])
+
+
+def read_tum(file: Path) -> tuple[Floats, Floats, Ints]:
+    """Return times (k,), poses (k, 4, 4) and lines (k,) of a TUM file; fails as `read_rows`."""
+    rows = read_rows(file, _TUM_LIMITS, "#", "pose", "8 numbers: t x y z qx qy qz qw")
+    poses = _with_quaternions(file, rows.values[:, 1:], rows.lines)
+    return rows.values[:, 0], poses, rows.lines
+
+
+def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
+    stamps_s, poses, lines = read_tum(file)
+    late = np.flatnonzero(np.diff(stamps_s) <= 0)
+    if len(late):
+        raise RelmapError(
+            f"{shown(file)}: line {lines[late[0] + 1]}: the time {stamps_s[late[0] + 1]:.10g} "
+            "does not grow, expected poses in the order of time"
+        )
+    at_s = log.stamps_s
+    if at_s is None:
+        at_s = log.first_iteration + np.arange(len(log), dtype=np.float64)
+    return motions(poses_at(stamps_s, poses, at_s))
+
+
+def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
+    """Return poses (k, 4, 4) at other times; NaN beyond the ends and in gaps."""
+    if len(poses) < 2:
+        return np.full((len(at_s), 4, 4), np.nan)
+    after = np.clip(np.searchsorted(stamps_s, at_s), 1, len(stamps_s) - 1)
+    step = stamps_s[after] - stamps_s[after - 1]
+    exact = (at_s == stamps_s[after]) | (at_s == stamps_s[after - 1])
+    known = (step <= GAP * np.median(np.diff(stamps_s))) | exact
+    known &= (at_s >= stamps_s[0]) & (at_s <= stamps_s[-1])
+    found = np.full((len(at_s), 4, 4), np.nan)
+    at_s = at_s[known]
+    rotation = Slerp(stamps_s, Rotation.from_matrix(poses[:, :3, :3]))(at_s)
+    t = np.column_stack([np.interp(at_s, stamps_s, poses[:, axis, 3]) for axis in range(3)])
+    found[known] = poses_of(rotation, t)
+    return found
+
+
+def write_odometry_csv(path: Path, odometry: Floats, first_iteration: int = 0) -> None:
+    """Write motions (k, 4, 4) so that reading them gives the same motions, as far as rounding goes.
+
+    Planar ones, without height, roll and pitch, are written as x, y and yaw.
+
+    Raises
+    ------
+    RelmapError
+        If the file cannot be written.
+    """
+    known = np.flatnonzero(np.isfinite(odometry).all(axis=(1, 2)))
+    there = odometry[known]
+    flat = not np.abs(there[:, 2, [0, 1, 3]]).any() and not np.abs(there[:, :2, 2]).any()
+    columns = [there[:, 0, 3], there[:, 1, 3]]
+    if flat:
+        columns.append(np.arctan2(there[:, 1, 0], there[:, 0, 0]))
+    elif len(there):
+        quaternions = Rotation.from_matrix(there[:, :3, :3]).as_quat(canonical=True)
+        columns += [there[:, 2, 3], *quaternions.T]
+    lines = [",".join(["iteration", *(_PLANAR if flat else _SPATIAL)])]
+    texts = [map(repr, column.tolist()) for column in (first_iteration + known, *columns)]
+    lines += map(",".join, zip(*texts, strict=True))
+    with replacing(path) as file:
+        file.write(("\n".join(lines) + "\n").encode("ascii"))

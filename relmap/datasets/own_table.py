@@ -1,0 +1,117 @@
+"""Tables with columns of any name: CSV and Parquet files, data frames.
+
+A row is one observation of a landmark. ``--columns x=px,y=py,iteration=frame,stamp=t,id=name``
+names the columns; the others have the names that `relmap.datasets.observation_csv` gives them.
+Other columns are ignored, and a warning lists them. Times may replace the numbers of iterations;
+ids may be texts.
+"""
+
+from __future__ import annotations
+
+import csv
+from array import array
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.foreign import PARQUET, foreign_at
+from relmap.datasets.frames import numbers_of, read_parquet
+from relmap.datasets.headers import read_head
+from relmap.datasets.number_rows import parse_number, too_many
+from relmap.datasets.own_columns import (
+    BY_NAME,
+    Ids,
+    Numbers,
+    check_columns,
+    chosen,
+    log_of,
+    with_ids,
+)
+from relmap.datasets.table import MAX_NUMBERS, Column
+from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
+
+
+@dataclass(frozen=True)
+class OwnTable:
+    """Reads a table, CSV or Parquet.
+
+    Attributes
+    ----------
+    columns : mapping of str to str
+        What the table calls a column of the observation log.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    name = "own-table"
+    description = "a table, CSV or Parquet, whose columns --columns names"
+
+    def recognises(self, path: Path) -> bool:
+        """Return whether it is a Parquet file: other tables are taken for observation logs."""
+        return path.is_file() and foreign_at(path) == PARQUET
+
+    def load(self, path: Path) -> ObservationLog:
+        """Read the log."""
+        check_columns(self.columns)
+        if foreign_at(path) == PARQUET:
+            return log_of(path, numbers_of(path, read_parquet(path, self.columns), "row"))
+        return log_of(path, _text_table(path, self.columns))
+
+
+def _text_table(path: Path, columns: Mapping[str, str]) -> Numbers:
+    """Read a table of text."""
+    values, lines, ids = array("d"), array("q"), Ids()
+    with open_text(path) as stream:
+        head = read_head(path, stream)
+        (there,) = csv.reader([head.separator.join(head.columns)], delimiter=head.separator)
+        wanted = chosen(path, there, columns)
+        used = [BY_NAME[ours] for ours in wanted]
+        at = [(BY_NAME[ours], there.index(theirs)) for ours, theirs in wanted.items()]
+        for line, cells in _rows(path, stream, head.line, head.separator):
+            where = f"{shown(path)}: line {line}"
+            if len(cells) != len(there):
+                expected = f"expected {len(there)} as in the header"
+                raise RelmapError(f"{where}: {len(cells)} fields, {expected}")
+            for column, k in at:
+                text = cells[k].strip()
+                if column.name == "id":
+                    ids.add(text, f"{where}, field {there[k]}")
+                    values.append(-1.0)
+                else:
+                    values.append(
+                        _number(text, head.separator, column, f"{where}, field {there[k]}")
+                    )
+            lines.append(line)
+            if len(values) > MAX_NUMBERS:
+                raise too_many(path, line, MAX_NUMBERS)
+    table = np.array(values, dtype=np.float64).reshape(-1, len(used))
+    return with_ids(used, table, np.array(lines, dtype=np.int64), "line", ids)
+
+
+def _number(text: str, separator: str, column: Column, where: str) -> float:
+    try:
+        return parse_number(text.replace(",", ".") if separator == ";" else text)
+    except ValueError:
+        raise RelmapError(f"{where}: {quoted(text)}, expected {column.expected}") from None
+
+
+def _rows(
+    path: Path, stream: Iterable[str], line: int, separator: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a table of text that are not empty, and their lines."""
+
+    def checked() -> Iterator[str]:
+        for number, text in enumerate(stream, line + 1):
+            require_utf8(path, number, text)
+            yield text
+
+    reader = csv.reader(checked(), delimiter=separator, strict=True)
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield line + reader.line_num, cells
+    except csv.Error as error:
+        raise RelmapError(f"{shown(path)}: line {line + reader.line_num}: {error}") from error

@@ -1,0 +1,85 @@
+"""True paths as files of poses: TUM (``t x y z qx qy qz qw``) and KITTI (3 x 4 matrices by rows).
+
+KITTI's poses have no times: those in ``times.txt`` beside the file count, one a line, or else the
+numbers of the lines, from 0.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.number_rows import finite_numbers, read_rows
+from relmap.datasets.odometry import read_tum
+from relmap.datasets.textfile import numbered_lines, shown
+
+TIMES = "times.txt"
+_TUM, _KITTI = 8, 12
+_RIGID = 1e-3
+"""How far the rotation of a pose may be from one, as files round it."""
+
+
+def is_trajectory(path: Path) -> bool:
+    """Return whether the first line that is no comment holds 8 or 12 numbers."""
+    if not os.path.isfile(path):
+        return False
+    with suppress(RelmapError):
+        for _, line in numbered_lines(path):
+            cells = line.partition("#")[0].split()
+            if cells:
+                return len(cells) in (_TUM, _KITTI) and bool(finite_numbers(cells))
+    return False
+
+
+def read_trajectory(path: Path) -> tuple[Floats, Floats]:
+    """Read a path that `is_trajectory` knows.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    stamps_s : (k,) float64
+        Seconds, or the numbers of the lines.
+    poses : (k, 4, 4) float64
+        T_map_robot.
+
+    Raises
+    ------
+    RelmapError
+        If a line holds no pose.
+    """
+    _, first = next((n, s) for n, s in numbered_lines(path) if s.partition("#")[0].strip())
+    if len(first.partition("#")[0].split()) == _TUM:
+        stamps_s, poses, _ = read_tum(path)
+        return stamps_s, poses
+    limits = [MAX_COORDINATE_M if k % 4 == 3 else 1 + _RIGID for k in range(_KITTI)]
+    rows = read_rows(path, limits, "#", "pose", "12 numbers: a 3 x 4 matrix of a pose, by rows")
+    poses = np.tile(np.eye(4), (len(rows.lines), 1, 1))
+    poses[:, :3] = rows.values.reshape(-1, 3, 4)
+    R = poses[:, :3, :3]
+    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = (off > _RIGID) | (np.linalg.det(R) < 0)
+    if wrong.any():
+        line = rows.lines[np.argmax(wrong)]
+        raise RelmapError(f"{shown(path)}: line {line}: its 3 x 3 part is no rotation")
+    return _times_of(path, len(poses)), poses
+
+
+def _times_of(path: Path, n_poses: int) -> Floats:
+    times = path.with_name(TIMES)
+    if not os.path.isfile(times):
+        return np.arange(n_poses, dtype=np.float64)
+    stamps_s = read_rows(times, [1e12], "#", "time", "one number: seconds").values[:, 0]
+    if len(stamps_s) != n_poses:
+        raise RelmapError(
+            f"{shown(times)}: {len(stamps_s)} times, expected {n_poses} as in {shown(path.name)}"
+        )
+    return stamps_s

@@ -1,0 +1,82 @@
+"""What wheels count on a known way: odometry with noise and biases."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.odometry import motions
+from relmap.datasets.scans import poses_of
+from relmap.simulation.noise import Array
+
+UPRIGHT = 1 - 1e-12
+"""The cosine of no tilt, as rounding has it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wheels:
+    """How wrong odometry is.
+
+    Attributes
+    ----------
+    way : float
+        Standard deviation of each coordinate of a step, as a share of its length.
+    turn_deg, turn_deg_per_m : float
+        That of its turn about each axis, degrees, and what is added to it a metre of the step.
+    way_bias, turn_bias_deg_per_m : float
+        What is always counted too much: a share of the way, and degrees to the left a metre.
+    """
+
+    way: float = 0.01
+    turn_deg: float = 0.1
+    turn_deg_per_m: float = 0.0
+    way_bias: float = 0.0
+    turn_bias_deg_per_m: float = 0.0
+
+    def check(self) -> None:
+        """Refuse what is out of range with a `RelmapError`."""
+        for name in (field.name for field in fields(self)):
+            low, value = -90 if "bias" in name else 0, getattr(self, name)
+            if not low <= value <= 90:
+                raise RelmapError(f"{name} of wheels is {value}; it must lie in [{low}, 90]")
+
+
+LASER_WHEELS = Wheels(turn_deg=0.0, turn_deg_per_m=0.5, way_bias=0.01, turn_bias_deg_per_m=0.05)
+"""Those of a robot in a building."""
+
+
+def wheel_odometry(poses: Array, wheels: Wheels, rng: np.random.Generator) -> Array:
+    """Return the motions (k, 4, 4) that wheels count on a way.
+
+    Parameters
+    ----------
+    poses : (k, 4, 4) float64
+        ``T_map_robot`` of each iteration.  In the plane, if none has height, roll or pitch.
+    wheels : Wheels
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (k, 4, 4) float64
+        Motion to each iteration from the one before; that of the first is NaN.
+
+    Raises
+    ------
+    RelmapError
+        If the noise of the wheels is out of range.
+    """
+    wheels.check()
+    true = motions(poses)[1:]
+    planar = not np.ptp(poses[:, 2, 3]) and bool((poses[:, 2, 2] > UPRIGHT).all())
+    free = np.array([1, 1, 0]) if planar else np.ones(3)
+    way = np.linalg.norm(true[:, :3, 3], axis=1)[:, None]
+    step = (1 + wheels.way_bias) * true[:, :3, 3]
+    step += wheels.way * way * free * rng.normal(size=(len(true), 3))
+    sigma = np.deg2rad(wheels.turn_deg + wheels.turn_deg_per_m * way)
+    turn = sigma * rng.normal(size=(len(true), 3)) * ([0, 0, 1] if planar else free)
+    turn[:, 2:] += np.deg2rad(wheels.turn_bias_deg_per_m) * way
+    counted = Rotation.from_matrix(true[:, :3, :3]) * Rotation.from_rotvec(turn)
+    return np.concatenate([np.full((1, 4, 4), np.nan), poses_of(counted, step)])

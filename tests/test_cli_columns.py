@@ -1,0 +1,73 @@
+"""``relmap map --columns``: tables of anybody's own, from the command line to the result."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.cli import main
+from relmap.io.files import read_tum
+from relmap.io.results import read_result
+
+PLACES = {"gate, left": (4, 2), "oak": (5, -2), "elm": (7, 1), "post": (3, -1), "bin": (8, 3)}
+HEADER = "frame;seconds;ahead;left;what;score\n"
+NAMES = "iteration=frame,stamp=seconds,x=ahead,y=left,id=what"
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    rows = [
+        f'{k};{100 + 0.5 * k};{x - 0.1 * k};{y};"{name}";0.9\n'
+        for k in range(16)
+        for name, (x, y) in PLACES.items()
+    ]
+    (tmp_path / "seen.csv").write_text(HEADER + "".join(rows))
+    return tmp_path
+
+
+def test_names_and_times_come_out_again(here: Path, caplog: pytest.LogCaptureFixture) -> None:
+    command = ["map", "seen.csv", "-o", "out", "--columns", NAMES]
+    assert main([*command, "--association", "known"]) == 0
+    assert caplog.messages == ["seen.csv: other columns are ignored: 'score'"]
+    with (here / "out" / "names.csv").open(newline="") as file:
+        names = {int(row["landmark"]): row["name"] for row in csv.DictReader(file)}
+    assert names == dict(enumerate(sorted(PLACES)))
+    stamps_s, _ = read_tum(here / "out" / "trajectory.tum")
+    assert stamps_s.tolist() == [100 + 0.5 * k for k in range(16)]
+    table = read_result(here / "out").landmarks
+    found = {names[int(i)]: p for i, p in zip(table.landmark, table.position, strict=True)}
+    across = found["oak"] - found["elm"]
+    np.testing.assert_allclose(np.linalg.norm(across), np.hypot(2, 3), atol=1e-9)
+    assert main(command) == 0
+    assert not (here / "out" / "names.csv").exists()
+
+
+def test_a_run_with_columns_is_gone_on_with(here: Path) -> None:
+    command = ["map", "seen.csv", "--columns", NAMES, "--association", "known"]
+    assert main([*command, "-o", "out", "--journal", "run", "--scans", "0:9"]) == 0
+    assert main(["resume", "run", "-o", "again"]) == 0
+    for name in ("landmarks.csv", "names.csv", "trajectory.tum"):
+        assert (here / "again" / name).read_bytes() == (here / "out" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--columns", "x"], "--columns is 'x': it must be pairs like x=px"),
+        (["--columns", "x=a,x=b"], "it must be pairs like x=px"),
+        (["--columns", "w=a"], "columns: 'w', expected some of iteration"),
+        (["--columns", "x=far"], "no column 'far', expected one; there are 'frame'"),
+        (["--columns", NAMES, "--variant", "planes"], "--columns is for tables of landmarks"),
+        (["--columns", NAMES, "--format", "own-table"], "--columns is for tables of landmarks"),
+    ],
+)
+def test_wrong_columns_are_refused(
+    here: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["map", "seen.csv", "-o", "out", *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not (here / "out").exists()

@@ -1,0 +1,195 @@
+"""Tables of anybody's own: names of columns, times, texts for ids, separators, frames, Parquet."""
+
+from __future__ import annotations
+
+import gzip
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from relmap.core.errors import RelmapError
+from relmap.datasets import ObservationLog, log_of_frame, open_log
+from tests.logs import failure, put
+
+OWN = (
+    "frame,t,px,py,colour,name\n3,0.5,1.5,-2,red,cone\n3,0.5,2,1,blue,post\n"
+    "5,0.9,1,-2,red,cone\n6,1.0,7,7,,\n"
+)
+NAMES = {"x": "px", "y": "py", "iteration": "frame", "stamp": "t", "id": "name"}
+CELLS: dict[str, list[Any]] = {
+    "frame": [3, 3, 5, 6],
+    "t": [0.5, 0.5, 0.9, 1.0],
+    "px": [1.5, 2, 1, 7],
+    "py": [-2, 1, -2, 7],
+    "colour": ["red", "blue", "red", None],
+    "name": ["cone", "post", "cone", None],
+}
+
+
+def check(log: ObservationLog) -> None:
+    """Check that a log holds what `OWN` says."""
+    assert log.points_robot.tolist() == [[1.5, -2], [2, 1], [1, -2], [7, 7]]
+    assert log.iteration.tolist() == [3, 3, 5, 6]
+    assert log.names == ("cone", "post")
+    assert log.ids is not None
+    assert log.ids.tolist() == [0, 1, 0, -1]
+    assert log.stamps_s is not None
+    assert log.stamps_s.tolist() == [0.5, 0.7, 0.9, 1.0]
+    assert log.rows.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        OWN,
+        OWN.replace(",", ";"),
+        OWN.replace(",", ";").replace("0.5", "0,5"),
+        OWN.replace(",", "\t"),
+        OWN.replace("red", '"light, red"').replace("cone", '"cone"'),
+        "# a comment\n\n" + OWN.replace("\n", "\r\n") + "\n\n",
+    ],
+)
+def test_columns_are_told_by_name(
+    tmp_path: Path, content: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    for path in (put(tmp_path, content, "a.csv"), put(tmp_path, gzip.compress(content.encode()))):
+        check(open_log(path, columns=NAMES))
+        assert caplog.messages == [f"{path}: other columns are ignored: 'colour'"]
+        caplog.clear()
+
+
+@pytest.mark.parametrize("kind", ["pandas", "polars"])
+def test_frames_are_logs(kind: str) -> None:
+    library = pytest.importorskip(kind)
+    check(log_of_frame(library.DataFrame(CELLS), NAMES))
+
+
+def test_parquet_is_read(tmp_path: Path) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(CELLS), tmp_path / "a")
+    check(open_log(tmp_path / "a", columns=NAMES))
+    renamed = pyarrow.table({"iteration": [1, 0], "x": [1, 2], "y": [3.5, 4]})
+    pyarrow.parquet.write_table(renamed, tmp_path / "b.parquet")
+    log = open_log(tmp_path / "b.parquet")
+    assert log.points_robot.tolist() == [[2, 4], [1, 3.5]]
+    assert log.rows.tolist() == [1, 0]
+
+
+def test_without_pyarrow_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    path = put(tmp_path, b"PAR1" + bytes(20) + b"PAR1", "a.parquet")
+    assert failure(path).endswith("is a Parquet file: pip install 'relmap[parquet]' to read it")
+
+
+def test_times_alone_number_the_iterations() -> None:
+    pandas = pytest.importorskip("pandas")
+    stamps = pandas.to_datetime([1.5, 1.25, 1.5], unit="s")
+    log = log_of_frame(pandas.DataFrame({"stamp": stamps, "x": [1, 2, 3], "y": 0.5}))
+    assert log.iteration.tolist() == [0, 1, 1]
+    assert log.points_robot[:, 0].tolist() == [2, 1, 3]
+    assert log.stamps_s is not None
+    assert log.stamps_s.tolist() == [1.25, 1.5]
+    assert log.ids is None
+
+
+@pytest.mark.parametrize(
+    ("cells", "ids", "names"),
+    [
+        ([3, 4, 3], [3, 4, 3], None),
+        ([3.0, float("nan"), 4.0], [3, -1, 4], None),
+        (["3", "", "-7"], [3, -1, -7], None),
+        (["b", "a", "7"], [2, 1, 0], ("7", "a", "b")),
+        (["a", None, "a"], [0, -1, 0], ("a",)),
+        ([True, False, True], [1, 0, 1], ("False", "True")),
+    ],
+)
+def test_ids_are_numbers_or_texts(
+    cells: list[Any], ids: list[int], names: tuple[str, ...] | None
+) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"iteration": [0, 1, 2], "x": 1.0, "y": 2, "id": cells})
+    log = log_of_frame(frame)
+    assert log.ids is not None
+    assert log.ids.tolist() == ids
+    assert log.names == names
+
+
+def test_scans_out_of_order_are_sorted_by_time(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = "iteration,x,y,stamp\n0,1,1,5\n2,2,2,4\n2,3,3,4.1\n7,4,4,6\n"
+    path = put(tmp_path, rows)
+    log = open_log(path)
+    assert log.points_robot[:, 0].tolist() == [2, 3, 1, 4]
+    assert log.iteration.tolist() == [0, 0, 2, 7]
+    assert log.rows.tolist() == [1, 2, 0, 3]
+    assert log.stamps_s is not None
+    assert log.stamps_s[[0, 2, 7]].tolist() == [4, 5, 6]
+    assert caplog.messages == [f"{path}: 1 scans out of order: all are sorted by time"]
+
+
+def test_times_of_an_observation_log(tmp_path: Path) -> None:
+    log = open_log(put(tmp_path, "iteration,x,y,stamp\n1,1,1,10\n3,2,2,11\n"))
+    assert log.stamps_s is not None
+    assert log.stamps_s.tolist() == [10, 10.5, 11]
+    semicolons = put(tmp_path, "x;y;iteration\n1,5;2;0\n.5;1e0;1\n", "b.csv")
+    assert open_log(semicolons).points_robot.tolist() == [[1.5, 2], [0.5, 1]]
+    assert "line 2, field x: '1,5' is not a number" in failure(
+        put(tmp_path, "x\ty\titeration\n1,5\t2\t0\n", "c.csv")
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "columns", "problem"),
+    [
+        (
+            OWN,
+            NAMES | {"x": "left"},
+            "no column 'left', expected one; there are 'frame', 't'",
+        ),
+        (OWN, {"x": "px", "y": "py"}, "no column 'iteration', expected one"),
+        (OWN.replace("colour", "px"), NAMES, "two columns 'px', expected one"),
+        (OWN, NAMES | {"w": "t"}, "columns: 'w', expected some of iteration, x, y, z, id, stamp"),
+        (OWN.replace("1.5", "far"), NAMES, "line 2, field px: 'far', expected a number of metres"),
+        (OWN.replace("1.5", "inf"), NAMES, "line 2, field x: inf is not finite"),
+        (OWN.replace("5,0.9", "5.5,0.9"), NAMES, "line 4, field iteration: 5.5 is not an integer"),
+        (OWN.replace(",red", ""), NAMES, "line 2: 5 fields, expected 6 as in the header"),
+        (OWN.replace("post", "cone"), NAMES, "line 3, field id: 0 occurs twice in iteration 3"),
+        (OWN.replace("post", "p" * 300), NAMES, "expected at most 200 characters"),
+        (OWN.partition("\n")[0], NAMES, "holds no row"),
+        (OWN.replace("red", '"red', 1), NAMES, "line 5: unexpected end of data"),
+    ],
+)
+def test_wrong_tables(tmp_path: Path, content: str, columns: dict[str, str], problem: str) -> None:
+    path = put(tmp_path, content)
+    with pytest.raises(RelmapError) as caught:
+        open_log(path, columns=columns)
+    assert problem in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("cells", "problem"),
+    [
+        ({"x": [1.0, "far"]}, "data frame: row 1, field x: 'far', expected a number of metres"),
+        ({"x": [1.0, np.nan]}, "data frame: row 1, field x: nan is not finite"),
+        ({"iteration": [0, 0.5]}, "data frame: row 1, field iteration: 0.5 is not an integer"),
+        ({"id": ["a", "b" * 300]}, "data frame: row 1, field id: 'bbb"),
+        ({"y": [[1], [2]]}, "data frame: row 0, field y: '[1]', expected a number"),
+    ],
+)
+def test_wrong_frames(cells: dict[str, list[Any]], problem: str) -> None:
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame({"iteration": [0, 1], "x": [1.0, 2], "y": [0.0, 1]} | cells)
+    with pytest.raises(RelmapError) as caught:
+        log_of_frame(frame)
+    assert problem in str(caught.value)
+
+
+def test_a_damaged_parquet_file_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    message = failure(put(tmp_path, b"PAR1" + bytes(200) + b"PAR1", "a.parquet"))
+    assert "a.parquet: cannot be read as a Parquet file: " in message

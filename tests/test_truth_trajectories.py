@@ -1,0 +1,73 @@
+"""Trajectories as a truth: in the formats of TUM and KITTI, for points and for walls."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from relmap.cli import main
+from relmap.core.errors import RelmapError
+from relmap.evaluation.truth import Variant, read_truth
+from relmap.io.files import write_tum
+from relmap.simulation import simulate_figure_eight
+from tests.logs import put
+
+POSES = simulate_figure_eight(density=1, iterations=20).trajectory
+
+
+def kitti(folder: Path) -> Path:
+    rows = POSES[:, :3].reshape(-1, 12).tolist()
+    return put(folder, "".join(" ".join(map(repr, row)) + "\n" for row in rows), "00.txt")
+
+
+@pytest.mark.parametrize("variant", ["points", "planes"])
+def test_a_trajectory_is_a_truth(tmp_path: Path, variant: Variant) -> None:
+    write_tum(tmp_path / "a.tum", np.arange(20) / 4, POSES)
+    truth = read_truth(tmp_path / "a.tum", variant)
+    assert truth.stamps_s.tolist() == (np.arange(20) / 4).tolist()
+    assert_allclose(truth.poses, POSES, atol=1e-12)
+    assert not len(truth.landmark_ids)
+    truth = read_truth(kitti(tmp_path), variant)
+    assert truth.stamps_s.tolist() == list(range(20))
+    assert_allclose(truth.poses, POSES, atol=1e-12)
+    put(tmp_path, "".join(f"{0.1 * k}\n" for k in range(20)), "times.txt")
+    assert_allclose(read_truth(tmp_path / "00.txt", variant).stamps_s, 0.1 * np.arange(20))
+
+
+@pytest.mark.parametrize(
+    ("content", "times", "problem"),
+    [
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0\n", None, "line 2: '1 0 0 0', expected 12 numbers"),
+        ("1 0 0 0 0 1 0 0 0 0 -1 0\n", None, "line 1: its 3 x 3 part is no rotation"),
+        ("1 0 0 0 0 .9 0 0 0 0 1 0\n", None, "line 1: its 3 x 3 part is no rotation"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "1\n2\n", "times.txt: 2 times, expected 1 as in a.txt"),
+        ("1 0 0 0 0 1 0 0 0 0 1 0\n", "one\n", "times.txt: line 1: 'one', expected one number"),
+        ("1 0 0 0 0 0 0 1\n1 x\n", None, "line 2: '1 x', expected 8 numbers"),
+    ],
+)
+def test_damaged_trajectories(
+    tmp_path: Path, content: str, times: str | None, problem: str
+) -> None:
+    path = put(tmp_path, content, "a.txt")
+    if times:
+        put(tmp_path, times, "times.txt")
+    with pytest.raises(RelmapError) as caught:
+        read_truth(path)
+    assert problem in str(caught.value)
+
+
+def test_evaluate_takes_a_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "figure-eight", "-o", "eight", "--iterations", "40"]) == 0
+    assert main(["map", "eight", "-o", "out", "--association", "known"]) == 0
+    figures = []
+    for truth in ("eight", "eight/truth/trajectory.tum"):
+        assert main(["evaluate", "out", "--truth", truth]) == 0
+        figures.append(json.loads((tmp_path / "out" / "evaluation.json").read_text()))
+    assert figures[0]["ate_m"] == pytest.approx(figures[1]["ate_m"], rel=1e-6)
+    assert figures[0]["rpe_m"] == pytest.approx(figures[1]["rpe_m"], rel=1e-6)
+    assert figures[1]["landmark_rmse_m"] is None
