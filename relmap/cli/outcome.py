@@ -88,7 +88,7 @@ def _advice(summary: dict[str, Any]) -> str:
     return (
         f". More overlap between scans helps: shorter steps (here "
         f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
-        f"wider view{view}; odometry would bridge the breaks, but is not used for walls"
+        f"wider view{view}; odometry, where there is any, bridges breaks"
     )
 
 

@@ -49,8 +49,8 @@ class MapperConfig:
     refine_live : bool
         Refine the map while it is being built, when landmarks came back into view.
     bridge_m : float
-        Only for walls, metres: along walls where nothing measures the way, the robot is taken to go
-        on as before until that may be so far off; there the submap ends.
+        Only for walls, metres: along walls where nothing measures the way, nor odometry tells it,
+        the robot is taken to go on as before until that may be so far off; there the submap ends.
 
     Notes
     -----

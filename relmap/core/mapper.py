@@ -108,7 +108,7 @@ class RelativeMapper:
         if covariances is not None:
             named = found >= 0
             self.weighed.append(landmarks, seen[named], covariances[named], iteration)
-        if len(self.motions) and len(landmarks):
+        if len(self.motions) and len(landmarks) and not self.model.keeps_observations:
             named = found >= 0
             self.kept.append(found[named], seen[named], iteration)
         left = self.schedule.see(landmarks, iteration)

@@ -117,7 +117,9 @@ def _least_deviations(columns: Array, values: Array) -> Array:
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
         found = np.asarray(np.linalg.lstsq(root[:, None] * columns, root * values, rcond=None)[0])
-        weight = 1 / np.maximum(np.abs(values - columns @ found), least)
+        off = np.abs(values - columns @ found)
+        # Squares of less than a typical deviation (Huber, 1964), or the fit sticks where one is 0.
+        weight = 1 / np.maximum(off, max(NORMAL * float(np.median(off)), least))
     return found
 
 

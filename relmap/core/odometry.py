@@ -129,11 +129,18 @@ class Motions:
             self._begin = iteration
         self._motion.extend(np.full((1, 4, 4), np.nan) if motion is None else motion[None])
 
+    def between(self, begin: int, end: int) -> NDArray[np.float64]:
+        """Return the motions to iterations begin:end (end - begin, 4, 4), NaN where not known."""
+        found = np.full((end - begin, 4, 4), np.nan)
+        first, last = max(begin, self._begin), min(end, self._begin + len(self))
+        if first < last:
+            rows = slice(first - self._begin, last - self._begin)
+            found[first - begin : last - begin] = self._motion.values[rows]
+        return found
+
     def over(self, n_iterations: int) -> NDArray[np.float64]:
         """Return the motion to each iteration (n_iterations, 4, 4); NaN where it is not known."""
-        before = np.full((self._begin, 4, 4), np.nan)
-        after = np.full((n_iterations - self._begin - len(self), 4, 4), np.nan)
-        return np.concatenate([before, self._motion.values, after])
+        return self.between(0, n_iterations)
 
 
 def _of_numbers(array: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.history import PlaneHistory
+from relmap.planes.motion_factors import MotionFactors
 
 FLAT_M = 0.003
 SHARP_M = 0.01
@@ -135,6 +136,7 @@ class Assembled:
             given.corner_end[seen],
             corner,
             given.corner_sd[seen],
+            given.odometry,
         )
         return replace(
             self,
@@ -203,7 +205,8 @@ def assemble(
     sd = np.hypot(history.sd[rows], FLAT_M)
     corner_sd = np.hypot(BLUNT * history.sd[rows][row], SHARP_M)
     ends = history.ends[rows]
-    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd)
+    odometry = history.odometry.between(iterations) if history.odometry else MotionFactors()
+    given = WallEquations(iteration, wall, ends, sd, row, end, corner, corner_sd, odometry)
     state = laid_out(given, poses[iterations])
     typical = float(np.median(history.sd[rows]))
     every = np.arange(len(numbers.corner_of))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from relmap.planes.motion_factors import MotionFactors
 
 PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
 """Walls whose directions spread by less do not tell where they were seen from, along themselves."""
@@ -29,6 +31,8 @@ class WallEquations:
         Each is of one wall.
     corner_sd : (k,) float64, metres
         Standard deviation along the wall.
+    odometry : MotionFactors
+        Where walls alone do not tell the motion.
     """
 
     iteration: NDArray[np.int64]
@@ -39,6 +43,12 @@ class WallEquations:
     corner_end: NDArray[np.int64]
     corner: NDArray[np.int64]
     corner_sd: NDArray[np.float64]
+    odometry: MotionFactors = field(default_factory=MotionFactors)
+
+    @property
+    def n_iterations(self) -> int:
+        """How many iterations there are."""
+        return 1 + int(max(self.iteration[-1], self.odometry.both.max(initial=0)))
 
 
 @dataclass(eq=False)
@@ -68,10 +78,10 @@ class Walls:
 def open_along(given: WallEquations) -> NDArray[np.float64]:
     """Return the direction (i, 2), robot frame, in which an iteration does not tell where it was.
 
-    That of its walls, where they are parallel and none shows a corner; 0 elsewhere.  Walls that are
-    parallel but for their noise would invent a constraint there.
+    That of its walls, where they are parallel and none shows a corner; 0 elsewhere, and where
+    odometry tells.  Walls that are parallel but for their noise would invent a constraint there.
     """
-    n = int(given.iteration[-1]) + 1
+    n = given.n_iterations
     along = given.ends[:, 1] - given.ends[:, 0]
     x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
     xx, xy, yy = (np.bincount(given.iteration, v, minlength=n) for v in (x * x, x * y, y * y))
@@ -80,6 +90,7 @@ def open_along(given: WallEquations) -> NDArray[np.float64]:
     angle = np.arctan2(2 * xy, xx - yy) / 2
     is_open = spread < PARALLEL
     is_open[given.iteration[given.corner_row]] = False
+    is_open[given.odometry.both.ravel()] = False
     return np.where(is_open[:, None], np.column_stack([np.cos(angle), np.sin(angle)]), 0.0)
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.planes.steps import Steps
+
 
 @dataclass(frozen=True, eq=False)
 class PlaneHistory:
@@ -29,6 +31,8 @@ class PlaneHistory:
         From the robot frame before into that of each iteration: yaw, x, y; rough.
     submap : (i,) int64
         Submap of each iteration; -1 where nothing ties it to any.
+    odometry : Steps, optional
+        What odometry adds, where there is any that is believed.
     """
 
     iteration: NDArray[np.int64]
@@ -39,6 +43,7 @@ class PlaneHistory:
     corner: NDArray[np.int64]
     motion: NDArray[np.float64]
     submap: NDArray[np.int64]
+    odometry: Steps | None = None
 
     @property
     def n_iterations(self) -> int:

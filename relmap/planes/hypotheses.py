@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from relmap.planes.judging import Candidates
 from relmap.planes.motions import after, others
+from relmap.planes.odometry import Expected
 
 MOST = 40
 """Hypotheses that are kept."""
@@ -106,7 +107,13 @@ class Hypotheses:
         """Return the number of scans, the first one included."""
         return len(self._layers)
 
-    def go_on(self, found: Candidates, usual: NDArray[np.float64], judge: Judge | None) -> None:
+    def go_on(
+        self,
+        found: Candidates,
+        usual: NDArray[np.float64],
+        judge: Judge | None,
+        expected: Expected | None = None,
+    ) -> None:
         """Take in the candidates of the next scan.
 
         Parameters
@@ -116,10 +123,15 @@ class Hypotheses:
             How the robot went before.
         judge : callable or None
             What the scan two before tells; None where it tells nothing.
+        expected : Expected, optional
+            What odometry tells; else robots go on as before.
         """
         last = self._layers[-1]
         weight = last.weight[:, None] + FOUND + PAIR * found.evidence
-        weight += CHANGE * _change(last.motion, found.motions, usual)
+        if expected:
+            weight += expected.supports(found.motions)
+        else:
+            weight += CHANGE * _change(last.motion, found.motions, usual)
         best = max(weight.max(initial=-np.inf), last.weight.max())
         if judge:
             weight += _two_back(last, found, weight > best - MARGIN, judge)

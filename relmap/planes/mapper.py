@@ -13,7 +13,7 @@ from relmap.core import afterwards
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
-from relmap.core.odometry import checked_odometry
+from relmap.core.odometry import OdometryUse, checked_odometry
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
@@ -23,7 +23,7 @@ from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.refining import refined_submaps
+from relmap.planes.refining import odometry_left_out, on_odometry, refined_submaps
 from relmap.planes.registration import PlaneRegistration
 from relmap.planes.residuals import corner_covariances, refined_walls
 from relmap.planes.stitching import weak_links
@@ -92,6 +92,7 @@ class PlaneMapper(Mapper):
         super().__init__(config, journal, run)
         self.engine.association.is_known = False
         self._planes.links.store = self.engine.store
+        self._planes.links.wheels.given = self.engine.motions
         self._segmenter = segmenter
         self._refined_walls = None
         self._spread: NDArray[np.float64] | None = None
@@ -120,7 +121,8 @@ class PlaneMapper(Mapper):
             The sensor is at the `origin` (2,) of the planes, if they have one.
         odometry : (3,), (7,) or (4, 4) array, optional
             How the robot moved since the last update, see `relmap.core.odometry.checked_odometry`;
-            that of the first is not used.
+            that of the first is not used.  It bridges scans that show too little, and tells the
+            way where walls leave it open; see `odometry`.
 
         Returns
         -------
@@ -175,6 +177,8 @@ class PlaneMapper(Mapper):
     def _refine_and_cut(self) -> None:
         for _ in range(CUTS):
             torn = torn_in(self._refined(), self.history)
+            if len(torn) and self._planes.links.leave_to_odometry(torn):
+                torn = torn_in(self._refined(), self.history)
             if not len(torn):
                 break
             self._planes.links.cut(torn)
@@ -183,7 +187,7 @@ class PlaneMapper(Mapper):
 
     def _refined(self) -> list[WallSubmap]:
         self._moved = np.empty(0, dtype=np.int64)
-        found = refined_submaps(self._grouped, self._moving, self._planes.links.beams)
+        found = refined_submaps(self._grouped, self._moving, self._planes.links)
         self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
         self._spread = None
         return found.submaps
@@ -313,6 +317,17 @@ class PlaneMapper(Mapper):
     def weak_links(self) -> NDArray[np.int64]:
         """Iterations (k,) before which too little was seen to tell how far the robot went."""
         return weak_links(self.history)
+
+    @property
+    def odometry(self) -> OdometryUse | None:
+        """What was made of odometry so far; None where none came.
+
+        `hanging` are the iterations before which walls leave the way open in some direction, or
+        show too little; `left_out` is all of it where it is wrong too often.
+        """
+        links, history = self._planes.links, self.history
+        left_out, hanging = odometry_left_out(links, history), on_odometry(links, history)
+        return links.wheels.use(links.motions, links.measured, left_out, hanging)
 
     @property
     def _parts(self) -> list[Any]:

@@ -65,3 +65,18 @@ def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
 def planar(motion: NDArray[np.float64]) -> PlanarMotion:
     """Return a motion (3,) as a `PlanarMotion`."""
     return PlanarMotion(float(motion[0]), motion[1:])
+
+
+def matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return motions (k, 3) as (k, 4, 4)."""
+    T = np.tile(np.eye(4), (len(motions), 1, 1))
+    c, s = np.cos(motions[:, 0]), np.sin(motions[:, 0])
+    T[:, 0, 0] = T[:, 1, 1] = c
+    T[:, 1, 0], T[:, 0, 1] = s, -s
+    T[:, :2, 3] = motions[:, 1:]
+    return T
+
+
+def from_matrices(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the motions (k, 3) in the plane that matrices (k, 4, 4) are."""
+    return np.column_stack([np.arctan2(T[:, 1, 0], T[:, 0, 0]), T[:, :2, 3]])

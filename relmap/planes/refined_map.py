@@ -33,6 +33,8 @@ ROUGHLY = ((1, 8.0), (1, 5.0))
 WORSE, WORSE_M = 2.0, 0.001
 """How many times as far off the links a refined map may be as the chained one, and metres more:
 they are rough where walls are, and all but exact where there is no noise."""
+ROUGH_M = 0.1
+"""The same where odometry is, for then links may be all there is to begin with."""
 HELD = 0.0, 1e-4, 1e-3
 """What holds a map in each step, where it is torn with less; see `WallSystem`."""
 JOINED = 4
@@ -124,14 +126,21 @@ def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, close
     motions = history.motion[slice(*found.span)]
     torn, off_m = disagreement(found.poses, motions)
     torn_before, off_before_m = disagreement(chained.poses, motions)
-    agrees = torn <= torn_before and off_m <= WORSE * off_before_m + WORSE_M
+    worse_m = ROUGH_M if history.odometry else WORSE_M
+    agrees = torn <= torn_before and off_m <= WORSE * off_before_m + worse_m
     stretched = not closed and _stretched(found, chained, history)
     return found.assembled.settled and agrees and not stretched
 
 
 def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
-    """Tell whether a way over weak links is another than the one that was carried on."""
-    weak = weak_links(history) - found.span[0]
+    """Tell whether a way over weak links is another than the one that was carried on.
+
+    Odometry, where it is, tells better.
+    """
+    weak = weak_links(history)
+    if history.odometry:
+        weak = weak[np.isnan(history.odometry.motion[weak, 0])]
+    weak = weak - found.span[0]
     return stretched_m(found.poses, chained.poses, weak) > TORN_M
 
 

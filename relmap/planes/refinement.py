@@ -4,6 +4,7 @@ A wall seen in part says nothing along itself, however often it is seen, but all
 turn and the distance across.  Points of equal weight in all directions cannot say this, so walls
 have residuals of their own: each observation of a wall tells how far from the wall's line two of
 its points are, and each static corner how far along the line it is.
+Odometry, where it is needed, ties pairs of poses (`relmap.planes.motion_factors`).
 """
 
 from __future__ import annotations
@@ -70,13 +71,15 @@ class WallSystem:
         self._latest: tuple[Walls, Linearised] | None = None
         self._set(given)
         self._open_along = open_along(given)
-        self._rows = _seen(given)
-        self._scan = np.unique(self._rows[1], return_inverse=True)[1]
+        self._rows, self._factors = _seen(given), given.odometry
+        self._iteration = np.concatenate([self._rows[1], given.odometry.iteration])
+        scans = np.unique(self._rows[1])
+        self._scan = np.searchsorted(scans, self._iteration).clip(max=len(scans) - 1)
         self._prepare(given)
 
     def _set(self, given: WallEquations) -> None:
         sd = np.sqrt(2) * given.sd
-        self._sd = np.concatenate([sd, sd, given.corner_sd])
+        self._sd = np.concatenate([sd, sd, given.corner_sd, given.odometry.residual_sd])
         least_m = ROUNDING * float(np.abs(given.ends).max())
         self.rounding = float(np.sum((least_m / self._sd) ** 2))
 
@@ -130,7 +133,8 @@ class WallSystem:
 
     def off(self, state: Walls) -> tuple[Array, Array]:
         """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
-        return _by_kind(self._linearised(state).off, len(self._rows[3]))
+        off = self._linearised(state).off[: len(self._rows[1])]
+        return _by_kind(off, len(self._rows[3]))
 
     def equations(
         self, state: Walls, weight: Array, with_matrix: bool, damping: float
@@ -187,16 +191,19 @@ class WallSystem:
         """Return the weights of residuals where they put their observations in doubt."""
         from relmap.core.linalg.order_kernels import medians
 
-        size = np.abs(residual)
-        typical = np.median(size)
+        size, n = np.abs(residual), len(self._rows[1])
+        typical = np.median(size[:n])  # of walls: to begin with, the map may be what odometry tells
         if by_scan:
-            typical = np.maximum(typical, medians(self._scan, size))[self._scan]
+            typical = np.maximum(typical, medians(self._scan[:n], size[:n]))[self._scan]
         return np.asarray(1 / (1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** 2)
 
     def _linearised(self, state: Walls) -> Linearised:
         """Return residuals and Jacobians; those of the last state are remembered."""
         if self._latest is None or self._latest[0] is not state:
-            self._latest = state, _linearised(state, self._rows)
+            found = _linearised(state, self._rows)
+            if len(self._factors):
+                found = self._factors.added_to(found, state.yaw, state.t)
+            self._latest = state, found
         return self._latest[1]
 
     def _prepare(self, given: WallEquations) -> None:
@@ -206,8 +213,11 @@ class WallSystem:
         """
         n_walls, stretch = int(given.wall.max()) + 1, given.iteration // STRETCH
         width, block, place = _blocks(given, stretch, n_walls)
-        seen = np.concatenate([given.wall, block[given.corner]])
-        at = np.concatenate([stretch, stretch[given.corner_row]])
+        meeting = np.tile(len(width) + np.arange(len(given.odometry)), 2)
+        width = np.append(width, np.full(len(given.odometry), 3))
+        seen = np.concatenate([given.wall, block[given.corner], meeting])
+        both = given.odometry.both.T.ravel() // STRETCH
+        at = np.concatenate([stretch, stretch[given.corner_row], both])
         key = np.unique(at * len(width) + seen)
         clique, member = key // len(width), key % len(width)
         begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
@@ -215,9 +225,11 @@ class WallSystem:
         first = self.pattern.first
         self._line, self._place = first[:n_walls], first[block] + place
         other = np.concatenate([self._line[given.wall] + 1] * 2 + [self._place[given.corner]])
-        _, iteration, wall, _ = self._rows
-        unknown = np.column_stack([self._line[wall], other])
-        poses = np.arange(given.iteration[-1] + 1)
+        unknown = np.column_stack([self._line[self._rows[2]], other])
+        met = (first[meeting][:, None] + np.arange(3)).ravel()
+        unknown = np.concatenate([unknown, np.column_stack([met, met])])
+        iteration = self._iteration
+        poses = np.arange(given.n_iterations)
         rows = np.argsort(iteration, kind="stable")
         starts = np.searchsorted(iteration[rows], np.append(poses, len(poses)))
         free = (poses > 0).astype(np.float64)

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from relmap.planes.assembly import WallNumbers
-from relmap.planes.beams import BeamStore
 from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
+from relmap.planes.history import PlaneHistory
 from relmap.planes.refined_map import refined_map
+from relmap.planes.scan_links import ScanLinks
+from relmap.planes.steps import Steps, steps_of
+from relmap.planes.stitching import weak_links
 from relmap.planes.submaps import WallSubmap
 
 
@@ -24,7 +30,7 @@ class RefinedWalls(NamedTuple):
 
 
 def refined_submaps(
-    grouped: GroupedMap, moving: NDArray[np.bool_], beams: BeamStore
+    grouped: GroupedMap, moving: NDArray[np.bool_], links: ScanLinks
 ) -> RefinedWalls:
     """Refine each submap by itself, from where the groups place the scans.
 
@@ -36,19 +42,80 @@ def refined_submaps(
     grouped : GroupedMap
     moving : (p,) bool
         Plane tracks that say nothing, for they move.
-    beams : BeamStore
-        What is seen through is no wall.
+    links : ScanLinks
+        Beams, for what is seen through is no wall; and odometry.
     """
-    history, numbers = grouped.history, grouped.at_rest(grouped.unmerged)
     merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
-    submaps = grouped.submaps(merged, moving)
+    first = partial(grouped.submaps, merged, moving)
+    grouped = with_odometry(grouped, told_by_odometry(links, grouped.history, first))
+    submaps, numbers = _refined(grouped, merged, moving)
+    odometry = grouped.history.odometry
+    if odometry and odometry.needed.any():  # The refined map tells better how good it is.
+        grouped = with_odometry(grouped, told_by_odometry(links, grouped.history, lambda: submaps))
+        submaps, numbers = _refined(grouped, merged, moving)
+    history = grouped.history
+    for k, submap in enumerate(submaps):
+        submaps[k], numbers, gone = floor_plan(submap, numbers, history, links.beams, moving)
+        moved.append(gone)
+    return RefinedWalls(submaps, numbers, np.concatenate(moved))
+
+
+def _refined(
+    grouped: GroupedMap, merged: WallNumbers, moving: NDArray[np.bool_]
+) -> tuple[list[WallSubmap], WallNumbers]:
+    """Return the submaps and the association; `merged` is that of the grouped map."""
+    numbers, submaps = grouped.at_rest(grouped.unmerged), grouped.submaps(merged, moving)
     for k, submap in enumerate(grouped.submaps(numbers, moving)):
-        found = refined_map(history, numbers, submap, moving)
+        found = refined_map(grouped.history, numbers, submap, moving)
         if found is None:
             numbers = grouped.with_those_of(submap.span, numbers, merged)
         else:
             submaps[k], numbers = found
-    for k, submap in enumerate(submaps):
-        submaps[k], numbers, gone = floor_plan(submap, numbers, history, beams, moving)
-        moved.append(gone)
-    return RefinedWalls(submaps, numbers, np.concatenate(moved))
+    return submaps, numbers
+
+
+def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:
+    """Return the map that the groups give, told what odometry adds, if anything."""
+    if odometry is None:
+        return grouped
+    return replace(grouped, history=replace(grouped.history, odometry=odometry))
+
+
+def on_odometry(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
+    """Tell the motion into which iterations (i,) hangs on odometry.
+
+    Walls leave the way open in some direction, or tell nothing.
+    """
+    weak = np.zeros(history.n_iterations, dtype=np.bool_)
+    weak[weak_links(history)] = True
+    same = (np.diff(history.submap, prepend=-1) == 0) & (history.submap >= 0)
+    known = np.isfinite(links.wheels.given.over(history.n_iterations)[:, 0, 0])
+    known &= links.wheels.noise_over_all(links.motions, links.measured) is not None
+    return np.asarray((weak | links.bridged | ~links.measured) & same & known)
+
+
+def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
+    """Tell in which iterations (i,) odometry is not believed.
+
+    Walls measured another motion, or what was seen contradicts it; all, if it is wrong too often.
+    """
+    known = np.isfinite(links.wheels.given.over(history.n_iterations)[:, 0, 0])
+    broken = (np.diff(history.submap, prepend=history.submap[:1]) != 0) & known
+    return np.asarray(links.wheels.left_out(links.motions, links.measured) | broken)
+
+
+def told_by_odometry(
+    links: ScanLinks, history: PlaneHistory, submaps: Callable[[], Sequence[WallSubmap]]
+) -> Steps | None:
+    """Return what odometry adds to the map; None where there is none, or it is not believed.
+
+    `submaps` are those that show how good it is.
+    """
+    noise = links.wheels.noise_over_all(links.motions, links.measured)
+    if noise is None:
+        return None
+    given = links.wheels.given.over(history.n_iterations)
+    given[odometry_left_out(links, history)] = np.nan
+    paths = [(slice(*submap.span), submap.poses) for submap in submaps()]
+    hanging = on_odometry(links, history)
+    return steps_of(noise, given, int(links.measured.sum()), paths, hanging)

@@ -107,16 +107,16 @@ class PlaneRegistration:
 
         Where no link to those before is believed, a submap begins.
         """
-        walls = np.full(len(seen), -1)
+        walls, goes_on = np.full(len(seen), -1), self.links.goes_on
         motion, tracks, found = self.links.usual, self._tracks, None  # on as before
         if tracks is not None and len(seen):
             found = self.links.into(tracks, seen)
-            motion = found.motion if found else motion
+            motion, goes_on = (found.motion, goes_on) if found else (motion, False)
             tracks = _followed(tracks, seen, found, walls) if found else None
         elif tracks is not None:
             tracks = tracks.carried(motion.yaw, motion.t)
             tracks.missed += 1
-        if tracks is None and len(seen):
+        if tracks is None and len(seen) and not goes_on:
             self.links.begin_submap()
         new = walls < 0
         walls[new] = self.n_planes + np.arange(new.sum())
@@ -129,7 +129,8 @@ class PlaneRegistration:
         tracks = tracks.kept(tracks.missed <= self._max_missed)
         self._tracks = tracks if len(tracks) else None
         self._see_corners(tracks, seen, walls)
-        self.links.append(seen, motion, self._tracks is not None, found)
+        is_tied = goes_on or self._tracks is not None
+        self.links.append(seen, motion, is_tied, found, goes_on)
         return walls
 
     def tie(self) -> NDArray[np.int64]:

@@ -29,9 +29,12 @@ def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:
     given, state = assembled.given, assembled.state
     if not len(given.corner):
         return np.empty((0, 2, 2))
-    seen, iteration = np.unique(given.iteration, return_inverse=True)
+    odometry = given.odometry
+    seen = np.unique(np.concatenate([given.iteration, odometry.both.ravel()]))
     state = replace(state, yaw=state.yaw[seen], t=state.t[seen])
-    system = WallSystem(replace(given, iteration=iteration))
+    iteration, both = (np.searchsorted(seen, each) for each in (given.iteration, odometry.both))
+    odometry = replace(odometry, both=both)
+    system = WallSystem(replace(given, iteration=iteration, odometry=odometry))
     spread = system.corner_covariances(state, LAST[1])
     wall = assembled.corner_wall
     normal, along = directions(state.angle[wall])

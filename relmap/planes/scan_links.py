@@ -6,6 +6,8 @@ Walls imply a motion; of a laser its beams judge it (`relmap.planes.search`), el
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,8 +27,9 @@ from relmap.planes.links import (
 )
 from relmap.planes.motions import after, inverse, motion_over, others, planar
 from relmap.planes.observation import PlaneObservation
-from relmap.planes.placement import PlanarMotion, place
-from relmap.planes.search import Found, Search
+from relmap.planes.odometry import OTHERWISE, Expected, Wheels
+from relmap.planes.placement import PlanarMotion, place, settled, worth
+from relmap.planes.search import NO_MATCH, Found, Search
 from relmap.planes.tracks import PlaneTracks
 from relmap.planes.tying import Scans, judged_links
 
@@ -36,6 +39,8 @@ TOGETHER = 5.0
 """Log odds that both must have in sum."""
 IN_DOUBT = 10.0
 """Log odds below which a motion is judged once more, by the scans around."""
+FEW = 4.0
+"""Walls and corners on either side, of which more that do not match contradict odometry."""
 VIEWS = 2
 """Last scans whose beams judge a motion."""
 
@@ -54,6 +59,8 @@ class ScanLinks:
         What was observed so far.
     beams : BeamStore
         The beams of each scan, where they are given.
+    wheels : Wheels
+        The odometry, where there is any.
     submap : int
         Submap of the next scan, unless one begins with it.
     same_walls : (k, 2) int64
@@ -61,8 +68,8 @@ class ScanLinks:
     """
 
     STATE = (
-        "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured beams "
-        "same_walls"
+        "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
+        "beams same_walls"
     )
 
     def __init__(self, bridge_m: float) -> None:
@@ -74,8 +81,10 @@ class ScanLinks:
         self._submaps: GrowingArray[np.int64] = GrowingArray(np.int64)
         self._evidence: GrowingArray[np.float64] = GrowingArray(np.float64)
         self._measured: GrowingArray[np.bool_] = GrowingArray(np.bool_)
+        self._bridged: GrowingArray[np.bool_] = GrowingArray(np.bool_)
         self.store = ObservationStore()
         self.beams = BeamStore()
+        self.wheels = Wheels()
 
     def __len__(self) -> int:
         """Return the number of scans."""
@@ -92,9 +101,35 @@ class ScanLinks:
         return self._submaps.values
 
     @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which motions (i,) walls tell in all directions."""
+        return self._measured.values
+
+    @property
+    def bridged(self) -> NDArray[np.bool_]:
+        """Which motions (i,) odometry alone tells."""
+        return self._bridged.values
+
+    @property
     def usual(self) -> PlanarMotion:
-        """How the robot went last: the median of some scans, for one of them may be a jump."""
-        return planar(usual_motion(self.motions))
+        """How the robot goes on: by odometry, or else as it did last.
+
+        That is the median of some scans, for one of them may be a jump.
+        """
+        expected = self._expected
+        return planar(expected.motion if expected else usual_motion(self.motions))
+
+    @property
+    def _expected(self) -> Expected | None:
+        """Where odometry expects the next scan."""
+        now = len(self._motions)
+        return self.wheels.expected(now - 1, now, self.motions, self.measured) if now else None
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether odometry leads to the next scan, whatever that shows."""
+        last = self.submaps[-1:]
+        return bool((last >= 0).any()) and self._expected is not None
 
     def begin_submap(self) -> None:
         """Let a submap begin with the next scan."""
@@ -102,11 +137,20 @@ class ScanLinks:
         self._n_submaps += 1
 
     def append(
-        self, seen: PlaneObservation, motion: PlanarMotion, is_tied: bool, found: Found | None
+        self,
+        seen: PlaneObservation,
+        motion: PlanarMotion,
+        is_tied: bool,
+        found: Found | None,
+        goes_on: bool,
     ) -> None:
-        """Note the motion into a scan, whether it belongs to the submap, and what tied it."""
+        """Note the motion into a scan, whether it belongs to the submap, and what tied it.
+
+        It may be a match, or odometry, by which it `goes_on`.
+        """
         self._evidence.extend(np.array([found.evidence if found else np.nan]))
         self._measured.extend(np.array([found is not None and found.measured]))
+        self._bridged.extend(np.array([found.bridged if found else goes_on]))
         self.beams.append(seen.beams)
         self._motions.extend(np.array([[motion.yaw, *motion.t]]))
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
@@ -116,10 +160,11 @@ class ScanLinks:
 
         None also where nothing has measured the way along walls for too long.
         """
-        found = self._placed(tracks, seen)
+        expected = self._expected
+        found = self._placed(tracks, seen, expected)
         if found is None:
-            return None
-        if found.measured:
+            return self._over(tracks, seen, expected) if expected else None
+        if found.measured or expected:
             self._unsure_m = 0.0
             return found
         if not self._unsure_m:
@@ -130,18 +175,37 @@ class ScanLinks:
             return None
         return found
 
-    def _placed(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
+    def _placed(
+        self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected | None
+    ) -> Found | None:
         """Return the believed motion into a scan, and the association by it."""
-        told, reach_m = seen.beams, farthest_m(self._believed)
-        views = self._views() if told.in_order and len(told.points) else []
+        reach_m, views = farthest_m(self._believed), self._views(seen)
+        usual = self.usual
         if views:
-            beams = Beams.of(told.points, told.origin, seen.ends)
-            judged = Search(tracks, seen, beams, views, self.usual).found()
+            beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
+            judged = Search(tracks, seen, beams, views, usual, expected).found()
             return judged if judged and self._confirmed(judged, seen, beams, views) else None
-        found = place(tracks, seen, self.usual, reach_m)
-        if found is None or not believed(tracks, seen, found, self.usual):
+        found = place(tracks, seen, usual, reach_m)
+        if found is None or not believed(tracks, seen, found, usual):
             return None
         return Found(*found, measured_along(tracks, seen, found[1]), np.inf)
+
+    def _over(
+        self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected
+    ) -> Found | None:
+        """Return where odometry alone has a scan; None where what is seen contradicts it."""
+        views = self._views(seen)
+        if views:
+            beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
+            return Search(tracks, seen, beams, views, self.usual, expected).bridged(expected)
+        motion, match = settled(tracks, seen, planar(expected.motion))
+        near = expected.off(np.array([[motion.yaw, *motion.t]]))[0] < OTHERWISE
+        recent = tracks.missed == tracks.missed.min(initial=0)
+        if not near and min(worth(tracks, seen, recent)) > FEW:
+            return None
+        if not near:
+            motion, match = planar(expected.motion), NO_MATCH
+        return Found(motion, match, False, -np.inf, True)
 
     def _confirmed(
         self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
@@ -171,9 +235,11 @@ class ScanLinks:
         motions, submaps = self.motions[last], self.submaps[last]
         return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
 
-    def _views(self) -> list[View]:
+    def _views(self, seen: PlaneObservation) -> list[View]:
         """Return the beams of the last scans of the submap, the very last first."""
-        found, motion = [], np.zeros(3)
+        found, motion = list[View](), np.zeros(3)
+        if not (seen.beams.in_order and len(seen.beams.points)):
+            return found
         now = len(self._motions)
         for i in reversed(range(max(now - VIEWS, 0), now)):
             if self.submaps[i] != self.submaps[-1]:
@@ -183,6 +249,18 @@ class ScanLinks:
             if len(beams):
                 found.append(View(beams, motion))
             motion = after(self.motions[i], motion[None])[0]
+        return found
+
+    def leave_to_odometry(self, scans: NDArray[np.int64]) -> bool:
+        """Let links into scans (t,) hang on odometry where it agrees; tell whether any did not yet.
+
+        The map disagrees with them.
+        """
+        found = False
+        for scan in scans[self.measured[scans]].tolist():
+            expected = self.wheels.expected(scan - 1, scan, self.motions, self.measured)
+            if expected and expected.off(self.motions[scan][None])[0] < OTHERWISE:
+                self.measured[scan], found = False, True
         return found
 
     def cut(self, scans: NDArray[np.int64]) -> None:
@@ -211,12 +289,16 @@ class ScanLinks:
         for link in links:
             between = motion_over(self.motions[link.earlier + 1 : link.later])
             self.motions[link.later] = after(inverse(between), link.motion[None])[0]
+            if len(self.wheels.given):
+                self.measured[link.later] = link.measured and link.earlier == link.later - 1
+                self.bridged[link.later] = not len(link.walls)
             old, new = self.submaps[link.later], self.submaps[link.earlier]
             if new >= 0:
                 self._submaps.values[self.submaps == old] = new
                 name[name == old] = new
         self.same_walls = np.concatenate([self.same_walls, *(link.walls for link in links)])
         self.submap = int(name[self.submap])
+        self.wheels.look_again()
         return name, np.array(cut, dtype=np.int64)
 
     @property
@@ -225,7 +307,11 @@ class ScanLinks:
         rows, _ = self.store.between(0, len(self._motions))
         first_row = np.searchsorted(self.store.iterations, np.arange(len(self._motions) + 1))
         seen, wall = seen_before(self.store, rows), self.store.column("wall")[rows]
-        return Scans(seen, wall, first_row, self.beams, self.motions, self._measured.values)
+        expected = partial(
+            self.wheels.expected, motions=self.motions, measured=self.measured.copy()
+        )
+        links = self.motions, self.measured, expected
+        return Scans(seen, wall, first_row, self.beams, *links)
 
     def _known(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Tell the motion into which scans (i,) is believed, and which are to be judged."""

@@ -17,6 +17,7 @@ from relmap.planes.beams import NEAR_M, Beams, compared
 from relmap.planes.judging import MEASURED, Candidates, Judged, View
 from relmap.planes.motions import after, distinct, others, planar
 from relmap.planes.observation import PlaneObservation
+from relmap.planes.odometry import OTHERWISE, Expected
 from relmap.planes.placement import STILL, Match, PlanarMotion, settled, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
@@ -47,6 +48,11 @@ USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
 CANDIDATES, WITHIN = 6, 8.0
 """Motions that are compared with those of other scans: so many, as likely as the best but for this
 in log odds."""
+EXPLAINS = 0.05
+"""Share of the points that must agree more with another motion than with the one of odometry."""
+CONTRADICTS = 0.1
+"""Share of the points that contradict odometry where it is not believed."""
+NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 FREE_M, FREE = 0.3, 0.01
 """A way along a wall is free where beams agree hardly less so far off."""
 FREE_REACH_M = 1.0
@@ -64,12 +70,15 @@ class Found(NamedTuple):
         Whether the way is known in all directions.
     evidence : float
         How likely it is right: log odds.
+    bridged : bool
+        Whether odometry alone tells it.
     """
 
     motion: PlanarMotion
     match: Match
     measured: bool
     evidence: float
+    bridged: bool = False
 
 
 class Search:
@@ -85,6 +94,8 @@ class Search:
         Earlier scans, the last one first.
     before : PlanarMotion
         How the robot went before.
+    expected : Expected, optional
+        What odometry tells.
     """
 
     def __init__(
@@ -94,9 +105,11 @@ class Search:
         beams: Beams,
         views: Sequence[View],
         before: PlanarMotion,
+        expected: Expected | None = None,
     ) -> None:
         self._tracks, self._seen, self._beams, self._views = tracks, seen, beams, views
-        self._before = before
+        self._before = planar(expected.motion) if expected else before
+        self._expected = expected
 
     def found(self) -> Found | None:
         """Find the motion that walls imply and beams support.
@@ -117,6 +130,8 @@ class Search:
         if every.evidence[best] < BELIEVED:
             return None
         motion = every.motions[best]
+        if self._expected and self._explains(self._expected, motion):
+            return None
         likely = every.evidence > every.evidence[best] - RIVAL
         rivals = likely & others(every.motions, motion)
         measured = self._measured(every, best)
@@ -124,11 +139,32 @@ class Search:
             rivals &= np.hypot(*(every.motions[:, 1:] - motion[1:]).T) > FREE_REACH_M
         if rivals.any():
             return None
+        if not measured and self._expected:
+            return self._by_odometry(every, self._expected)
         if not measured:
             off_m = np.hypot(*(every.motions[:, 1:] - self._before.t).T)
             best = int(np.argmin(np.where(likely, off_m, np.inf)))
             motion = every.motions[best]
         return Found(planar(motion), every.matches[best], measured, float(every.evidence[best]))
+
+    def _explains(self, expected: Expected, motion: NDArray[np.float64]) -> bool:
+        """Tell whether beams agree with odometry hardly less than with another motion (3,)."""
+        motions = np.array([expected.motion, motion])
+        if expected.off(motions)[1] < OTHERWISE:
+            return False
+        sums = self._compared(self._views[:1], motions, NEAR_M, 1)
+        value = (sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / np.maximum(sums.sum(axis=1), 1.0)
+        return bool(value[0] > value[1] - EXPLAINS)
+
+    def _by_odometry(self, every: Judged, expected: Expected) -> Found | None:
+        """Return the motion nearest to odometry of the likely ones; None where none is near."""
+        off = expected.off(every.motions)
+        near = np.where(off < OTHERWISE, every.evidence, -np.inf)
+        if near.max() < BELIEVED:
+            return None
+        best = int(np.argmin(np.where(near > near.max() - RIVAL, off, np.inf)))
+        evidence = float(every.evidence[best])
+        return Found(planar(every.motions[best]), every.matches[best], False, evidence)
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
         """Return the motions that walls and beams of these scans tell for right, likeliest first.
@@ -165,6 +201,21 @@ class Search:
         found = self._judged([planar(motion)])
         evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
+
+    def bridged(self, expected: Expected) -> Found | None:
+        """Return where odometry expects the robot, unless beams contradict that.
+
+        Walls that match near by move it.
+        """
+        found = self._judged([planar(expected.motion)])
+        motions = np.array([expected.motion, found.motions[0]])
+        sums = self._compared(self._views[:1], motions, NEAR_M, 1 + len(self._beams) // JUDGES)
+        is_near = expected.off(motions)[1] < OTHERWISE
+        by_walls = is_near and sums[1, 0] >= sums[0, 0] and sums[1, 1] <= sums[0, 1]
+        if sums[int(by_walls), 1] > CONTRADICTS * sums[0].sum():
+            return None
+        match = found.matches[0] if by_walls else NO_MATCH
+        return Found(planar(motions[int(by_walls)]), match, False, float(found.evidence[0]), True)
 
     def _guesses(self) -> list[PlanarMotion]:
         """Return the motions implied by walls that the beams agree with best, roughly."""
@@ -234,7 +285,8 @@ class Search:
         """Return how unlikely motions (k, 3) are, as the robot went before."""
         way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
         turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
-        return np.asarray((way**2 + turn**2) / 2)
+        told = self._expected.supports(motions) if self._expected else 0.0
+        return np.asarray((way**2 + turn**2) / 2 - told)
 
     def _compared(
         self, views: Sequence[View], motions: NDArray[np.float64], near_m: float, step: int

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from relmap.planes.history import PlaneHistory
 from relmap.planes.links import CROSSING, spread
+from relmap.planes.motions import matrices
 from relmap.planes.placement import LEVER_M
 
 FEW, ASTRAY_M = 5, 0.3
@@ -40,7 +41,7 @@ def stitched(
         ``T_map_robot``; where no submap fixes any, in the frame of the first iteration.
     """
     n = len(motions)
-    steps = np.linalg.inv(_matrices(motions))
+    steps = np.linalg.inv(matrices(motions))
     poses = np.full((n, 4, 4), np.nan)
     submap = np.full(n, -1)
     for number, own in enumerate(submaps):
@@ -74,15 +75,6 @@ def _placed(
     return np.asarray(placed[submap] @ own)
 
 
-def _matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    T = np.tile(np.eye(4), (len(motions), 1, 1))
-    c, s = np.cos(motions[:, 0]), np.sin(motions[:, 0])
-    T[:, 0, 0] = T[:, 1, 1] = c
-    T[:, 1, 0], T[:, 0, 1] = s, -s
-    T[:, :2, 3] = motions[:, 1:]
-    return T
-
-
 def with_strays_put_back(
     poses: NDArray[np.float64], motions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -105,7 +97,7 @@ def with_strays_put_back(
 
 def _astray(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell which poses after the first one (n - 1,) do not follow by the motions (n, 3)."""
-    off = np.linalg.inv(poses[:-1]) @ poses[1:] @ _matrices(motions[1:])
+    off = np.linalg.inv(poses[:-1]) @ poses[1:] @ matrices(motions[1:])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
     return np.asarray(np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > ASTRAY_M)
 

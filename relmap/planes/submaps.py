@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from relmap.core.landmarks import Submap
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
-from relmap.planes.links import torn_links
+from relmap.planes.links import disagreement, torn_links
 from relmap.planes.stitching import stitched, weak_links
 from relmap.planes.table import corner_map
 
@@ -79,11 +79,18 @@ def among_all(
 def chained_poses(
     paths: list[NDArray[np.float64]], span: tuple[int, int], history: PlaneHistory
 ) -> NDArray[np.float64]:
-    """Return the poses of a submap by the paths (i, 4, 4) that submaps of the map tell."""
+    """Return the poses of a submap by the paths (i, 4, 4) that submaps of the map tell.
+
+    Where odometry ties stretches of few landmarks, the links between scans tell if these tear it.
+    """
     rows, own = slice(*span), history.own(span)[:, None, None]
     there = [np.where(own, path[rows], np.nan) for path in paths]
     there = [path for path in there if np.isfinite(path[:, 0, 0]).any()]
-    return np.where(own, stitched(there, history.motion[rows]), np.nan)
+    motions = history.motion[rows]
+    poses = np.where(own, stitched(there, motions), np.nan)
+    if history.odometry and disagreement(poses, motions)[0]:
+        poses = np.where(own, stitched([], motions), np.nan)
+    return poses
 
 
 def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> NDArray[np.int64]:

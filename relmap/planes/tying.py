@@ -6,7 +6,7 @@ motions around each break, and each link in doubt, are judged together (`relmap.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from relmap.planes.judging import Candidates, View
 from relmap.planes.links import VARYING_M, unsure_m, usual_motion
 from relmap.planes.motions import others, planar
 from relmap.planes.observation import PlaneObservation
+from relmap.planes.odometry import OTHERWISE, Expected
 from relmap.planes.placement import STILL, PlanarMotion
 from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
@@ -53,6 +54,8 @@ class Scans:
         From the frame of the scan before into that of each: yaw, x, y.
     measured : (i,) bool
         Which of these are known in all directions.
+    expected : callable
+        How odometry has a scan lie to an earlier one; None where it does not tell.
     """
 
     walls: PlaneObservation
@@ -61,6 +64,7 @@ class Scans:
     beams: BeamStore
     motions: NDArray[np.float64]
     measured: NDArray[np.bool_]
+    expected: Callable[[int, int], Expected | None]
 
     def rows(self, scan: int) -> slice:
         """Return the rows of the walls of a scan."""
@@ -74,8 +78,13 @@ class Scans:
         """Return the beams of one scan."""
         return self.beams.of(scan, self.walls.ends[self.rows(scan)])
 
-    def bridged(self, link: Link) -> bool:
-        """Tell whether a link is measured, or beside one that is, and steps are steady."""
+    def holds(self, link: Link) -> bool:
+        """Tell whether a link is measured, or beside one that is, and steps are steady.
+
+        Where odometry is known that is not needed.
+        """
+        if self.expected(link.earlier, link.later):
+            return True
         beside = self.measured[[link.earlier, min(link.later + 1, len(self.measured) - 1)]]
         steady = unsure_m(self.motions[self.measured]) <= VARYING_M
         return link.measured or (bool(beside.any()) and steady)
@@ -99,7 +108,8 @@ class Scans:
         beams = [self.beams_of(scan) for scan in (earlier, later)]
         if not min(len(tracks), len(seen), *map(len, beams)):
             return None
-        return Search(tracks, seen, beams[1], [View(beams[0], np.zeros(3))], before)
+        views = [View(beams[0], np.zeros(3))]
+        return Search(tracks, seen, beams[1], views, before, self.expected(earlier, later))
 
 
 class Link(NamedTuple):
@@ -148,15 +158,29 @@ def judged_links(
         fixed = is_tied[run[0]] and not in_doubt[run[0]]
         for judged in _judged(scans, run, fixed):
             if not is_tied[judged.later]:
-                links += [link for link in judged.believed if scans.bridged(link)]
-            elif in_doubt[judged.later] and judged.odds(scans) < DOUBTED:
+                links += [link for link in judged.believed if scans.holds(link)]
+            elif in_doubt[judged.later] and judged.is_doubted(scans):
                 same = [link for link in judged.believed if scans.agree(link)]
                 links += same
                 cut += [] if same else [judged.later]
     is_tied = is_tied.copy()
     is_tied[[link.later for link in links]] = True
     is_tied[cut] = False
-    return links + _over_gaps(scans, is_tied), cut
+    links += _over_gaps(scans, is_tied)
+    is_tied[[link.later for link in links]] = True
+    untied = np.setdiff1d(np.flatnonzero(~is_tied), [0, *cut]).tolist()
+    return links + [link for scan in untied for link in _by_odometry(scans, scan)], cut
+
+
+def _by_odometry(scans: Scans, later: int) -> list[Link]:
+    """Return the link into a scan that odometry alone tells, unless the scans contradict it."""
+    expected = scans.expected(later - 1, later)
+    if expected is None:
+        return []
+    motion, search = expected.motion, scans.search(later - 1, later, STILL)
+    if search and not search.bridged(expected):
+        return []
+    return [Link(later - 1, later, motion, np.empty((0, 2), dtype=np.int64), False)]
 
 
 def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
@@ -185,9 +209,14 @@ class _Judged(NamedTuple):
     verdict: Verdict
     believed: list[Link]
 
-    def odds(self, scans: Scans) -> float:
-        """Return the log odds of the motion that was believed before."""
-        return self.verdict.odds(scans.motions[self.later])
+    def is_doubted(self, scans: Scans) -> bool:
+        """Tell whether the motion that was believed before is so no more.
+
+        Not one that odometry agrees with.
+        """
+        motion, expected = scans.motions[self.later], scans.expected(self.later - 1, self.later)
+        agrees = expected is not None and expected.off(motion[None])[0] < OTHERWISE
+        return self.verdict.odds(motion) < DOUBTED and not agrees
 
 
 def _believed(
@@ -226,7 +255,9 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
             found.append(search.candidates([guess]) if search else NONE)
             before = run[k - 2] if k > 1 else max(run[0] - 1, 0)
             two_back = scans.search(before, run[k], STILL)
-            hypotheses.go_on(found[-1], usual, two_back.judged if two_back else None)
+            expected = scans.expected(run[k - 1], run[k])
+            judge = two_back.judged if two_back else None
+            hypotheses.go_on(found[-1], usual, judge, expected)
         if k > LATER:
             scan = k - LATER
             verdict = hypotheses.verdict(scan)

@@ -1,0 +1,73 @@
+"""What odometry adds to the refinement: factors between poses, where walls do not tell the motion.
+
+Poses are eliminated one by one, and a factor has two of them.  So it is taken for two, of half the
+variance each, that tie both poses to a third one where they meet; that one is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.refinement.schur import Linearised
+from relmap.planes.tracks import wrapped
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFactors:
+    """How odometry has iterations lie to earlier ones; l pairs.
+
+    Attributes
+    ----------
+    both : (l, 2) int64
+        The earlier and the later one.
+    motion : (l, 3) float64
+        Pose of the later in the frame of the earlier: yaw, x, y.
+    sd : (l, 2) float64
+        Standard deviations of the yaw, radians, and of x and y, metres.
+    """
+
+    both: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    motion: Array = field(default_factory=lambda: np.empty((0, 3)))
+    sd: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __len__(self) -> int:
+        """Return their number."""
+        return len(self.both)
+
+    @property
+    def iteration(self) -> NDArray[np.int64]:
+        """Which iteration each residual is of, (6 l,): yaw, x, y of the earlier, then the later."""
+        return np.repeat(self.both.T, 3)
+
+    @property
+    def residual_sd(self) -> Array:
+        """Standard deviation of each residual, (6 l,)."""
+        return np.tile(self.sd[:, [0, 1, 1]].ravel() / np.sqrt(2), 2)
+
+    def added_to(self, seen: Linearised, yaw: Array, t: Array) -> Linearised:
+        """Return residuals and derivatives with those of the factors.
+
+        These are by the pose, and by where both poses meet, which is in the middle of the two.
+        `yaw` (i,) and `t` (i, 2) are of all poses.
+        """
+        earlier, later = self.both.T
+        c, s = np.cos(yaw[earlier]), np.sin(yaw[earlier])
+        x, y = self.motion[:, 1:].T
+        led = np.column_stack([c * x - s * y, s * x + c * y])
+        turn = wrapped(yaw[earlier] + self.motion[:, 0] - yaw[later])
+        off = np.column_stack([turn, t[earlier] + led - t[later]]).ravel() / 2
+        by_later = np.tile(np.eye(3), (len(self), 1, 1))
+        by_earlier = by_later.copy()
+        by_earlier[:, 1, 0], by_earlier[:, 2, 0] = -led[:, 1], led[:, 0]
+        by_pose = np.concatenate([by_earlier, by_later]).reshape(-1, 3)
+        by_kept = np.tile([-1.0, 0.0], (len(by_pose), 1))
+        return Linearised(
+            np.concatenate([seen.off, off, -off]),
+            np.concatenate([seen.by_eliminated, by_pose]),
+            np.concatenate([seen.by_kept, by_kept]),
+        )
