@@ -212,7 +212,7 @@ def test_a_journal_keeps_beams(tmp_path: Path) -> None:
 
 def test_points_of_a_submap_lie_on_its_walls() -> None:
     mapper, _ = mapped()
-    points = mapper.points_of(0, 500)
+    points = mapper.beams_of(0, 500)[1]
     assert 250 < len(points) <= 500
     off = np.minimum(np.abs(points[:, 0] - 1.0), np.abs(points[:, 1]))
     assert (np.abs(np.maximum(np.abs(points[:, 0] - 1.0), np.abs(points[:, 1])) - 3.0) < 1e-5).all()

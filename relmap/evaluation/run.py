@@ -166,7 +166,7 @@ def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> D
         stamps_s[known],
         submap.poses[known],
         mapper.planes_of(number),
-        mapper.points_of(number, POINTS_DRAWN),
+        mapper.beams_of(number, POINTS_DRAWN)[1],
         weak[weak > 0],
     )
 

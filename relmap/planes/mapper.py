@@ -241,18 +241,18 @@ class PlaneMapper(Mapper):
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
 
-    def points_of(self, number: int, most: int) -> NDArray[np.float64]:
-        """Return where beams of a submap ended (n, 2), in its frame, metres; for display.
+    def beams_of(self, number: int, most: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return where beams of a submap began and ended, (n, 2) each, in its frame, metres.
 
         Parameters
         ----------
         number : int
             Place of the submap in `submaps`.
         most : int
-            Of more points only one in so many is returned.
+            Of more beams only one in so many is returned.
         """
         submap = self.submaps[number]
-        return self._planes.links.beams.placed(submap.poses, submap.span, most)[1]
+        return self._planes.links.beams.placed(submap.poses, submap.span, most)
 
     @property
     def map(self) -> LandmarkMap:
