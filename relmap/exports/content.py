@@ -73,7 +73,7 @@ def read_content(folder: Path) -> MapContent:
     result = read_any(folder)
     walls = None
     if isinstance(result, PlaneResult):
-        walls = _rows(result.planes, np.isfinite(result.planes.ends).all(axis=(1, 2)))
+        walls = _rows(result.planes, np.isfinite(result.planes.ends[:, 0, 0]))
     return MapContent(result, _rows(result.landmarks, result.mapped), walls)
 
 

@@ -15,6 +15,7 @@ from relmap.evaluation.feeding import Log
 from relmap.evaluation.metrics import match_stamps
 from relmap.evaluation.run import stamps_of
 from relmap.evaluation.sources import read_log, recognised_format
+from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent
 from relmap.io.results import MAPPER
 from relmap.planes import PlaneMapper
@@ -101,7 +102,7 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
 
 def _read(content: MapContent, log: Path) -> Log:
     """Read the log that was mapped, in the format in which it was."""
-    variant = "points" if content.walls is None else "planes"
+    variant: Variant = "points" if content.walls is None else "planes"
     form = content.result.summary.get("format")
     named = form if isinstance(form, str) and recognised_format(log, variant) is None else None
     return read_log(log, variant, named)
@@ -120,7 +121,7 @@ def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[n
     """Return the iteration of each pose (p,) of a map of points; None if nothing tells."""
     result = content.result
     if log is not None:
-        return log.first_iteration + _scans(content, log)
+        return np.asarray(log.first_iteration + _scans(content, log))
     if not (folder / MAPPER).is_file():
         return None
     mapper = PointMapper.load(folder / MAPPER)
