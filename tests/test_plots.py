@@ -197,7 +197,8 @@ def drawn_submap(weak: list[int]) -> DrawnSubmap:
     poses = np.tile(np.eye(4), (10, 1, 1))
     poses[:, 0, 3] = np.arange(10)
     points = np.array([[2.0, 1.0], [3.0, 1.0]])
-    return DrawnSubmap(np.arange(10.0), poses, no_planes(), points, np.array(weak, dtype=np.int64))
+    k, at = np.arange(10), np.array(weak, dtype=np.int64)
+    return DrawnSubmap(k, k.astype(float), poses, no_planes(), points, np.array([2, 3]), at)
 
 
 def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:

@@ -36,11 +36,11 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
   point-clouds     a folder of .pcd or .ply files, one for each scan
 
-It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, submaps.csv,
-summary.json and mapper.npz, the state to go on from, and of walls also planes.csv and bench.png:
-the last scan, its planes, the map and its groups; with --animate the whole run like that in
-bench.gif.  Ctrl-C ends the mapping early and writes what was mapped so far; pressed again it ends
-at once.
+It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (a page
+to look around in the map and to replay the run), submaps.csv, summary.json and mapper.npz, the
+state to go on from, and of walls also planes.csv and bench.png: the last scan, its planes, the map
+and its groups; with --animate the whole run like that in bench.gif.  Ctrl-C ends the mapping early
+and writes what was mapped so far; pressed again it ends at once.
 
 \b
 Examples:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from relmap.planes import PlaneMapper
     from relmap.plots.bench_recorder import BenchRecorder
 
+REPORT = "report.html"
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
 
@@ -106,7 +107,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 
         segmenter = bench.segmenter if bench else None
         run = run_mapper(mapper, log, job.association, about, watched, job.refine, seen, segmenter)
-        _write(folder, run)
+        _write(folder, run, job)
         mapper.save(folder / MAPPER)
     if bench is not None:
         _draw_bench(folder, bench, job.animate)
@@ -150,14 +151,17 @@ def _stale(out: Path) -> list[str]:
     return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
 
 
-def _write(folder: Path, run: Run) -> None:
+def _write(folder: Path, run: Run, job: Job) -> None:
+    from relmap.io.files import atomic_write
     from relmap.io.results import write_result
     from relmap.planes.files import PlaneResult, write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
+    from relmap.plots.report import report_page
     from relmap.plots.run import write_map_png
 
     result, picture = run.result, folder / MAP_PNG
     write_result(folder, result)
+    atomic_write(folder / REPORT, report_page(result, job.command, job.source.name))
     if not isinstance(result, PlaneResult):
         write_map_png(picture, result, run.groups)
         return

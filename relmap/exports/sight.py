@@ -77,7 +77,7 @@ def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | 
     if not (folder / MAPPER).is_file():
         return None
     mapper = PlaneMapper.load(folder / MAPPER)
-    return mapper.beams_of(0, MOST) if mapper.submaps else None
+    return mapper.beams_of(0, MOST)[:2] if mapper.submaps else None
 
 
 def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings | None:
@@ -121,7 +121,8 @@ def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[n
     """Return the iteration of each pose (p,) of a map of points; None if nothing tells."""
     result = content.result
     if log is not None:
-        return np.asarray(log.first_iteration + _scans(content, log))
+        numbers: NDArray[np.int64] = log.first_iteration + _scans(content, log)
+        return numbers
     if not (folder / MAPPER).is_file():
         return None
     mapper = PointMapper.load(folder / MAPPER)
@@ -130,7 +131,7 @@ def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[n
     return there[len(there) - len(result.poses) :]
 
 
-def _scans(content: MapContent, log: Log) -> NDArray[np.intp]:
+def _scans(content: MapContent, log: Log) -> NDArray[np.int64]:
     """Return the scan of a log of which each pose (p,) is."""
     stamps_s = content.result.stamps_s
     mine, scan = match_stamps(stamps_s, stamps_of(log))
@@ -140,7 +141,7 @@ def _scans(content: MapContent, log: Log) -> NDArray[np.intp]:
             f"the log is not the one that was mapped: {len(stamps_s) - len(mine)} poses of the "
             f"result have no scan of their time in it, the first at {missing!r}"
         )
-    return scan
+    return scan.astype(np.int64)
 
 
 def _placed(content: MapContent, log: Log) -> Lines:

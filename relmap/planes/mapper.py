@@ -18,7 +18,7 @@ from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers
-from relmap.planes.beams import ToldBeams
+from relmap.planes.beams import PlacedBeams, ToldBeams
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
@@ -241,8 +241,8 @@ class PlaneMapper(Mapper):
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
 
-    def beams_of(self, number: int, most: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where beams of a submap began and ended, (n, 2) each, in its frame, metres.
+    def beams_of(self, number: int, most: int) -> PlacedBeams:
+        """Return where beams of a submap began and ended, in its frame.
 
         Parameters
         ----------
