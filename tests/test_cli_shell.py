@@ -73,6 +73,7 @@ def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]
         ["resume"],
         ["localise"],
         ["export"],
+        ["merge"],
     ],
 )
 def test_help_shows_an_example(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -37,6 +37,7 @@ MAY_IMPORT = {
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["comparison"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["plots"] = {*MAY_IMPORT} - {"mapper", "points", "comparison"}
+MAY_IMPORT["merging"] = {*MAY_IMPORT} - {"mapper", "comparison", "plots", "exports"}
 MAY_IMPORT["exports"] = {*MAY_IMPORT} - {"mapper", "comparison"}
 MAY_IMPORT["figures"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["cli"] = {*MAY_IMPORT}

@@ -23,6 +23,8 @@ VERBS = [
     (["compare", "{}", "-o", "out"], ["csv", "csv/observations.csv", "npz"]),
     (["compare", "csv", "-o", "out", "--truth", "{}"], ["csv", "csv/truth"]),
     (["compare", "npz", "-o", "out", "--truth", "{}"], ["npz", "npz/truth"]),
+    (["merge", "{}", "of-points", "-o", "out"], ["of-points"]),
+    (["merge", "of-walls", "{}", "-o", "out"], ["of-walls"]),
     (["export", "{}", "--to", "dxf", "-o", "out"], ["of-points", "of-walls"]),
     (["export", "of-walls", "--to", "grid", "-o", "out", "--log", "{}"], ["npz"]),
     (["resume", "{}"], []),

@@ -20,6 +20,7 @@ from relmap.cli import (
     figures,
     localise,
     map,
+    merge,
     resume,
     simulate,
     sweep,
@@ -56,6 +57,7 @@ app.command("map", help=map.HELP)(map.map_command)
 app.command("resume", help=resume.HELP)(resume.resume_command)
 app.command("localise", help=localise.HELP)(localise.localise_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
+app.command("merge", help=merge.HELP)(merge.merge_command)
 app.command("export", help=export.HELP)(export.export_command)
 app.command("compare", help=compare.HELP)(compare.compare_command)
 app.command("sweep", help=sweep.HELP)(sweep.sweep_command)

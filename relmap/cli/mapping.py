@@ -56,7 +56,7 @@ def map_log(job: Job) -> tuple[Run, int]:
     from relmap.io.files import staged_folder
 
     out, log = job.at(job.out), _log_of(job)
-    with staged_folder(out, _stale(out)) as staging:
+    with staged_folder(out, stale_files(out)) as staging:
         run = _mapped_into(staging, job, log)
         return run, len(list(staging.iterdir()))
 
@@ -144,11 +144,12 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
     return about
 
 
-def _stale(out: Path) -> list[str]:
+def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
     from relmap.planes.files import PLANES, submap_files
 
-    return [EVALUATION, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
+    merged = "trajectory-2.tum"
+    return [EVALUATION, PLANES, REPORT, BENCH_PNG, BENCH_GIF, merged, *submap_files(out)]
 
 
 def _write(folder: Path, run: Run, job: Job) -> None:

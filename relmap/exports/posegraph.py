@@ -67,8 +67,9 @@ def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
 
 def _information(content: MapContent) -> float:
     """Return one over the variance of an observed coordinate, where the refinement tells it."""
-    noise_m = (content.result.summary.get("refinement") or {}).get("noise_m")
-    return 1.0 / noise_m**2 if noise_m else 1.0
+    refinement = content.result.summary.get("refinement")
+    noise_m = refinement.get("noise_m") if isinstance(refinement, dict) else None
+    return 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0
 
 
 def _pose(T: NDArray[np.float64], planar: bool) -> str:

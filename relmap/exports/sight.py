@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from relmap.evaluation.run import stamps_of
 from relmap.evaluation.sources import read_log, recognised_format
 from relmap.evaluation.truth import Variant
 from relmap.exports.content import MapContent
-from relmap.io.results import MAPPER
+from relmap.io.results import MAPPER, SUMMARY, TRAJECTORY
 from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 
@@ -121,14 +122,23 @@ def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[n
     """Return the iteration of each pose (p,) of a map of points; None if nothing tells."""
     result = content.result
     if log is not None:
-        numbers: NDArray[np.int64] = log.first_iteration + _scans(content, log)
-        return numbers
+        return np.add(log.first_iteration, _scans(content, log))
     if not (folder / MAPPER).is_file():
         return None
     mapper = PointMapper.load(folder / MAPPER)
-    end = result.summary["scans"][1]
-    there = np.flatnonzero(np.isfinite(mapper.trajectory[:, 0, 0])) + end - mapper.n_iterations
-    return there[len(there) - len(result.poses) :]
+    there = np.flatnonzero(np.isfinite(mapper.trajectory[:, 0, 0]))
+    first = _end(folder, result.summary.get("scans")) - mapper.n_iterations
+    numbers = first + there[len(there) - len(result.poses) :]
+    if len(numbers) < len(result.poses):
+        raise RelmapError(f"{folder / MAPPER} is not of the same run as {TRAJECTORY} beside it")
+    return numbers
+
+
+def _end(folder: Path, scans: Any) -> int:
+    """Return the iteration after the last one that was mapped, as a summary tells `scans`."""
+    if isinstance(scans, list) and len(scans) == 2 and isinstance(scans[1], int):
+        return scans[1]
+    raise RelmapError(f"{folder / SUMMARY}: scans is {scans!r:.40}, expected [first, end]")
 
 
 def _scans(content: MapContent, log: Log) -> NDArray[np.int64]:
