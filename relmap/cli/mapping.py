@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from relmap.planes import PlaneMapper
     from relmap.plots.bench_recorder import BenchRecorder
 
-REPORT = "report.html"
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
 
@@ -147,6 +146,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
     from relmap.planes.files import PLANES, submap_files
+    from relmap.plots.report import REPORT
 
     merged = "trajectory-2.tum"
     return [EVALUATION, PLANES, REPORT, BENCH_PNG, BENCH_GIF, merged, *submap_files(out)]
@@ -157,7 +157,7 @@ def _write(folder: Path, run: Run, job: Job) -> None:
     from relmap.io.results import write_result
     from relmap.planes.files import PlaneResult, write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
-    from relmap.plots.report import report_page
+    from relmap.plots.report import REPORT, report_page
     from relmap.plots.run import write_map_png
 
     result, picture = run.result, folder / MAP_PNG

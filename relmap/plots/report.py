@@ -13,6 +13,7 @@ from relmap.planes.files import PlaneResult
 from relmap.plots.html import document, table
 from relmap.plots.report_data import views_of
 
+REPORT = "report.html"
 LISTED = 12
 """Submaps that are listed."""
 UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
