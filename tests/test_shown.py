@@ -15,6 +15,7 @@ from sklearn.base import clone
 
 import relmap
 from relmap import PlaneMapper, PlaneSegmenter, PointMapper, RelmapError
+from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap
 from relmap.simulation import building_scene
 from tests.commands import load, names, table
@@ -38,9 +39,7 @@ def test_mappers_and_tables_tell_what_is_in_them(points: PointMapper, walls: Pla
     assert repr(PointMapper()) == "PointMapper(0 iterations, 0 landmarks mapped)"
     assert repr(walls).startswith("PlaneMapper(16 iterations, ")
     assert len(points.map) == len(points.landmarks) == 12
-    assert repr(points.landmarks).startswith(
-        "LandmarkTable(12 rows, 12 static; landmark, x, y, z, "
-    )
+    assert repr(points.landmarks).startswith("LandmarkTable(12 rows, 12 static; landmark, x, ")
     assert len(walls.planes) == len(walls.planes.plane)
     assert len(LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))) == 0
 
@@ -61,7 +60,7 @@ def test_frames_have_the_columns_of_the_files(mapped: Mapped, source: str) -> No
     folder = mapped(source)
     kind = PlaneMapper if source == "npz" else PointMapper
     mapper = kind.load(folder / "mapper.npz")
-    files = {"landmarks.csv": mapper.landmarks}
+    files: dict[str, Table] = {"landmarks.csv": mapper.landmarks}
     if isinstance(mapper, PlaneMapper):
         files["planes.csv"] = mapper.planes
     for name, of in files.items():

@@ -102,7 +102,9 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
         return
     whole = broken_at_gaps(result.stamps_s, position)
     axes.plot(*whole.T, color=BLUE, linewidth=1.4, zorder=7, label="path of the robot")
-    axes.plot(*position[0], "o", color=BLUE, markersize=6, zorder=8, label="start", linestyle="")
+    style: dict[str, Any] = {"color": BLUE, "markersize": 6, "zorder": 8, "linestyle": ""}
+    axes.plot(*position[0], "o", label="start", **style)
+    axes.plot(*position[-1], "s", label="end", **style)
 
 
 def _draw_groups(
