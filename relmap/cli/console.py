@@ -17,7 +17,7 @@ INTERRUPTED = 130
 PATIENCE_S = 1.0
 """Work that is done sooner shows no progress."""
 EVERY_S = 10.0
-"""Where nobody watches a terminal, long work tells so often how far it is."""
+"""Off a terminal, seconds between two lines of progress."""
 STEADY_S = 600.0
 """Time over which the speed is averaged, to tell how long the rest will take."""
 WIDEST = 1000

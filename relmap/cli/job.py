@@ -77,7 +77,7 @@ class Job:
 
     @property
     def command(self) -> str:
-        """What maps the log again, without where things are; settings are told elsewhere."""
+        """What maps the log again, without folders and settings."""
         words = ["relmap", "map", self.source.name, "-o", "RESULT"]
         if self.variant == "planes":
             words += ["--variant", "planes"]

@@ -44,7 +44,7 @@ class Order:
 Files = dict[str, str | bytes]
 """What files hold, by their names."""
 Rendered = tuple[Files, str]
-"""Files, and what is told of them."""
+"""Files, and the message that describes them."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""GeoJSON of walls or landmarks, with all that the tables of a result tell of them."""
+"""GeoJSON of walls or landmarks, with the columns of a result's tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from relmap.exports.content import MapContent
 from relmap.planes.files import CORNER, OPEN
 
 FRAME = "local: x and y in metres in the frame of the map, not longitude and latitude (WGS 84)"
-"""RFC 7946 knows no other frame than WGS 84, so this must be told."""
+"""RFC 7946 knows no other frame than WGS 84, so the file must say it."""
 
 
 def geojson_text(content: MapContent) -> str:

@@ -1,4 +1,4 @@
-"""Pages that open offline: one file each, which asks nobody for anything."""
+"""Pages that open offline: one file each, without requests."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def jumps(position: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell of each step (k - 1,) between positions (k, d) whether the path jumps there."""
+    """Return for each step (k - 1,) between positions (k, d) whether the path jumps there."""
     step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
     if not len(step_m):
         return np.zeros(0, dtype=np.bool_)

@@ -119,7 +119,7 @@ def _path(
 
 
 def _points(points: NDArray[np.float64], scan: NDArray[np.int64]) -> View:
-    """Return points in steps of their extent, which is told too, and the scan of each."""
+    """Return points in steps of their extent, with that extent, and the scan of each."""
     if not len(points):
         return {}
     low, high = points.min(axis=0), points.max(axis=0)
