@@ -23,8 +23,8 @@ exported.  OUT is a file, or a folder (a name without an ending), in which the f
            with --log, or all but the walls is unknown
   dxf      AutoCAD R12: walls, corners or landmarks, and the path, each in a layer; metres
   svg      the map from above, in metres
-  geojson  walls and corners, or landmarks, with the columns of the tables; in metres, not in longitude
-           and latitude
+  geojson  walls and corners, or landmarks, with the columns of the tables; in metres, not in
+           longitude and latitude
   g2o      pose graph; of points with the landmarks, and with --log with what was measured
   ply      walls as edges and faces, or landmarks as points
 
