@@ -6,6 +6,9 @@ probability is used only in weights and in the optional refinement.
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import Any
+
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import motion_from_velocity
@@ -26,3 +29,15 @@ __all__ = [
     "motion_from_velocity",
     "range_bearing_covariances",
 ]
+ROOMS = ("datasets", "evaluation", "exports", "io", "merging", "plots", "simulation")
+"""Packages that are imported when they are asked for."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in ROOMS:
+        return import_module(f"relmap.{name}")
+    raise AttributeError(f"module 'relmap' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *ROOMS})

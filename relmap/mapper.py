@@ -23,12 +23,13 @@ from relmap.core.model import LandmarkModel
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
+from relmap.shown import Shown
 
 if TYPE_CHECKING:
     from relmap.io.journal import Journal, JournalReader, RecordedScan
 
 
-class Mapper(ABC):
+class Mapper(Shown, ABC):
     """An engine with a journal, a saved state, and tables of what it has found.
 
     Parameters

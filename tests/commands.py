@@ -15,6 +15,7 @@ RESULT_FILES = [
     "map.ply",
     "map.png",
     "mapper.npz",
+    "report.html",
     "submaps.csv",
     "summary.json",
     "tracks.csv.gz",

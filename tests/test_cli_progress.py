@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from relmap.cli import console
-from relmap.cli.console import busy, tracked
+from relmap.cli.console import busy, lasting, tracked
 from tests.commands import PATIENCE_S
 
 CURSOR_BACK = "\x1b[?25h"
@@ -46,6 +46,38 @@ def test_long_loops_show_how_far_they_are(said: Callable[[], str]) -> None:
     for _ in tracked(range(10), 10, "counting sheep"):
         time.sleep(0.03)
     assert "counting sheep" in said()
+
+
+def test_off_a_terminal_loops_tell_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By a clock on which each item takes four seconds."""
+    clock = [100.0]
+    monkeypatch.setattr(console, "monotonic", lambda: clock[0])
+    for _ in tracked(range(10), 10, "counting sheep"):
+        clock[0] += 4.0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        "relmap: counting sheep: 3 of 10, about 28 s left",
+        "relmap: counting sheep: 6 of 10, about 16 s left",
+        "relmap: counting sheep: 9 of 10, about 4.0 s left",
+    ]
+
+
+def test_off_a_terminal_long_work_tells_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(console, "EVERY_S", 0.01)
+    with busy("counting") as tell:
+        tell("counting sheep")
+        wait_for(lambda: capsys.readouterr().err)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"), [(0.24, "0.2 s"), (44.4, "44 s"), (119.0, "119 s"), (600.0, "10 min")]
+)
+def test_times_are_told_as_a_person_reads_them(seconds: float, told: str) -> None:
+    assert lasting(seconds) == told
 
 
 def test_work_that_fails_ends_its_message(said: Callable[[], str]) -> None:

@@ -72,6 +72,8 @@ def test_version_and_help_from_a_shell(tmp_path: Path, child_env: dict[str, str]
         ["demo"],
         ["resume"],
         ["localise"],
+        ["export"],
+        ["merge"],
     ],
 )
 def test_help_shows_an_example(verb: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -212,7 +212,7 @@ def test_a_journal_keeps_beams(tmp_path: Path) -> None:
 
 def test_points_of_a_submap_lie_on_its_walls() -> None:
     mapper, _ = mapped()
-    points = mapper.points_of(0, 500)
+    points = mapper.beams_of(0, 500).ends
     assert 250 < len(points) <= 500
     off = np.minimum(np.abs(points[:, 0] - 1.0), np.abs(points[:, 1]))
     assert (np.abs(np.maximum(np.abs(points[:, 0] - 1.0), np.abs(points[:, 1])) - 3.0) < 1e-5).all()
@@ -229,7 +229,8 @@ def test_beams_are_stored_scan_by_scan() -> None:
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[0] = np.nan
     poses[2, :2, 3] = 10.0, 20.0
-    origin, end = beams.placed(poses, (0, 3), 100)
+    origin, end, scan = beams.placed(poses, (0, 3), 100)
+    assert scan.tolist() == [2, 2]
     assert origin.tolist() == [[11.0, 20.0]] * 2
     assert end.tolist() == [[13.0, 24.0], [13.0, 16.0]]
     many = ToldBeams.checked(np.zeros((50_000, 3)), np.zeros(2))

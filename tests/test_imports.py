@@ -29,7 +29,8 @@ MAY_IMPORT = {
     "io": {"core", "datasets"},
     "segmentation": {"core"},
     "simulation": {"core", "datasets"},
-    "mapper": {"core", "io"},
+    "shown": {"core"},
+    "mapper": {"core", "io", "shown"},
     "points": {"core", "io", "mapper"},
     "planes": {"core", "io", "mapper", "segmentation"},
     ROOT: {"core", "planes", "points", "segmentation"},
@@ -37,6 +38,8 @@ MAY_IMPORT = {
 MAY_IMPORT["evaluation"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["comparison"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["plots"] = {*MAY_IMPORT} - {"mapper", "points", "comparison"}
+MAY_IMPORT["merging"] = {*MAY_IMPORT} - {"mapper", "comparison", "plots", "exports"}
+MAY_IMPORT["exports"] = {*MAY_IMPORT} - {"mapper", "comparison"}
 MAY_IMPORT["figures"] = {*MAY_IMPORT} - {"mapper"}
 MAY_IMPORT["cli"] = {*MAY_IMPORT}
 

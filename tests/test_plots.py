@@ -13,16 +13,18 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from relmap.core.landmarks import LandmarkTable
+from relmap.core.landmarks import LandmarkMap, LandmarkTable
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result, Tracks
 from relmap.planes.files import DrawnSubmap
 from relmap.planes.table import PlaneTable
 from relmap.plots.comparison import plot_comparison
+from relmap.plots.localised import plot_localised
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.planes import plot_planes, plot_submaps
 from relmap.plots.run import plot_run, write_map_png
 from relmap.plots.sheet import limits_of
+from relmap.plots.sweep import SweepRow, plot_sweep, write_sweep_png
 
 
 def make_result(n: int, planar: bool = False, dynamic: int = 0) -> Result:
@@ -90,6 +92,7 @@ def test_everything_is_named_in_the_legend() -> None:
         "true path",
         "path of the robot",
         "start",
+        "end",
         "group, from its middle to its members",
     }
 
@@ -197,7 +200,8 @@ def drawn_submap(weak: list[int]) -> DrawnSubmap:
     poses = np.tile(np.eye(4), (10, 1, 1))
     poses[:, 0, 3] = np.arange(10)
     points = np.array([[2.0, 1.0], [3.0, 1.0]])
-    return DrawnSubmap(np.arange(10.0), poses, no_planes(), points, np.array(weak, dtype=np.int64))
+    k, at = np.arange(10), np.array(weak, dtype=np.int64)
+    return DrawnSubmap(k, k.astype(float), poses, no_planes(), points, np.array([2, 3]), at)
 
 
 def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:
@@ -260,3 +264,55 @@ def test_axes_of_a_comparison_have_numbers_however_near_its_figures_are() -> Non
         assert shown
         written = [axes.xaxis.get_major_formatter()(at) for at in shown]
         assert [float(text) for text in written] == pytest.approx(shown)
+
+
+def sweep_rows(numbers: bool) -> list[SweepRow]:
+    return [
+        SweepRow(name, at if numbers else None, {"ate_m": factor * at * (1 + 0.1 * seed)})
+        for name, factor in (("relmap", 1.0), ("batch", 2.0))
+        for at in (0.1, 0.2, 0.4)
+        for seed in (-1, 0, 1)
+    ]
+
+
+def test_a_sweep_is_a_line_of_medians_for_each_method() -> None:
+    axes, *others = plot_sweep(sweep_rows(True), "noise [m]").axes
+    assert others == []
+    assert axes.get_xlabel() == "noise [m]"
+    lines = {str(line.get_label()): np.array(line.get_data()).T for line in axes.get_lines()}
+    np.testing.assert_allclose(lines["relmap"], [[0.1, 0.1], [0.2, 0.2], [0.4, 0.4]])
+    np.testing.assert_allclose(lines["batch"], [[0.1, 0.2], [0.2, 0.4], [0.4, 0.8]])
+
+
+def test_a_sweep_without_numbers_is_a_comparison_of_medians() -> None:
+    axes = plot_sweep(sweep_rows(False), "").axes[0]
+    dots = [float(np.asarray(line.get_xdata())[0]) for line in axes.get_lines()]
+    assert dots == [0.2, 0.4]
+
+
+@pytest.mark.parametrize("figures", [{}, {"ate_m": None}])
+def test_a_sweep_of_which_nothing_came_is_still_a_picture(
+    tmp_path: Path, figures: dict[str, float | None]
+) -> None:
+    write_sweep_png(tmp_path / "a.png", [SweepRow("relmap", 0.1, figures)], "noise [m]")
+    write_sweep_png(tmp_path / "b.png", [SweepRow("relmap", None, figures)], "")
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_scans_that_were_found_are_drawn_in_the_map(planar: bool) -> None:
+    result = make_result(20, planar)
+    landmarks = LandmarkMap(np.arange(20), result.landmarks.position)
+    scan = np.array([0, 1, 2, 3, 9, 10, 11, 12])
+    figure = plot_localised(landmarks, planar, scan, result.poses[: len(scan)], 20)
+    assert len(figure.axes) == (1 if planar else 2)
+    assert figure.axes[0].get_title() == "8 of 20 scans found in a map of 20 landmarks"
+    (path,) = (line for line in figure.axes[0].get_lines() if "found" in str(line.get_label()))
+    assert np.flatnonzero(np.isnan(np.asarray(path.get_xdata()))).tolist() == [4]
+    plot_localised(landmarks, planar, scan[:0], result.poses[:0], 20).draw_without_rendering()
+
+
+def test_one_far_point_does_not_ruin_the_panel_of_a_submap() -> None:
+    far = drawn_submap([])
+    far.points[1] = 9000.0, 0.0
+    for axes in plot_submaps([far, drawn_submap([])], 2).axes:
+        assert np.ptp(axes.get_xlim()) < 12

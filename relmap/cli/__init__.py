@@ -12,7 +12,19 @@ from typing import Annotated, Any
 import typer
 
 from relmap import __version__
-from relmap.cli import compare, demo, evaluate, figures, localise, map, resume, simulate, sweep
+from relmap.cli import (
+    compare,
+    demo,
+    evaluate,
+    export,
+    figures,
+    localise,
+    map,
+    merge,
+    resume,
+    simulate,
+    sweep,
+)
 from relmap.cli.console import INTERRUPTED
 from relmap.core.errors import RelmapError
 
@@ -45,6 +57,8 @@ app.command("map", help=map.HELP)(map.map_command)
 app.command("resume", help=resume.HELP)(resume.resume_command)
 app.command("localise", help=localise.HELP)(localise.localise_command)
 app.command("evaluate", help=evaluate.HELP)(evaluate.evaluate_command)
+app.command("merge", help=merge.HELP)(merge.merge_command)
+app.command("export", help=export.HELP)(export.export_command)
 app.command("compare", help=compare.HELP)(compare.compare_command)
 app.command("sweep", help=sweep.HELP)(sweep.sweep_command)
 app.command("figures", help=figures.HELP)(figures.figures_command)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from threading import Timer
+from threading import Event, Thread, Timer
 from time import monotonic
 from typing import TypeVar
+
+import typer
 
 T = TypeVar("T")
 
@@ -14,6 +16,8 @@ INTERRUPTED = 130
 """What the process exits with where Ctrl-C ended it."""
 PATIENCE_S = 1.0
 """Work that is done sooner shows no progress."""
+EVERY_S = 10.0
+"""Off a terminal, seconds between two lines of progress."""
 STEADY_S = 600.0
 """Time over which the speed is averaged, to tell how long the rest will take."""
 WIDEST = 1000
@@ -21,7 +25,7 @@ WIDEST = 1000
 
 
 def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
-    """Yield the items; show on stderr how far it is, where that is a terminal and it takes long."""
+    """Yield the items; show on stderr how far it is where it takes long, see `with_bar`."""
     began = monotonic()
     source = iter(items)
     done = 0
@@ -30,28 +34,61 @@ def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
         done += 1
         if monotonic() - began > PATIENCE_S:
             break
-    yield from with_bar(source, total, what, done)
+    yield from with_bar(source, total, what, done, began)
 
 
-def with_bar(items: Iterable[T], total: int, what: str, done: int = 0) -> Iterator[T]:
-    """Yield the items; show on stderr how far it is, where that is a terminal, from the start."""
+def with_bar(
+    items: Iterable[T], total: int, what: str, done: int = 0, began: float | None = None
+) -> Iterator[T]:
+    """Yield the items; show on stderr how far it is, where that is no terminal by lines.
+
+    Parameters
+    ----------
+    items : iterable
+        What is left.
+    total : int
+    what : str
+    done : int
+        How many were done before.
+    began : float, optional
+        When, by `time.monotonic`; now if not given.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    shown = console.is_terminal
-    with Progress(
-        console=console, transient=True, disable=not shown, speed_estimate_period=STEADY_S
-    ) as progress:
+    if not console.is_terminal:
+        yield from _reported(items, total, what, done, monotonic() if began is None else began)
+        return
+    with Progress(console=console, transient=True, speed_estimate_period=STEADY_S) as progress:
         task = progress.add_task(what, total=total, completed=done)
         for item in items:
             yield item
             progress.advance(task)
 
 
+def _reported(items: Iterable[T], total: int, what: str, done: int, began: float) -> Iterator[T]:
+    """Yield the items; tell on stderr now and then how many are done."""
+    told = began
+    for number, item in enumerate(items, done + 1):
+        yield item
+        now = monotonic()
+        if now - told >= EVERY_S and number < total:
+            told, left_s = now, (now - began) / number * (total - number)
+            line = f"relmap: {what}: {number} of {total}, about {lasting(left_s)} left"
+            typer.echo(line, err=True)
+
+
+def lasting(seconds: float) -> str:
+    """Return how long something takes as a person reads it."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
 @contextmanager
 def busy(what: str) -> Iterator[Callable[[str], None]]:
-    """Tell on stderr what is being done, where that is a terminal and it takes long.
+    """Tell on stderr what is being done where it takes long, where that is no terminal by lines.
 
     Yields
     ------
@@ -61,16 +98,37 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
     from rich.console import Console
 
     status = Console(stderr=True).status(what)
+    if not status.console.is_terminal:
+        with _told_by_lines(what) as now:
+            yield now
+        return
     timer = Timer(PATIENCE_S, status.start)
-    if status.console.is_terminal:
-        timer.start()
+    timer.start()
     try:
         yield status.update
     finally:
         timer.cancel()
-        if timer.ident is not None:
-            timer.join()
+        timer.join()
         status.stop()
+
+
+@contextmanager
+def _told_by_lines(what: str) -> Iterator[Callable[[str], None]]:
+    """Tell on stderr now and then what is being done, and since when."""
+    doing, over, began = [what], Event(), monotonic()
+
+    def tell() -> None:
+        while not over.wait(EVERY_S):
+            line = f"relmap: {doing[-1]}, for {lasting(monotonic() - began)} so far"
+            typer.echo(line, err=True)
+
+    teller = Thread(target=tell, daemon=True)
+    teller.start()
+    try:
+        yield doing.append
+    finally:
+        over.set()
+        teller.join()
 
 
 def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

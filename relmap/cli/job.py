@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,6 +86,25 @@ class Job:
             "columns": self.columns,
             "topics": self.topics,
         }
+
+    @property
+    def command(self) -> str:
+        """What maps the log again, without folders and settings."""
+        words = ["relmap", "map", self.source.name, "-o", "RESULT"]
+        if self.variant == "planes":
+            words += ["--variant", "planes"]
+        if self.association == "known":
+            words += ["--association", "known"]
+        if self.interval is not None:
+            words += ["--scans", "{}:{}".format(*self.interval)]
+        if self.log_format is not None:
+            words += ["--format", self.log_format]
+        names = ("--range-sigma", "--bearing-sigma", "--elevation-sigma")
+        for name, sigma in zip(names, self.sigmas or (), strict=False):
+            words += [name, repr(sigma)]
+        if self.onto is not None:
+            words += ["--onto", self.onto.name]
+        return shlex.join(words if self.refine else [*words, "--no-refine"])
 
     @classmethod
     def of_journal(cls, path: Path, meta: dict[str, Any], variant: Variant) -> Job:

@@ -15,8 +15,9 @@ HELP = """Find where scans were taken in an existing map.
 
 INPUT is a log as for 'relmap map', RESULT a folder that it wrote, which is not changed.  Each scan
 is found on its own: the robot may have been carried anywhere between two scans.  It writes
-DIR/trajectory.tum, the pose of each scan that was found, in the frame of the map.  A scan must show
-at least 7 mapped landmarks (5 in the plane), and half of what it shows must be in the map.
+DIR/trajectory.tum, the pose of each scan that was found, in the frame of the map, and a picture,
+DIR/map.png.  A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
+shows must be in the map.
 
 \b
 Example:
@@ -39,7 +40,8 @@ def localise_command(
     from relmap.evaluation.run import stamps_of
     from relmap.evaluation.sources import read_log
     from relmap.io.files import staged_folder, write_tum
-    from relmap.io.results import MAPPER, TRAJECTORY
+    from relmap.io.results import MAP_PNG, MAPPER, TRAJECTORY
+    from relmap.plots.localised import write_localised_png
     from relmap.points import PointMapper
 
     mapper = PointMapper.load(result / MAPPER)
@@ -49,4 +51,7 @@ def localise_command(
         poses = np.array([mapper.localise(scan.points_robot) for scan in each])
         found = np.isfinite(poses[:, 0, 0])
         write_tum(staging / TRAJECTORY, stamps_of(log)[found], poses[found])
-    typer.echo(f"found {found.sum()} of {len(log)} scans in the map; wrote 1 file to {out}")
+        planar = mapper.engine.store.dimension == 2
+        drawn = np.flatnonzero(found), poses[found], len(log)
+        write_localised_png(staging / MAP_PNG, mapper.map, planar, *drawn)
+    typer.echo(f"found {found.sum()} of {len(log)} scans in the map; wrote 2 files to {out}")

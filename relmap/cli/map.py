@@ -45,11 +45,11 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   bag-scans        a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2
                    (pip install 'relmap[bags]')
 
-It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, submaps.csv,
-summary.json and mapper.npz, the state to go on from, and of walls also planes.csv and bench.png:
-the last scan, its planes, the map and its groups; with --animate the whole run like that in
-bench.gif.  Ctrl-C ends the mapping early and writes what was mapped so far; pressed again it ends
-at once.
+It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (a page
+to look around in the map and to replay the run), submaps.csv, summary.json and mapper.npz, the
+state to go on from, and of walls also planes.csv and bench.png: the last scan, its planes, the map
+and its groups; with --animate the whole run like that in bench.gif.  Ctrl-C ends the mapping early
+and writes what was mapped so far; pressed again it ends at once.
 
 \b
 Examples:

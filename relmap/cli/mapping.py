@@ -55,7 +55,7 @@ def map_log(job: Job) -> tuple[Run, int]:
     from relmap.io.files import staged_folder
 
     out, log = job.at(job.out), _log_of(job)
-    with staged_folder(out, _stale(out)) as staging:
+    with staged_folder(out, stale_files(out)) as staging:
         run = _mapped_into(staging, job, log)
         return run, len(list(staging.iterdir()))
 
@@ -119,7 +119,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             segmenter,
             job.odometry == "auto",
         )
-        _write(folder, run)
+        _write(folder, run, job)
         names = getattr(log, "names", None)
         if names and job.association == "known":
             write_names(folder, names)
@@ -161,22 +161,28 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
     return about
 
 
-def _stale(out: Path) -> list[str]:
+def stale_files(out: Path) -> list[str]:
     """Return the files of an earlier result, of walls too, that this one puts out of date."""
     from relmap.io.results import NAMES
     from relmap.planes.files import PLANES, submap_files
+    from relmap.plots.report import REPORT
 
-    return [EVALUATION, NAMES, PLANES, BENCH_PNG, BENCH_GIF, *submap_files(out)]
+    merged = "trajectory-2.tum"
+    own = [EVALUATION, NAMES, PLANES, REPORT, BENCH_PNG, BENCH_GIF, merged]
+    return own + list(submap_files(out))
 
 
-def _write(folder: Path, run: Run) -> None:
+def _write(folder: Path, run: Run, job: Job) -> None:
+    from relmap.io.files import atomic_write
     from relmap.io.results import write_result
     from relmap.planes.files import PlaneResult, write_planes, write_submaps
     from relmap.plots.planes import write_submaps_png
+    from relmap.plots.report import REPORT, report_page
     from relmap.plots.run import write_map_png
 
     result, picture = run.result, folder / MAP_PNG
     write_result(folder, result)
+    atomic_write(folder / REPORT, report_page(result, job.command, job.source.name))
     if not isinstance(result, PlaneResult):
         write_map_png(picture, result, run.groups)
         return

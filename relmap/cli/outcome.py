@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from time import monotonic
 from typing import Any
 
 import typer
 
-from relmap.cli.console import INTERRUPTED
+from relmap.cli.console import INTERRUPTED, lasting
 from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
 
@@ -22,7 +23,9 @@ def report(job: Job) -> None:
     typer.Exit
         Where the run was interrupted.
     """
+    began = monotonic()
     run, n_files = map_log(job)
+    took = f", {lasting(monotonic() - began)} in all"
     summary = run.result.summary
     counts, timing = summary["counts"], summary["timing"]
     iterations = counts["iterations"]
@@ -31,13 +34,13 @@ def report(job: Job) -> None:
     if job.variant == "planes":
         told += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
-            f"{iterations} iterations, {each(timing['scan_median_ms'])}{torn(summary)}"
+            f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{torn(summary)}"
         )
     else:
         told += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
-            f"{each(timing['median_ms'])}{untied(len(run.result.submaps) - 1)}"
+            f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
             f"{unconverged(summary['refinement'])}"
             f"{doubted(summary['association_trust'])}"
         )

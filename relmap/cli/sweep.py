@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import median
-from time import monotonic
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
@@ -40,6 +39,7 @@ was.  At the end it prints the medians over the seeds and writes
 \b
   DIR/sweep.csv      one row per cell; the same whatever the number of workers
   DIR/sweep.parquet  the same table (needs pip install 'relmap[parquet]')
+  DIR/sweep.png      the errors over the first number that was varied
   DIR/timing.csv     how long an iteration took; measure with --workers 1
 
 \b
@@ -53,8 +53,8 @@ the two sides (pip install 'relmap[cluster]').  Work of a machine that fails goe
 
 T = TypeVar("T")
 
-EVERY_S = 10.0
-"""Between two lines of progress where there is no terminal."""
+AXES = {"sigma": "noise [m]", "density": "landmarks per 100 m", "dynamic": "share that moves"}
+"""What is varied, by its name on an axis."""
 MEDIANS = ("RMSE", "of", "cover", "ATE", "RPE", "ms", "mean")
 """Columns of `relmap compare` whose medians are printed."""
 
@@ -100,7 +100,7 @@ def _sweep_into(
     n = len(left)
     running = run_cells(left, workers, scheduler) if left else ()
     try:
-        for cell, finished in with_bar(_reported(running, n), n, f"{n} cells"):
+        for cell, finished in with_bar(running, n, "cells"):
             store.save(cell, finished)
             found[cell] = finished
     except KeyboardInterrupt:
@@ -122,25 +122,30 @@ def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
 
     atomic_write(out / "sweep.csv", accuracy_csv(cells, rows))
     atomic_write(out / "timing.csv", times_csv(cells, rows))
+    _draw(out, cells, rows)
     try:
         write_parquet(out / "sweep.parquet", cells, rows)
     except RelmapError as error:
         typer.echo(f"relmap: {error}", err=True)
 
 
-def _reported(items: Iterable[T], total: int) -> Iterator[T]:
-    """Yield the items; where stderr is no terminal, tell now and then how many are done."""
-    from rich.console import Console
+def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
+    """Draw the errors over the first number that was varied, a line for each of the rest."""
+    from relmap.comparison.sweep_spec import varying
+    from relmap.plots.sweep import SweepRow, write_sweep_png
 
-    silent = Console(stderr=True).is_terminal
-    began = told = monotonic()
-    for done, item in enumerate(items, 1):
-        yield item
-        now = monotonic()
-        if not silent and now - told >= EVERY_S:
-            told, left_s = now, (now - began) / done * (total - done)
-            left = f"{left_s:.0f} s" if left_s < 120 else f"{left_s / 60:.0f} min"
-            typer.echo(f"relmap: {done} of {total} cells, about {left} left", err=True)
+    keys = [key for key in varying(list(cells)) if key != "method"]
+    along = next((key for key in keys if not isinstance(getattr(cells[0], key), str)), None)
+    others = [key for key in keys if key != along]
+    drawn = [
+        SweepRow(
+            ", ".join([cell.method, *(f"{key} {getattr(cell, key)}" for key in others)]),
+            None if along is None else float(getattr(cell, along)),
+            done.figures,
+        )
+        for cell, done in zip(cells, rows, strict=True)
+    ]
+    write_sweep_png(out / "sweep.png", drawn, AXES.get(along or "", along or ""))
 
 
 def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:

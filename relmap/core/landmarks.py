@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.columns import Table
+
 
 def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return positions (n, d) as (n, 3), with z = 0 where the world is planar."""
@@ -16,8 +18,8 @@ def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return spatial
 
 
-@dataclass(frozen=True, eq=False)
-class LandmarkMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class LandmarkMap(Table):
     """The mapped landmarks: those of the largest submap.
 
     Attributes
@@ -56,8 +58,8 @@ class Submap:
     last_iteration: int
 
 
-@dataclass(frozen=True, eq=False)
-class LandmarkTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class LandmarkTable(Table):
     """Every landmark ever seen, one row each, in ascending order of its label.
 
     Attributes
@@ -95,6 +97,16 @@ class LandmarkTable:
     status: NDArray[np.str_]
     submap: NDArray[np.int64]
     moving_bin: NDArray[np.int64]
+
+    @property
+    def landmark_ids(self) -> NDArray[np.int64]:
+        """The same as `landmark`, by the name that it has in a `LandmarkMap`."""
+        return self.landmark
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """The same as `position`, by the name that it has in a `LandmarkMap`."""
+        return self.position
 
 
 @dataclass(frozen=True, eq=False)

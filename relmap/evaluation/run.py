@@ -149,27 +149,33 @@ def result_of(
         poses[there],
         {"association": association, "dimensions": dimensions, "scans": scans},
         tuple(method.submaps),
+        first + np.flatnonzero(there),
     )
     if not isinstance(method, PlaneMapper):
         return result
     drawn = tuple(
-        _drawn(method, number, stamps_s[slice(*submap.span)])
+        _drawn(method, number, stamps_s[slice(*submap.span)], offset)
         for number, submap in enumerate(method.submaps)
         if number == 0 or submap.n_scans >= FEWEST_DRAWN
     )
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
 
 
-def _drawn(mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64]) -> DrawnSubmap:
+def _drawn(
+    mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64], offset: int
+) -> DrawnSubmap:
     """Return a submap as written to files and drawn."""
     submap = mapper.submaps[number]
     known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
+    beams = mapper.beams_of(number, POINTS_DRAWN)
     weak = np.searchsorted(known, np.intersect1d(mapper.weak_links - submap.span[0], known))
     return DrawnSubmap(
+        offset + submap.span[0] + known,
         stamps_s[known],
         submap.poses[known],
-        mapper.planes_of(number),
-        mapper.points_of(number, POINTS_DRAWN),
+        shifted(mapper.planes_of(number), offset),
+        beams.ends,
+        np.searchsorted(known, beams.scan),
         weak[weak > 0],
     )
 

@@ -10,22 +10,12 @@ from typing import Any
 
 from relmap.evaluation.summary import versions
 from relmap.figures.base import Outcome, PaperFigure
+from relmap.plots.html import document
 
 SKIPPED = "not run"
 DENSITY = 1.5
 """Pixels of a picture for one of the page."""
 STYLE = """
-:root { color-scheme: light; }
-body { margin: 0 auto; max-width: 72rem; padding: 1.5rem; color: #22262b; background: #fff;
-  font: 16px/1.5 system-ui, "DejaVu Sans", Arial, sans-serif; }
-h1 { font-size: 1.7rem; margin: 0 0 .3rem; }
-h2 { font-size: 1.25rem; margin: 0 0 .6rem; }
-p { margin: .3rem 0; }
-a { color: #1f4e9e; }
-section { border-top: 1px solid #d8dce1; margin-top: 2rem; padding-top: 1.2rem; }
-table { border-collapse: collapse; width: 100%; margin: 1rem 0; }
-th, td { border-bottom: 1px solid #e2e5e9; padding: .4rem .6rem; text-align: left;
-  vertical-align: top; }
 td:first-child, td.verdict { white-space: nowrap; }
 .beside { display: grid; grid-template-columns: 1fr 1fr auto; gap: 1.5rem; margin-bottom: 1rem; }
 .beside h3 { font-size: .85rem; margin: 0; color: #5f6670; text-transform: uppercase;
@@ -36,9 +26,6 @@ td:first-child, td.verdict { white-space: nowrap; }
 .partly { background: #fdeec6; color: #6b4400; }
 .no { background: #fadbd8; color: #7a1c12; }
 .none { background: #e8eaed; color: #3f464e; }
-.small { color: #5f6670; font-size: .9rem; }
-img { display: block; max-width: 100%; height: auto; margin: .8rem auto; }
-code { font-size: .92em; }
 @media (max-width: 50rem) { .beside { grid-template-columns: 1fr; gap: .6rem; } }
 """
 BADGES = {"borne out": "yes", "partly borne out": "partly", "not borne out": "no", SKIPPED: "none"}
@@ -75,13 +62,9 @@ def page(entries: Sequence[Made], quick: bool) -> str:
     small = "small runs (--quick): figures and verdicts of the full size may differ"
     size = small if quick else "runs of full size"
     said = ", ".join(f"{name} {version}" for name, version in versions().items())
-    parts = [
-        "<!DOCTYPE html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        "<title>The paper's figures from runs of relmap</title>",
-        f"<style>{STYLE}</style></head><body>",
-        "<h1>The paper's figures from runs of relmap</h1>",
+    title = "The paper's figures from runs of relmap"
+    body = [
+        f"<h1>{title}</h1>",
         "<p>What &ldquo;A Relative Mapping Algorithm&rdquo; claims with each figure, what this "
         "software does, and whether the claim is borne out: computed from the data by the rule "
         "below each figure.</p>",
@@ -89,9 +72,8 @@ def page(entries: Sequence[Made], quick: bool) -> str:
         "machine.</p>",
         _summary(entries),
         *map(_section, entries),
-        "</body></html>",
     ]
-    return "\n".join(parts) + "\n"
+    return document(title, body, STYLE)
 
 
 def _badge(entry: Made) -> str:

@@ -90,6 +90,8 @@ class Result:
         Configuration, versions, counts and timing, ready for JSON.
     submaps : tuple of Submap
         Submaps of the map, the map itself first; empty in a result that was read.
+    iterations : (p,) int64 or None
+        The log's own number of each pose; None in a result that was read.
     """
 
     landmarks: LandmarkTable
@@ -98,6 +100,7 @@ class Result:
     poses: Floats
     summary: dict[str, Any]
     submaps: tuple[Submap, ...] = ()
+    iterations: Ints | None = None
 
     @property
     def planar(self) -> bool:
@@ -189,7 +192,7 @@ def read_result(folder: Path) -> Result:
     Returns
     -------
     Result
-        Without its submaps.
+        Without its submaps, and the iterations of its poses.
 
     Raises
     ------

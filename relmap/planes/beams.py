@@ -7,7 +7,7 @@ lie on surfaces of the other, and contradict where a beam passed through what is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +119,21 @@ class ToldBeams:
         return cls(points.astype(np.float32).reshape(-1, 2), about[1:].copy(), bool(about[0]))
 
 
+class PlacedBeams(NamedTuple):
+    """Beams in the frame of a map.
+
+    Attributes
+    ----------
+    begins, ends : (n, 2) float64, metres
+    scan : (n,) int64, ascending
+        Of which pose each is.
+    """
+
+    begins: NDArray[np.float64]
+    ends: NDArray[np.float64]
+    scan: NDArray[np.int64]
+
+
 class BeamStore:
     """Where the beams of every scan ended, as they were given: 8 bytes each."""
 
@@ -152,10 +167,8 @@ class BeamStore:
         end = end if self._in_order.values[scan] else begin
         return Beams.of(self._points.values[begin:end], self._origins.values[scan], ends)
 
-    def placed(
-        self, poses: NDArray[np.float64], span: tuple[int, int], most: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return where beams of some scans begin and end by their poses, (n, 2) each.
+    def placed(self, poses: NDArray[np.float64], span: tuple[int, int], most: int) -> PlacedBeams:
+        """Return where beams of some scans begin and end by their poses.
 
         Parameters
         ----------
@@ -174,7 +187,8 @@ class BeamStore:
         scan, ends = scan[known], ends[known]
         R, t = poses[scan, :2, :2], poses[scan, :2, 3]
         origins = self._origins.values[span[0] + scan]
-        return np.einsum("nij,nj->ni", R, origins) + t, np.einsum("nij,nj->ni", R, ends) + t
+        begins = np.einsum("nij,nj->ni", R, origins) + t
+        return PlacedBeams(begins, np.einsum("nij,nj->ni", R, ends) + t, scan)
 
 
 def compared(

@@ -45,6 +45,8 @@ class DrawnSubmap:
 
     Attributes
     ----------
+    iterations : (k,) int64
+        The log's own numbers.
     stamps_s : (k,) float64
     poses : (k, 4, 4) float64
         ``T_submap_robot``.
@@ -52,15 +54,19 @@ class DrawnSubmap:
         Mapped in its frame.
     points : (n, 2) float64, frame of the submap, metres
         Where some of the beams ended.
+    point_scan : (n,) int64, ascending
+        Place in `poses` of the scan that each of them is of.
     weak : (w,) int64
         Places in `poses` of the scans before which too little was seen to tell how far the robot
         went.
     """
 
+    iterations: NDArray[np.int64]
     stamps_s: NDArray[np.float64]
     poses: NDArray[np.float64]
     planes: PlaneTable
     points: NDArray[np.float64]
+    point_scan: NDArray[np.int64]
     weak: NDArray[np.int64]
 
 

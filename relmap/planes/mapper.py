@@ -18,7 +18,7 @@ from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
 from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers
-from relmap.planes.beams import ToldBeams
+from relmap.planes.beams import PlacedBeams, ToldBeams
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
 from relmap.planes.model import WallModel
@@ -245,18 +245,18 @@ class PlaneMapper(Mapper):
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
 
-    def points_of(self, number: int, most: int) -> NDArray[np.float64]:
-        """Return where beams of a submap ended (n, 2), in its frame, metres; for display.
+    def beams_of(self, number: int, most: int) -> PlacedBeams:
+        """Return where beams of a submap began and ended, in its frame.
 
         Parameters
         ----------
         number : int
             Place of the submap in `submaps`.
         most : int
-            Of more points only one in so many is returned.
+            Of more beams only one in so many is returned.
         """
         submap = self.submaps[number]
-        return self._planes.links.beams.placed(submap.poses, submap.span, most)[1]
+        return self._planes.links.beams.placed(submap.poses, submap.span, most)
 
     @property
     def map(self) -> LandmarkMap:

@@ -98,7 +98,7 @@ def stretches_of(
     change = np.bincount(at[:, 0], minlength=first[-1]) - np.bincount(at[:, 1], minlength=first[-1])
     none = np.zeros(first[-1], dtype=np.int64)
     blank = Stretches(base, normal, along, low, first, np.cumsum(change), none, none)
-    hits, against = _crossed(blank, beams.placed(poses, span, MOST_BEAMS))
+    hits, against = _crossed(blank, beams.placed(poses, span, MOST_BEAMS)[:2])
     return Stretches(base, normal, along, low, first, blank.seen, hits, against)
 
 

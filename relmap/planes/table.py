@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, in_space
 from relmap.planes.assembly import OFTEN, Assembled, WallNumbers, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import wall_extents
 
 
-@dataclass(frozen=True, eq=False)
-class PlaneTable:
+@dataclass(frozen=True, eq=False, repr=False)
+class PlaneTable(Table):
     """Every wall ever seen, one row each, in ascending order of its number.
 
     Attributes

@@ -29,13 +29,18 @@ def broken_at_gaps(
 
 def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return positions (k + jumps, d) with NaN where the path jumps; it has no times."""
+    return _broken(position, jumps(position))
+
+
+def jumps(position: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return for each step (k - 1,) between positions (k, d) whether the path jumps there."""
     step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
     if not len(step_m):
-        return position
+        return np.zeros(0, dtype=np.bool_)
     padded = np.pad(step_m, AROUND, constant_values=np.nan)
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1)
     most_m = np.maximum(JUMP * np.nanmedian(around, axis=1), GAP * np.quantile(step_m, USUAL))
-    return _broken(position, step_m > most_m)
+    return np.asarray(step_m > most_m)
 
 
 def _broken(position: NDArray[np.float64], gap: NDArray[np.bool_]) -> NDArray[np.float64]:

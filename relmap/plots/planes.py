@@ -16,7 +16,18 @@ from relmap.evaluation.truth import Truth
 from relmap.planes.files import DrawnSubmap
 from relmap.planes.table import PlaneTable
 from relmap.plots.path import broken_at_jumps
-from relmap.plots.sheet import BLUE, INK, PALE, RED, Sheet, blank, legend_below, to_png
+from relmap.plots.sheet import (
+    BLUE,
+    INK,
+    PALE,
+    RED,
+    Sheet,
+    blank,
+    draw_limits,
+    legend_below,
+    limits_of,
+    to_png,
+)
 from relmap.simulation import Building
 
 WALL = BLUE
@@ -26,6 +37,8 @@ POINT = "#b4b4b4"
 FINE, DOT, FINE_DPI = 1.1, 1.6, 240
 """Width of a wall, and size of a corner, hardly wider, for pictures to be hung up."""
 PANEL_IN = 3.4
+RIM_M = 0.8
+"""Rim around what a panel shows."""
 TRUE_WALL = "#e0a800"
 """As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
 
@@ -50,7 +63,9 @@ def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
     rows = -(-len(submaps) // columns)
     figure = blank(PANEL_IN * columns, PANEL_IN * rows + 0.8, dpi=110)
     for number, submap in enumerate(submaps):
-        axes = figure.add_subplot(rows, columns, number + 1, aspect="equal", adjustable="datalim")
+        axes = figure.add_subplot(rows, columns, number + 1)
+        ends = submap.planes.ends[submap.planes.status == "static"].reshape(-1, 2)
+        draw_limits(axes, limits_of(ends, submap.poses[:, :2, 3], RIM_M))
         n_walls, n_corners = _draw_submap(axes, submap)
         name = "map" if number == 0 else f"submap {number}"
         axes.set_title(

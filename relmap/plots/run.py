@@ -102,7 +102,9 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
         return
     whole = broken_at_gaps(result.stamps_s, position)
     axes.plot(*whole.T, color=BLUE, linewidth=1.4, zorder=7, label="path of the robot")
-    axes.plot(*position[0], "o", color=BLUE, markersize=6, zorder=8, label="start", linestyle="")
+    style: dict[str, Any] = {"color": BLUE, "markersize": 6, "zorder": 8, "linestyle": ""}
+    axes.plot(*position[0], "o", label="start", **style)
+    axes.plot(*position[-1], "s", label="end", **style)
 
 
 def _draw_groups(
@@ -129,20 +131,26 @@ def _draw_groups(
 
 def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
     """Ring the segments and merges that fit the refined map much worse than noise explains."""
+    for (label, places), marker in zip(weak_places(result).items(), "oD", strict=True):
+        if len(places):
+            x, y = places[:, pair].T
+            style: dict[str, Any] = {"s": 130, "facecolors": "none", "edgecolors": WEAK_COLOUR}
+            axes.scatter(x, y, marker=marker, linewidths=1.4, zorder=7, label=label, **style)
+
+
+def weak_places(result: Result) -> dict[str, NDArray[np.float64]]:
+    """Return places (n, 3) that fit the refined map much worse than noise explains, by kind."""
     refinement = result.summary.get("refinement") or {}
     segments, merges = (
         [place for place in refinement.get(kind, ()) if place["residual"] > WEAK]
         for kind in ("weakest_segments", "weakest_merges")
     )
     place_of = dict(zip(result.landmarks.landmark.tolist(), result.landmarks.position, strict=True))
-    for label, marker, places in (
-        ("stretch that fits badly", "o", [[*place["middle"], 0.0][:3] for place in segments]),
-        ("doubtful merge", "D", [place_of[merge["landmark"]] for merge in merges]),
-    ):
-        if places:
-            x, y = np.array(places)[:, pair].T
-            style: dict[str, Any] = {"s": 130, "facecolors": "none", "edgecolors": WEAK_COLOUR}
-            axes.scatter(x, y, marker=marker, linewidths=1.4, zorder=7, label=label, **style)
+    found = {
+        "stretch that fits badly": [[*place["middle"], 0.0][:3] for place in segments],
+        "doubtful merge": [place_of[merge["landmark"]] for merge in merges],
+    }
+    return {kind: np.array(places).reshape(-1, 3) for kind, places in found.items()}
 
 
 def _draw_truth(axes: Axes, truth: Overlay, pair: list[int]) -> None:

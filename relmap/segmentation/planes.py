@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.columns import Table
 
 END_TYPES = ("corner", "view", "range", "occluded")
 """Why a wall ends: the order in which the reasons are asked for; the first that holds is given."""
 
 
-@dataclass(frozen=True, eq=False)
-class Planes:
+@dataclass(frozen=True, eq=False, repr=False)
+class Planes(Table):
     """Vertical planes seen in one scan: robot frame, metres; m planes.
 
     The two ends are the vertical edges, from right to left as the wall is seen from the sensor.
@@ -46,10 +47,6 @@ class Planes:
     noise: Floats
     n_points: Ints
     end_type: NDArray[np.str_]
-
-    def __len__(self) -> int:
-        """Return the number of planes."""
-        return len(self.size)
 
 
 def make_planes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ SPATIAL = ("ransac3d", "patches")
 LEAST = 8
 FARTHEST_M = 1e9
 """No sensor sees farther; squares of much larger numbers overflow."""
+DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
 CHECKED = 5
 """Scans in space, of the first that a segmenter is given, that must show upright surfaces."""
 
@@ -80,7 +81,34 @@ class PlaneSegmenter:
         self.range_m = range_m
         self._checked = 0
 
-    def fit(self, points: ArrayLike) -> Self:
+    def __repr__(self) -> str:
+        given = ", ".join(f"{k}={v!r}" for k, v in self.get_params().items() if v != DEFAULTS[k])
+        return f"{type(self).__name__}({given})"
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Return the parameters by name; scikit-learn's `clone` makes another by them."""
+        return {name: getattr(self, name) for name in DEFAULTS}
+
+    def set_params(self, **params: Any) -> Self:
+        """Set parameters by name.
+
+        Raises
+        ------
+        RelmapError
+            Where there is no such parameter.
+        """
+        for name, value in params.items():
+            if name not in DEFAULTS:
+                known = ", ".join(DEFAULTS)
+                raise RelmapError(f"PlaneSegmenter has no parameter {name!r}; it has {known}")
+            setattr(self, name, value)
+        return self
+
+    def fit_predict(self, points: ArrayLike, y: object = None) -> Ints:
+        """Segment one scan and return its `labels_`; `y` is ignored."""
+        return self.fit(points).labels_
+
+    def fit(self, points: ArrayLike, y: object = None) -> Self:
         """Segment one scan.
 
         The first five in space are checked for surfaces that are not upright.
@@ -89,6 +117,8 @@ class PlaneSegmenter:
         ----------
         points : (n, 3) or (n, 2) array_like, robot frame, metres
             The sensor stands at the origin. A scan without points has no planes.
+        y : object
+            Ignored; scikit-learn's pipelines give it.
 
         Raises
         ------

@@ -1,0 +1,66 @@
+"""``relmap merge``: make one map of two."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from relmap.cli.arguments import Out
+from relmap.cli.console import busy
+
+SECOND = "trajectory-2.tum"
+
+HELP = """Make one map of the maps in two result folders, of points or of walls, without their logs.
+
+B is brought into the frame of A where what both show ties them: landmarks that lie to one another
+as in A, or walls that lie on walls of A.  Where nothing does, or in more ways than one, it is
+refused.  Of runs that broke into submaps the largest are merged.  It writes into C what 'relmap
+map' writes but mapper.npz, report.html and bench.png; tracks.csv.gz is empty, trajectory.tum is the
+path of A, and trajectory-2.tum that of B in the same frame.  In landmarks.csv and planes.csv the
+iterations of B follow on those of A.
+
+\b
+Example:
+  relmap merge ground-floor annex -o both
+"""
+
+
+def merge_command(
+    one: Annotated[Path, typer.Argument(metavar="A", help="The result that keeps its frame.")],
+    other: Annotated[Path, typer.Argument(metavar="B", help="The result that is added.")],
+    out: Out,
+) -> None:
+    """Merge two maps; the help text explains the arguments."""
+    import numpy as np
+
+    from relmap.cli.mapping import stale_files
+    from relmap.io.files import staged_folder, write_tum
+    from relmap.io.results import MAP_PNG, MAPPER, write_result
+    from relmap.merging.results import merge_results
+    from relmap.planes.files import PlaneResult, write_planes
+    from relmap.plots.planes import write_planes_png
+    from relmap.plots.run import write_map_png
+
+    with busy("merging"):
+        merged = merge_results(one, other)
+        result = merged.result
+        with staged_folder(out, [*stale_files(out), MAPPER]) as staging:
+            write_result(staging, result)
+            write_tum(staging / SECOND, merged.stamps_s, merged.poses)
+            if isinstance(result, PlaneResult):
+                write_planes(staging, result.planes)
+                both = np.concatenate([result.poses, merged.poses])
+                write_planes_png(staging / MAP_PNG, result.planes, both)
+            else:
+                write_map_png(staging / MAP_PNG, result)
+            n_files = len(list(staging.iterdir()))
+    counts, common = result.summary["counts"], result.summary["merged"]["common_landmarks"]
+    what = f"{counts.get('mapped')} landmarks"
+    if isinstance(result, PlaneResult):
+        what = f"{counts['planes_static']} walls with {counts['corners_static']} corners"
+    typer.echo(
+        f"wrote {n_files} files to {out}: {what}; {common} "
+        f"{'corners' if isinstance(result, PlaneResult) else 'landmarks'} are in both maps"
+    )

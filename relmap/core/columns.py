@@ -1,0 +1,98 @@
+"""Tables of columns, as a person and as pandas see them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+
+AXES = ("x", "y", "z")
+NAMES: dict[str, tuple[str, ...]] = {
+    "landmark_ids": ("landmark",),
+    "position": AXES,
+    "positions": AXES,
+    "covariances": tuple(f"c{a}{b}" for a in AXES for b in AXES),
+    "midpoint": AXES,
+    "normal": ("nx", "ny"),
+    "ends": ("x0", "y0", "x1", "y1"),
+    "z_extent": ("z0", "z1"),
+    "corner": ("corner0", "corner1"),
+    "end_type": ("end0", "end1"),
+}
+"""What the columns of a field are called, as in the files of a result; others as the field."""
+SHOWN = 10
+"""Rows that a notebook shows."""
+
+
+class Table:
+    """A dataclass of arrays with a row for each of n things."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(next(iter(self._arrays()))[1])
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns (n,) by the names that they have in the files of a result."""
+        found: dict[str, NDArray[Any]] = {}
+        for name, values in self._arrays():
+            if len(values) == len(self):  # covariances may be unknown, and then have no rows
+                names = NAMES.get(name, (name,))
+                flat = values.reshape(len(self), int(np.prod(values.shape[1:], dtype=int)))
+                found |= dict(zip(names, flat.T, strict=False))
+        return found
+
+    def to_dataframe(self) -> Any:
+        """Return the columns as a `pandas.DataFrame`.
+
+        Raises
+        ------
+        RelmapError
+            Where pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError:
+            raise RelmapError("a DataFrame needs pandas: pip install 'relmap[pandas]'") from None
+        return pd.DataFrame(self.columns())
+
+    def __repr__(self) -> str:
+        columns = self.columns()
+        told = [f"{len(self)} rows", *_tally(columns.get("status"))]
+        return f"{type(self).__name__}({', '.join(told)}; {', '.join(columns)})"
+
+    def to_html(self) -> str:
+        """Return the first rows as HTML, as notebooks show them."""
+        columns = self.columns()
+        head = "".join(f"<th>{escape(name)}</th>" for name in columns)
+        rows = (
+            "".join(f"<td>{_cell(column[k])}</td>" for column in columns.values())
+            for k in range(min(len(self), SHOWN))
+        )
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        return f"<p>{escape(repr(self).partition(';')[0])})</p><table><tr>{head}</tr>{body}</table>"
+
+    def _repr_html_(self) -> str:
+        return self.to_html()
+
+    def _arrays(self) -> Iterator[tuple[str, NDArray[Any]]]:
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                yield field.name, value
+
+
+def _tally(status: NDArray[Any] | None) -> list[str]:
+    if status is None:
+        return []
+    kinds, counts = np.unique(status, return_counts=True)
+    return [f"{count} {kind}" for kind, count in zip(kinds, counts.tolist(), strict=True)]
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, np.floating) else escape(str(value))

@@ -1,0 +1,64 @@
+"""What a mapper has found, as a result, where no log is at hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import stored_scans
+from relmap.evaluation.feeding import AnyMapper, Association, Log
+from relmap.evaluation.run import result_of
+from relmap.evaluation.summary import summary_of
+from relmap.io.files import staged_folder
+from relmap.io.results import MAPPER, Result, write_result
+from relmap.planes import PlaneMapper
+from relmap.planes.files import PlaneResult, write_planes, write_submaps
+
+OF_THE_LOG = ("observations", "iterations_without_observation")
+"""Counts that only the log could tell."""
+
+
+def result_of_mapper(mapper: AnyMapper) -> Result:
+    """Return the result of a mapper: times are iteration numbers, and it has no tracks.
+
+    Returns
+    -------
+    Result
+        Of walls a `PlaneResult`.
+    """
+    walls, n = isinstance(mapper, PlaneMapper), mapper.n_iterations
+    none = np.empty(0, dtype=np.int64)
+    association: Association = "known" if mapper.engine.association.has_ids else "nearest"
+    d = 2 if walls else max(mapper.engine.store.dimension, 2)
+    log: Log = ObservationLog(np.empty((0, d)), none, none, 0, n)
+    if walls:
+        log = stored_scans(np.empty((0, 2)), np.zeros(n + 1, dtype=np.int64), np.arange(float(n)))
+    result = result_of(mapper, log, [none] * n, association, 0)
+    told = summary_of(mapper, result, log, 0, len(mapper.groups))
+    for name in OF_THE_LOG:
+        told["counts"].pop(name, None)
+    about = {"variant": "planes" if walls else "points", "configuration": mapper.settings}
+    more = {"interrupted": False, "refined": len(mapper.refined) > 0}
+    return replace(result, summary=about | result.summary | told | more)
+
+
+def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
+    """Write a mapper's result into a folder, with the pictures that `relmap.plots.of_mapper` draws.
+
+    Raises
+    ------
+    RelmapError
+        Where it cannot be written.
+    """
+    with staged_folder(folder) as staging:
+        result = result_of_mapper(mapper)
+        write_result(staging, result)
+        if isinstance(result, PlaneResult):
+            write_planes(staging, result.planes)
+            write_submaps(staging, [(each.stamps_s, each.poses) for each in result.drawn])
+        pictures.write_pictures(staging, result, mapper)
+        mapper.save(staging / MAPPER)

@@ -1,0 +1,83 @@
+"""What of a result is exported: mapped walls or landmarks, and the path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.landmarks import LandmarkTable
+from relmap.io.results import Result
+from relmap.planes.files import PlaneResult, read_any
+from relmap.planes.table import PlaneTable
+from relmap.plots.path import broken_at_jumps
+
+T = TypeVar("T", LandmarkTable, PlaneTable)
+
+
+@dataclass(frozen=True, eq=False)
+class MapContent:
+    """The map of a result, without what has no place in it; map frame, metres.
+
+    Attributes
+    ----------
+    result : Result
+        As read.
+    landmarks : LandmarkTable
+        The mapped ones; of walls their corners.
+    walls : PlaneTable or None
+        The mapped ones; None for a map of points.
+    """
+
+    result: Result
+    landmarks: LandmarkTable
+    walls: PlaneTable | None
+
+    @property
+    def path(self) -> list[NDArray[np.float64]]:
+        """The positions of the robot: pieces (k, 3), parted where the path leaps."""
+        drawn = broken_at_jumps(self.result.poses[:, :3, 3])
+        parts = np.split(drawn, np.flatnonzero(np.isnan(drawn[:, 0])))
+        pieces = [part[np.isfinite(part[:, 0])] for part in parts]
+        return [piece for piece in pieces if len(piece) > 1]
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """All places (n, 3) of landmarks, ends of walls and the path."""
+        parts = [self.landmarks.position, self.result.poses[:, :3, 3]]
+        if self.walls is not None:
+            ends = self.walls.ends.reshape(-1, 2)
+            parts.append(np.column_stack([ends, np.zeros(len(ends))]))
+        return np.concatenate(parts)
+
+    @property
+    def told(self) -> str:
+        """How much there is, in a few words."""
+        n, poses = len(self.landmarks.landmark), len(self.result.poses)
+        if self.walls is None:
+            return f"{n} landmarks, a path of {poses} poses"
+        return f"{len(self.walls.plane)} walls, {n} corners, a path of {poses} poses"
+
+
+def read_content(folder: Path) -> MapContent:
+    """Read what of a result folder is exported.
+
+    Raises
+    ------
+    RelmapError
+        Where a file is missing or not what `relmap map` writes.
+    """
+    result = read_any(folder)
+    walls = None
+    if isinstance(result, PlaneResult):
+        walls = _rows(result.planes, np.isfinite(result.planes.ends[:, 0, 0]))
+    return MapContent(result, _rows(result.landmarks, result.mapped), walls)
+
+
+def _rows(table: T, kept: NDArray[np.bool_]) -> T:
+    return replace(
+        table, **{field.name: getattr(table, field.name)[kept] for field in fields(table)}
+    )

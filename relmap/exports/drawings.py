@@ -1,0 +1,111 @@
+"""Floor plans for drawing programs: DXF (R12) and SVG."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from xml.sax.saxutils import escape
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.exports.content import MapContent
+
+LAYERS = {"WALLS": 5, "CORNERS": 3, "LANDMARKS": 7, "PATH": 8}
+"""Layers of a DXF file, and their colours by AutoCAD's index."""
+SVG_PX = 1000
+"""Length of the longer side of an SVG picture."""
+SVG_STYLE = (
+    "line{stroke:#1f4e9e}.corner{fill:#0b7a3b}.landmark{fill:#222}"
+    "polyline{fill:none;stroke:#7f7f7f}line,polyline{vector-effect:non-scaling-stroke;"
+    "stroke-width:1.5px;stroke-linecap:round}"
+)
+DOT = 0.002
+"""Radius of a dot, as a share of the picture's longer side."""
+
+
+def dxf_text(content: MapContent) -> str:
+    """Return a map as DXF R12, which every drawing program reads; a unit is a metre.
+
+    A wall is a LINE from its right end to its left one, as high as the wall (its thickness, in the
+    words of DXF) where that is known.  Corners, or landmarks, are POINTs, the path is a POLYLINE.
+    """
+    places = content.places
+    low, high = (f(axis=0) if len(places) else np.zeros(3) for f in (places.min, places.max))
+    tags: list[tuple[int, object]] = [(999, "relmap: map frame, metres")]
+    tags += [(0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009")]
+    for name, corner in (("$EXTMIN", low), ("$EXTMAX", high)):
+        tags += [(9, name), *_at(10, corner)]
+    tags += [(0, "ENDSEC"), (0, "SECTION"), (2, "TABLES")]
+    tags += [(0, "TABLE"), (2, "LAYER"), (70, len(LAYERS))]
+    for name, colour in LAYERS.items():
+        tags += [(0, "LAYER"), (2, name), (70, 0), (62, colour), (6, "CONTINUOUS")]
+    tags += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
+    tags += [*_walls(content), *_dots(content), *_path(content), (0, "ENDSEC"), (0, "EOF")]
+    return "".join(f"{code}\n{value}\n" for code, value in tags)
+
+
+Tags = Iterator[tuple[int, object]]
+
+
+def _at(code: int, place: NDArray[np.float64]) -> Tags:
+    """Yield x, y and z of a place (3,): group codes that differ by ten."""
+    for axis, value in enumerate(place.tolist()):
+        yield code + 10 * axis, repr(value + 0.0)
+
+
+def _walls(content: MapContent) -> Tags:
+    if content.walls is None:
+        return
+    for ends, (z0, z1) in zip(content.walls.ends, content.walls.z_extent.tolist(), strict=True):
+        yield from [(0, "LINE"), (8, "WALLS")]
+        if z1 > z0:
+            yield 39, repr(z1 - z0)
+        for code, end in zip((10, 11), ends, strict=True):
+            yield from _at(code, np.append(end, z0))
+
+
+def _dots(content: MapContent) -> Tags:
+    layer = "LANDMARKS" if content.walls is None else "CORNERS"
+    for position in content.landmarks.position:
+        yield from [(0, "POINT"), (8, layer), *_at(10, position)]
+
+
+def _path(content: MapContent) -> Tags:
+    for piece in content.path:
+        yield from [(0, "POLYLINE"), (8, "PATH"), (66, 1), *_at(10, np.zeros(3)), (70, 8)]
+        for position in piece:
+            yield from [(0, "VERTEX"), (8, "PATH"), *_at(10, position), (70, 32)]
+        yield from [(0, "SEQEND"), (8, "PATH")]
+
+
+def svg_text(content: MapContent, title: str) -> str:
+    """Return a map from above as SVG: a user unit is a metre, and y points down, so -y is drawn."""
+    places = content.places[:, :2]
+    low, high = (f(axis=0) if len(places) else np.zeros(2) for f in (places.min, places.max))
+    longest = max(float((high - low).max()), 1e-3)
+    rim = 0.03 * longest
+    wide, tall = (high - low + 2 * rim).tolist()
+    left, top = float(low[0] - rim), float(-high[1] - rim)
+    scale = SVG_PX / max(wide, tall)
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * scale:.0f}" '
+        f'height="{tall * scale:.0f}" viewBox="{left!r} {top!r} {wide!r} '
+        f'{tall!r}">\n<title>{escape(title)}</title>\n'
+        f"<desc>{content.told}; map frame, metres, y drawn as -y</desc>\n"
+        f"<style>{SVG_STYLE}</style>\n" + "".join(_shapes(content, DOT * longest)) + "</svg>\n"
+    )
+
+
+def _shapes(content: MapContent, radius: float) -> Iterable[str]:
+    for piece in content.path:
+        points = " ".join(f"{x!r},{-y!r}" for x, y in piece[:, :2].tolist())
+        yield f'<polyline class="path" points="{points}"/>\n'
+    if content.walls is not None:
+        for plane, ends in zip(content.walls.plane, content.walls.ends.tolist(), strict=True):
+            (x0, y0), (x1, y1) = ends
+            where = f'x1="{x0!r}" y1="{-y0!r}" x2="{x1!r}" y2="{-y1!r}"'
+            yield f'<line class="wall" id="wall-{plane}" {where}/>\n'
+    kind, table = "landmark" if content.walls is None else "corner", content.landmarks
+    for label, (x, y, _) in zip(table.landmark, table.position.tolist(), strict=True):
+        where = f'cx="{x!r}" cy="{-y!r}" r="{radius:.4g}"'
+        yield f'<circle class="{kind}" id="{kind}-{label}" {where}/>\n'

@@ -1,0 +1,139 @@
+"""The formats that a map is exported to, and how each is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.textfile import shown
+from relmap.exports.content import MapContent, read_content
+from relmap.exports.drawings import dxf_text, svg_text
+from relmap.exports.geojson import geojson_text
+from relmap.exports.grid import grid_of, pgm_bytes, yaml_text
+from relmap.exports.mesh import ply_text
+from relmap.exports.posegraph import g2o_text
+from relmap.exports.sight import sight_lines, sightings
+from relmap.io.files import atomic_write, staged_folder
+
+RESOLUTION_M = 0.05
+NAME = "map"
+"""What a file is called that is written into a folder."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be exported, and how.
+
+    Attributes
+    ----------
+    result : Path
+        The result folder.
+    log : Path or None
+        The log that was mapped, for free space and measurements.
+    resolution_m : float
+        Size of a cell of a grid.
+    """
+
+    result: Path
+    log: Path | None = None
+    resolution_m: float = RESOLUTION_M
+
+
+Files = dict[str, str | bytes]
+"""What files hold, by their names."""
+Rendered = tuple[Files, str]
+"""Files, and the message that describes them."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format.
+
+    Attributes
+    ----------
+    endings : tuple of str
+        What its files end with; the first is the usual one.
+    render : callable
+        Returns the files of a map that is to be written to a path.
+    """
+
+    endings: tuple[str, ...]
+    render: Callable[[Path, MapContent, Order], Rendered]
+
+
+def export(order: Order, to: str, out: Path) -> str:
+    """Export the map of a result folder.
+
+    Parameters
+    ----------
+    order : Order
+    to : str
+        One of `FORMATS`.
+    out : Path
+        The file; or a folder, which has no ending or is there already.
+
+    Returns
+    -------
+    str
+        What was written, as a message.
+
+    Raises
+    ------
+    RelmapError
+        Where the result or the log cannot be used, the map does not fit the format, or the file
+        cannot be written.
+    """
+    form = FORMATS[to]
+    path = out / f"{NAME}{form.endings[0]}" if out.is_dir() or not out.suffix else out
+    if path.suffix.lower() not in form.endings:
+        endings = " or ".join(form.endings)
+        raise RelmapError(f"--to {to} writes {endings}, and {shown(out)} ends otherwise")
+    files, told = form.render(path, read_content(order.result), order)
+    with staged_folder(path.parent) as staging:
+        for name, held in files.items():
+            atomic_write(staging / name, held)
+    names = " and ".join(str(path.with_name(name)) for name in files)
+    return f"wrote {names}: {told}"
+
+
+def _text(text: Callable[[MapContent], str]) -> Callable[[Path, MapContent, Order], Rendered]:
+    return lambda path, content, order: ({path.name: text(content)}, content.told)
+
+
+def _svg(path: Path, content: MapContent, order: Order) -> Rendered:
+    return {path.name: svg_text(content, order.result.resolve().name)}, content.told
+
+
+def _g2o(path: Path, content: MapContent, order: Order) -> Rendered:
+    seen = sightings(order.result, content, order.log) if content.walls is None else None
+    told = "" if seen is None else f", {len(seen.pose)} sightings"
+    if seen is not None and seen.points_robot is None:
+        told += " as they lie in the map: --log LOG gives those measured"
+    return {path.name: g2o_text(content, seen)}, content.told + told
+
+
+def _grid(path: Path, content: MapContent, order: Order) -> Rendered:
+    lines = sight_lines(order.result, content, order.log)
+    grid = grid_of(content, lines, order.resolution_m)
+    rows, columns = grid.pixels.shape
+    told = f"{columns} x {rows} cells of {grid.resolution_m:g} m, "
+    if lines is None:
+        told += "all unknown but what is mapped: free space needs mapper.npz in the result folder, "
+        told += "or --log LOG"
+    else:
+        told += f"free space from {len(lines[0])} beams"
+    picture = path.with_suffix(".pgm").name
+    about = yaml_text(picture, grid)
+    return {picture: pgm_bytes(grid), path.with_suffix(".yaml").name: about}, told
+
+
+FORMATS = {
+    "grid": Format((".yaml", ".pgm"), _grid),
+    "dxf": Format((".dxf",), _text(dxf_text)),
+    "svg": Format((".svg",), _svg),
+    "geojson": Format((".geojson", ".json"), _text(geojson_text)),
+    "g2o": Format((".g2o",), _g2o),
+    "ply": Format((".ply",), _text(ply_text)),
+}

@@ -1,0 +1,137 @@
+"""An occupancy grid as ROS's map servers read it: a PGM picture and a YAML file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.exports.content import MapContent
+from relmap.exports.sight import Lines
+
+OCCUPIED, FREE, UNKNOWN = 0, 254, 205
+"""Pixels of the trinary mode."""
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+"""Unknown is (255 - 205) / 255 = 0.19608, and must not fall below the second."""
+STOPPED = 0.25
+"""Share of the beams that reached a cell, and ended there, from which on it is occupied."""
+BULK = (0.0005, 0.9995)
+"""Between these quantiles of the ends of beams reaches the grid, at least."""
+RIM = 5
+"""Cells around all that is known."""
+MOST_CELLS = 100_000_000
+NEAREST_M, FARTHEST_M = 1e-3, 100.0
+"""Least and largest size of a cell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Cells seen from above.
+
+    Attributes
+    ----------
+    pixels : (rows, columns) uint8
+        `OCCUPIED`, `FREE` or `UNKNOWN`; the first row has the least y, the first column the least
+        x.
+    origin_m : (2,) float64, map frame
+        The lower left corner of the first cell.
+    resolution_m : float
+        Size of a cell.
+    """
+
+    pixels: NDArray[np.uint8]
+    origin_m: NDArray[np.float64]
+    resolution_m: float
+
+
+def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Grid:
+    """Return the grid of a planar map.
+
+    Occupied are the cells of mapped walls, or landmarks, and those in which at least a quarter of
+    the beams that reached them ended; free are all others that a beam passed.
+
+    Parameters
+    ----------
+    content : MapContent
+    lines : Lines or None
+        See `relmap.exports.sight.sight_lines`.
+    resolution_m : float
+
+    Raises
+    ------
+    RelmapError
+        Where the map is in space or empty, or the grid would be too large.
+    """
+    from relmap.exports.grid_kernels import cast
+
+    if not NEAREST_M <= resolution_m <= FARTHEST_M:
+        raise RelmapError(
+            f"--resolution is {resolution_m!r}; it must be {NEAREST_M:g} to {FARTHEST_M:g} metres"
+        )
+    if not content.result.planar:
+        raise RelmapError("a grid is planar and this map is of points in space: export it to ply")
+    begins, ends = (np.empty((0, 2)),) * 2 if lines is None else lines
+    origin, shape = _frame(content, ends, resolution_m)
+    passed, ended, solid = np.zeros((3, *shape), dtype=np.int64)
+    cast((begins - origin) / resolution_m, (ends - origin) / resolution_m, passed, ended)
+    there = _obstacles(content)
+    cast((there[:, 0] - origin) / resolution_m, (there[:, 1] - origin) / resolution_m, solid, solid)
+    reached = passed + ended
+    pixels = np.where(reached > 0, FREE, UNKNOWN)
+    pixels[(solid > 0) | ((ended > 0) & (ended >= STOPPED * reached))] = OCCUPIED
+    return Grid(pixels.astype(np.uint8), origin, resolution_m)
+
+
+def _obstacles(content: MapContent) -> NDArray[np.float64]:
+    """Return what is mapped as lines (n, 2, 2); a landmark is a line of no length."""
+    if content.walls is not None:
+        return content.walls.ends
+    return np.repeat(content.landmarks.position[:, None, :2], 2, axis=1)
+
+
+def _frame(
+    content: MapContent, ends: NDArray[np.float64], resolution_m: float
+) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Return the lower left corner of the grid, and how many rows and columns it has."""
+    places = content.places[:, :2]
+    if len(ends):
+        places = np.concatenate([places, np.quantile(ends, BULK, axis=0)])
+    if not len(places):
+        raise RelmapError("the map is empty: there is nothing to make a grid of")
+    first = np.floor(places.min(axis=0) / resolution_m) - RIM
+    columns, rows = np.floor(places.max(axis=0) / resolution_m) + RIM + 1 - first
+    if not rows * columns <= MOST_CELLS:
+        raise RelmapError(
+            f"a grid of {columns:.0f} x {rows:.0f} cells is too large, expected at most "
+            f"{MOST_CELLS}: give a coarser --resolution than {resolution_m:g} m"
+        )
+    return first * resolution_m, (int(rows), int(columns))
+
+
+def pgm_bytes(grid: Grid) -> bytes:
+    """Return the picture, a binary PGM: its first row is the last of the grid."""
+    rows, columns = grid.pixels.shape
+    return f"P5\n{columns} {rows}\n255\n".encode() + grid.pixels[::-1].tobytes()
+
+
+def yaml_text(picture: str, grid: Grid) -> str:
+    """Return what a map server needs to know of a picture, by the picture's name."""
+    x, y = map(_decimal, grid.origin_m.tolist())
+    name = picture.replace("'", "''")
+    return (
+        f"image: '{name}'\n"
+        "mode: trinary\n"
+        f"resolution: {_decimal(grid.resolution_m)}\n"
+        f"origin: [{x}, {y}, 0.0]\n"
+        "negate: 0\n"
+        f"occupied_thresh: {OCCUPIED_THRESH}\n"
+        f"free_thresh: {FREE_THRESH}\n"
+    )
+
+
+def _decimal(value: float) -> str:
+    """Return a number without a power of ten: some readers of YAML take 1e-05 for text."""
+    text = f"{value:.12f}".rstrip("0")
+    return text + "0" if text.endswith(".") else text

@@ -1,0 +1,47 @@
+"""Beams through the cells of a grid, compiled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+Cells = NDArray[np.int64]
+
+
+@compiled
+def cast(begins: NDArray[Any], ends: NDArray[Any], passed: Cells, ended: Cells) -> None:
+    """Count in which cells lines end, and through which others they pass before.
+
+    A line that leaves the grid is followed no farther.
+
+    Parameters
+    ----------
+    begins, ends : (n, 2) float64
+        In units of cells: the cell in row i and column j reaches from (j, i) to (j + 1, i + 1).
+    passed, ended : (rows, columns) int64
+        Counts, added to.
+    """
+    rows, columns = passed.shape
+    for k in range(len(begins)):
+        x, y = begins[k]
+        dx, dy = ends[k, 0] - x, ends[k, 1] - y
+        j, i = int(np.floor(x)), int(np.floor(y))
+        last_j, last_i = int(np.floor(ends[k, 0])), int(np.floor(ends[k, 1]))
+        right, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
+        # How far along the line, as a share of it, the next column and the next row begin.
+        next_x = ((j + (dx > 0)) - x) / dx if dx != 0 else np.inf
+        next_y = ((i + (dy > 0)) - y) / dy if dy != 0 else np.inf
+        for _ in range(abs(last_j - j) + abs(last_i - i)):
+            if not (0 <= i < rows and 0 <= j < columns):
+                break
+            passed[i, j] += 1
+            if next_x < next_y:
+                j, next_x = j + right, next_x + right / dx
+            else:
+                i, next_y = i + up, next_y + up / dy
+        if i == last_i and j == last_j and 0 <= i < rows and 0 <= j < columns:
+            ended[i, j] += 1

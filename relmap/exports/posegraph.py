@@ -1,0 +1,88 @@
+"""The poses, and landmarks, as a graph in the format of g2o."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap.exports.content import MapContent
+from relmap.exports.sight import Sightings
+
+PLANAR = ("SE2", "XY", "SE2_XY")
+SPATIAL = ("SE3:QUAT", "TRACKXYZ", "SE3_TRACKXYZ")
+SENSOR = 0
+"""Number of the sensor, which lies in the robot's origin: edges to points in space name one."""
+
+
+def g2o_text(content: MapContent, seen: Sightings | None) -> str:
+    """Return the graph: a vertex for each pose, an edge from each to the next.
+
+    relmap estimates no motion, so what an edge between poses says is how they lie in the map, with
+    the identity for information.  Of points the landmarks are vertices too, after the poses, and
+    edges tell what was seen: as it was measured, with information by the estimated noise, where
+    the log is given, else as it lies in the map.
+
+    Parameters
+    ----------
+    content : MapContent
+    seen : Sightings or None
+        Of points, what was seen from where.
+    """
+    planar, poses = content.result.planar, content.result.poses
+    pose, point, sight = PLANAR if planar else SPATIAL
+    lines = [f"VERTEX_{pose} {k} {_pose(T, planar)}" for k, T in enumerate(poses)]
+    if content.walls is None:
+        first, d = len(poses), 2 if planar else 3
+        if not planar:
+            lines.append(f"PARAMS_SE3OFFSET {SENSOR} 0 0 0 0 0 0 1")
+        lines += [
+            f"VERTEX_{point} {first + k} {_numbers(position)}"
+            for k, position in enumerate(content.landmarks.position[:, :d].tolist())
+        ]
+    steps = np.linalg.inv(poses[:-1]) @ poses[1:]
+    unit = _upper(np.eye(3 if planar else 6))
+    lines += [f"EDGE_{pose} {k} {k + 1} {_pose(T, planar)} {unit}" for k, T in enumerate(steps)]
+    if seen is not None:
+        lines += _sights(content, seen, f"EDGE_{sight}")
+    return "\n".join(lines) + "\n"
+
+
+def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
+    """Yield an edge for each sighting."""
+    poses, d = content.result.poses, 2 if content.result.planar else 3
+    at, T = content.landmarks.position[seen.landmark], poses[seen.pose]
+    points = np.einsum("nji,nj->ni", T[:, :3, :3], at - T[:, :3, 3])[:, :d]
+    weight = 1.0
+    if seen.points_robot is not None:
+        points, weight = seen.points_robot, _information(content)
+    about = _upper(weight * np.eye(d))
+    sensor = "" if content.result.planar else f" {SENSOR}"
+    vertices = zip(seen.pose.tolist(), (len(poses) + seen.landmark).tolist(), strict=True)
+    for (a, b), point in zip(vertices, points.tolist(), strict=True):
+        yield f"{tag} {a} {b}{sensor} {_numbers(point)} {about}"
+
+
+def _information(content: MapContent) -> float:
+    """Return one over the variance of an observed coordinate, where the refinement tells it."""
+    refinement = content.result.summary.get("refinement")
+    noise_m = refinement.get("noise_m") if isinstance(refinement, dict) else None
+    return 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0
+
+
+def _pose(T: NDArray[np.float64], planar: bool) -> str:
+    if planar:
+        return _numbers([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
+    turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    return _numbers([*T[:3, 3], *turn])
+
+
+def _upper(information: NDArray[np.float64]) -> str:
+    """Return the upper triangle of a symmetric matrix, row by row."""
+    return _numbers(information[np.triu_indices(len(information))].tolist())
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

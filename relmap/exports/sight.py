@@ -1,0 +1,167 @@
+"""Lines of sight: from where the sensor was to what it saw, in the frame of the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.datasets.base import ObservationLog
+from relmap.datasets.scans import ScanLog
+from relmap.evaluation.feeding import Log
+from relmap.evaluation.metrics import match_stamps
+from relmap.evaluation.run import stamps_of
+from relmap.evaluation.sources import read_log, recognised_format
+from relmap.evaluation.truth import Variant
+from relmap.exports.content import MapContent
+from relmap.io.results import MAPPER, SUMMARY, TRAJECTORY
+from relmap.planes import PlaneMapper
+from relmap.points import PointMapper
+
+MOST = 5_000_000
+"""Of more beams only one in so many is used."""
+Lines = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Where lines begin and end, (n, 2) each, map frame, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Which pose saw which mapped landmark.
+
+    Attributes
+    ----------
+    pose, landmark : (n,) int64
+        Rows of the poses and of the landmarks of a `MapContent`.
+    points_robot : (n, d) float64 or None, robot frame, metres
+        Where the log says that they were seen; None without the log.
+    """
+
+    pose: NDArray[np.int64]
+    landmark: NDArray[np.int64]
+    points_robot: NDArray[np.float64] | None
+
+
+def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | None:
+    """Return where beams began and ended; of points, which landmark was seen from where.
+
+    Parameters
+    ----------
+    folder : Path
+        The result folder.
+    content : MapContent
+        What is in it.
+    log : Path or None
+        The log that was mapped; what ``mapper.npz`` keeps of it where None.
+
+    Returns
+    -------
+    begins, ends : (n, 2) float64, map frame, metres
+        None where there is neither.
+
+    Raises
+    ------
+    RelmapError
+        Where ``mapper.npz`` or the log cannot be used.
+    """
+    if content.walls is None:
+        seen = sightings(folder, content, log)
+        if seen is None:
+            return None
+        begins = content.result.poses[seen.pose, :2, 3]
+        return begins, content.landmarks.position[seen.landmark, :2]
+    if log is not None:
+        return _placed(content, _read(content, log))
+    if not (folder / MAPPER).is_file():
+        return None
+    mapper = PlaneMapper.load(folder / MAPPER)
+    return mapper.beams_of(0, MOST)[:2] if mapper.submaps else None
+
+
+def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings | None:
+    """Return which pose of a map of points saw which landmark; None if nothing tells.
+
+    What it takes and raises is as of `sight_lines`.
+    """
+    read = None if log is None else _read(content, log)
+    iterations = _iterations(folder, content, read)
+    if iterations is None:
+        return None
+    tracks = content.result.tracks
+    pose = _positions(iterations, tracks.iteration)
+    landmark = _positions(content.landmarks.landmark, tracks.landmark)
+    row = np.zeros(len(pose), dtype=np.int64)
+    if isinstance(read, ObservationLog):
+        row = _positions(read.rows, tracks.row)
+    known = (pose >= 0) & (landmark >= 0) & (row >= 0)
+    points = read.points_robot[row[known]] if isinstance(read, ObservationLog) else None
+    return Sightings(pose[known], landmark[known], points)
+
+
+def _read(content: MapContent, log: Path) -> Log:
+    """Read the log that was mapped, in the format in which it was."""
+    variant: Variant = "points" if content.walls is None else "planes"
+    form = content.result.summary.get("format")
+    named = form if isinstance(form, str) and recognised_format(log, variant) is None else None
+    return read_log(log, variant, named)
+
+
+def _positions(of: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where each of some numbers (n,) is among others (m,), -1 where it is not there."""
+    if not len(of):
+        return np.full(len(wanted), -1)
+    order = np.argsort(of, kind="stable")
+    at = order[np.minimum(np.searchsorted(of[order], wanted), len(of) - 1)]
+    return np.where(of[at] == wanted, at, -1)
+
+
+def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[np.int64] | None:
+    """Return the iteration of each pose (p,) of a map of points; None if nothing tells."""
+    result = content.result
+    if log is not None:
+        return np.add(log.first_iteration, _scans(content, log))
+    if not (folder / MAPPER).is_file():
+        return None
+    mapper = PointMapper.load(folder / MAPPER)
+    there = np.flatnonzero(np.isfinite(mapper.trajectory[:, 0, 0]))
+    first = _end(folder, result.summary.get("scans")) - mapper.n_iterations
+    numbers = first + there[len(there) - len(result.poses) :]
+    if len(numbers) < len(result.poses):
+        raise RelmapError(f"{folder / MAPPER} is not of the same run as {TRAJECTORY} beside it")
+    return numbers
+
+
+def _end(folder: Path, scans: Any) -> int:
+    """Return the iteration after the last one that was mapped, as a summary tells `scans`."""
+    if isinstance(scans, list) and len(scans) == 2 and isinstance(scans[1], int):
+        return scans[1]
+    raise RelmapError(f"{folder / SUMMARY}: scans is {scans!r:.40}, expected [first, end]")
+
+
+def _scans(content: MapContent, log: Log) -> NDArray[np.int64]:
+    """Return the scan of a log of which each pose (p,) is."""
+    stamps_s = content.result.stamps_s
+    mine, scan = match_stamps(stamps_s, stamps_of(log))
+    if len(mine) < len(stamps_s):
+        missing = stamps_s[np.setdiff1d(np.arange(len(stamps_s)), mine)[0]]
+        raise RelmapError(
+            f"the log is not the one that was mapped: {len(stamps_s) - len(mine)} poses of the "
+            f"result have no scan of their time in it, the first at {missing!r}"
+        )
+    return scan.astype(np.int64)
+
+
+def _placed(content: MapContent, log: Log) -> Lines:
+    """Return the beams of a log of scans, placed by the poses of the result."""
+    assert isinstance(log, ScanLog)
+    begins, ends = [np.empty((0, 2))], [np.empty((0, 2))]
+    sensor = np.array([log.sensor.x_m, log.sensor.y_m])
+    for scan, T in zip(_scans(content, log).tolist(), content.result.poses, strict=True):
+        R, t, points = T[:2, :2], T[:2, 3], log.points_of(scan)[:, :2]
+        ends.append(points @ R.T + t)
+        begins.append(np.broadcast_to(R @ sensor + t, points.shape))
+    every = max(-(-sum(map(len, ends)) // MOST), 1)
+    return np.concatenate(begins)[::every], np.concatenate(ends)[::every]

@@ -1,0 +1,204 @@
+"""Two result folders made one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.association.tying import tie_submaps
+from relmap.core.errors import RelmapError
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.landmarks import LandmarkTable
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.state.table import LandmarkState
+from relmap.evaluation.summary import versions
+from relmap.io.results import Result, Tracks, shifted
+from relmap.merging.tables import Motion, joined, paired
+from relmap.merging.walls import joined_walls, moved
+from relmap.planes.files import PlaneResult, read_any
+from relmap.planes.table import PlaneTable
+from relmap.planes.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
+
+Floats = NDArray[np.float64]
+Told = dict[str, Any]
+NOTHING = np.empty(0, dtype=np.int64)
+STATUS = ("static", "dynamic", "unmapped")
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """Two maps as one.
+
+    Attributes
+    ----------
+    result : Result
+        Of walls a `PlaneResult`.  Its path is that of the first, its iterations are those of the
+        first and, after them, of the second.  It has no tracks: those of two logs would mix.
+    stamps_s, poses : (k,) and (k, 4, 4) float64
+        The path of the second, in the frame of the first.
+    """
+
+    result: Result
+    stamps_s: Floats
+    poses: Floats
+
+
+def merge_results(one: Path, other: Path) -> Merged:
+    """Return the maps of two result folders as one, in the frame of the first.
+
+    Of runs that broke into submaps the largest are merged.
+
+    Parameters
+    ----------
+    one, other : Path
+
+    Returns
+    -------
+    Merged
+
+    Raises
+    ------
+    RelmapError
+        Where a folder is no result, they are of different kinds, or nothing ties them in one way
+        alone.
+    """
+    a, b = read_any(one), read_any(other)
+    walls = isinstance(a, PlaneResult), isinstance(b, PlaneResult)
+    if len({(a.planar, walls[0]), (b.planar, walls[1])}) > 1:
+        kinds = [
+            "walls" if wall else f"points in {'the plane' if of.planar else 'space'}"
+            for of, wall in zip((a, b), walls, strict=True)
+        ]
+        raise RelmapError(f"{one} is a map of {kinds[0]} and {other} of {kinds[1]}: not alike")
+    if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
+        motion, told = _tie_of_walls(a.planes, b.planes, f"{other} and {one}")
+    else:
+        motion, told = _tie_of_points(a, b, f"{other} and {one}")
+    told |= {"first": str(one), "second": str(other)}
+    result, motion = _joined(a, b, motion, told)
+    return Merged(result, b.stamps_s, motion.matrix @ b.poses)
+
+
+def _joined(a: Result, b: Result, motion: Motion, told: Told) -> tuple[Result, Motion]:
+    """Return two results as one, by about how the second lies in the first, and how it does."""
+    shift = int(a.landmarks.last_iteration.max(initial=-1)) + 1
+    shift -= int(b.landmarks.first_iteration.min(initial=0))
+    planes, label = None, b.landmarks.landmark + int(a.landmarks.landmark.max(initial=-1)) + 1
+    if isinstance(a, PlaneResult) and isinstance(b, PlaneResult):
+        others = shifted(moved(b.planes, motion), shift)
+        base = label[0] - b.landmarks.landmark[0] if len(label) else 0
+        others = replace(others, corner=np.where(others.corner >= 0, others.corner + base, -1))
+        planes, corners = joined_walls(a.planes, others)
+        pairs = np.column_stack(
+            [_rows(label, corners[:, 0]), _rows(a.landmarks.landmark, corners[:, 1])]
+        )
+    else:
+        motion, pairs = _paired(a, b, motion)
+    theirs = replace(_alone(b.landmarks), position=motion.apply(b.landmarks.position))
+    theirs = shifted(replace(theirs, landmark=label), shift)
+    table = joined(_alone(a.landmarks), theirs, pairs)
+    told |= {"T_first_second": motion.matrix.tolist(), "common_landmarks": len(pairs)}
+    tracks = Tracks(NOTHING, NOTHING, NOTHING)
+    result = Result(table, tracks, a.stamps_s, a.poses, _summary(a, table, told))
+    return result if planes is None else _of_walls(result, planes), motion
+
+
+def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, NDArray[np.int64]]:
+    """Return how a map of points lies in another, and the rows (k, 2) of common landmarks."""
+    d = len(motion.t)
+    rows = [np.flatnonzero(result.mapped) for result in (b, a)]
+    theirs, mine = (r.landmarks.position[k][:, :d] for r, k in zip((b, a), rows, strict=True))
+    motion, pairs = paired(theirs, mine, motion)
+    return motion, np.column_stack([rows[0][pairs[:, 0]], rows[1][pairs[:, 1]]])
+
+
+def _rows(labels: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rows (k,) of the landmarks that have some labels, which are all there."""
+    order = np.argsort(labels, kind="stable")
+    return np.asarray(order[np.searchsorted(labels[order], wanted)])
+
+
+def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Told]:
+    """Return about how the second map lies in the first, by constellations that only it shows."""
+    d = 2 if a.planar else 3
+    places = [result.landmarks.position[result.mapped][:, :d] for result in (a, b)]
+    n = [len(each) for each in places]
+    state = LandmarkState()
+    state.resize(sum(n), 0, d)
+    both = GlobalMap(state)
+    numbers = np.split(np.arange(sum(n)), n[:1])
+    for landmarks, positions in zip(numbers, places, strict=True):
+        both.place(both.new_submap(), landmarks, positions, np.ones(len(landmarks)))
+    sd = np.concatenate([result.landmarks.sd[result.mapped] for result in (a, b)])
+    noise_m = float(np.median(sd[sd > 0])) if (sd > 0).any() else 0.0
+    if not any(True for _ in tie_submaps(both, np.sqrt(2) * noise_m)):
+        raise RelmapError(f"nothing ties {named} in one way alone: no place of one is in the other")
+    R, t = (fit_rigid(own, state.position[k]) for own, k in zip(places, numbers, strict=True))
+    back = np.linalg.inv(Motion(*R).matrix) @ Motion(*t).matrix
+    return Motion(back[:d, :d], back[:d, 3]), {}
+
+
+def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Told]:
+    """Return how the second map lies in the first, by the length of wall that lies on walls."""
+    ends = [table.ends[table.status == "static"] for table in (b, a)]
+    ties = wall_ties(*ends)
+    failed = f"nothing ties {named} in one way alone"
+    if not ties or ties[0].length_m < LEAST_M:
+        length_m = ties[0].length_m if ties else 0.0
+        raise RelmapError(
+            f"{failed}: {length_m:.1f} m of walls at most lie on walls, expected {LEAST_M:g} m"
+        )
+    best = ties[0]
+    if len(ties) > 1 and ties[1].length_m > RIVAL * best.length_m:
+        raise RelmapError(
+            f"{failed}: {best.length_m:.1f} m of walls lie on walls in one way, and "
+            f"{ties[1].length_m:.1f} m in another"
+        )
+    if best.across < ACROSS:
+        raise RelmapError(f"{failed}: the walls that they share are parallel")
+    told = {"common_walls_m": best.length_m, "rival_walls_m": [t.length_m for t in ties[1:2]]}
+    return Motion(best.R, best.t), told | {"rms_m": best.rms_m}
+
+
+def _alone(table: LandmarkTable) -> LandmarkTable:
+    """Return a table without what belongs to other submaps than the map."""
+    return replace(table, submap=np.where(table.submap == 0, 0, -1))
+
+
+def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
+    """Return a result with walls: its corners are where they end."""
+    wall, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
+    table = result.landmarks
+    at = np.full((len(table.landmark), 3), np.nan)
+    row = _rows(table.landmark, planes.corner[wall, end])
+    at[row] = np.column_stack([planes.ends[wall, end], np.zeros(len(row))])
+    there = np.isfinite(at[:, 0])
+    gone = ~there & (table.status == "static")
+    table = replace(
+        table,
+        position=at,
+        sd=np.where(there, table.sd, np.nan),
+        level=np.where(there, table.level, 0),
+        status=np.where(gone, "unmapped", table.status),
+        submap=np.where(there, 0, -1),
+    )
+    counts = {f"planes_{kind}": int((planes.status == kind).sum()) for kind in STATUS}
+    counts |= {f"corners_{kind}": int((table.status == kind).sum()) for kind in STATUS}
+    summary = result.summary | {"counts": counts}
+    return PlaneResult(**vars(replace(result, landmarks=table, summary=summary)), planes=planes)
+
+
+def _summary(a: Result, table: LandmarkTable, told: Told) -> Told:
+    mapped = int(np.isfinite(table.position[:, 0]).sum())
+    counts = {"landmarks": len(table.landmark), "mapped": mapped}
+    counts |= {kind: int((table.status == kind).sum()) for kind in STATUS}
+    about = {name: a.summary.get(name) for name in ("variant", "association", "dimensions")}
+    scans = [
+        int(table.first_iteration.min(initial=0)),
+        int(table.last_iteration.max(initial=-1)) + 1,
+    ]
+    return about | {"merged": told, "scans": scans, "versions": versions(), "counts": counts}

@@ -1,0 +1,131 @@
+"""Two tables of landmarks, brought into one frame, made one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from relmap.core.association.base import nearest
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.landmarks import LandmarkTable
+
+SPACING = 0.25
+"""How far apart two that are one may be at most, in median distances of neighbours."""
+SIGMAS = 4.0
+"""The same in standard deviations of how far apart such pairs are, once these are known."""
+ROUNDS = 4
+COMBINED = {
+    "observations": np.add,
+    "first_iteration": np.minimum,
+    "last_iteration": np.maximum,
+    "level": np.maximum,
+}
+"""How columns of two that are one landmark are combined."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion from the frame of one map into that of another: ``R @ p + t``.
+
+    Attributes
+    ----------
+    R, t : (d, d), (d,) float64
+    """
+
+    R: Floats
+    t: Floats
+
+    def apply(self, points: Floats) -> Floats:
+        """Return points (n, 3), or (n, d), moved; z stays where the motion is planar."""
+        d = len(self.t)
+        moved = points.copy()
+        moved[:, :d] = points[:, :d] @ self.R.T + self.t
+        return moved
+
+    @property
+    def matrix(self) -> Floats:
+        """The motion as a (4, 4) matrix."""
+        T, d = np.eye(4), len(self.t)
+        T[:d, :d], T[:d, 3] = self.R, self.t
+        return T
+
+
+def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:
+    """Fit a motion to the landmarks that are the same, and tell which are.
+
+    Parameters
+    ----------
+    points, among : (n, d), (m, d) float64, metres
+        Of two maps, each in its own frame.
+    motion : Motion
+        About how the first lies in the frame of the second.
+
+    Returns
+    -------
+    motion : Motion
+    pairs : (k, 2) int64
+        Rows of both; each is in one pair at most.
+    """
+    spacing = nearest(cKDTree(among), among, 2)[0][:, -1]
+    near_m = SPACING * float(np.median(spacing))
+    pairs = np.empty((0, 2), dtype=np.int64)
+    for _ in range(ROUNDS):
+        pairs = _mutual(motion.apply(points), among, near_m)
+        if len(pairs) <= len(motion.t):
+            break
+        source, target = points[pairs[:, 0]], among[pairs[:, 1]]
+        motion = Motion(*fit_rigid(source, target))
+        off = np.linalg.norm(motion.apply(source) - target, axis=1)
+        near_m = min(near_m, SIGMAS * max(float(np.sqrt(np.mean(off**2))), 1e-9))
+    return motion, pairs
+
+
+def _mutual(points: Floats, among: Floats, near_m: float) -> Ints:
+    """Return pairs (k, 2) of points nearest to one another, and nearer than a distance."""
+    if not (len(points) and len(among)):
+        return np.empty((0, 2), dtype=np.int64)
+    distance, there = (found[:, 0] for found in nearest(cKDTree(among), points, 1))
+    back = nearest(cKDTree(points), among, 1)[1][:, 0]
+    own = np.flatnonzero((back[there] == np.arange(len(points))) & (distance <= near_m))
+    return np.column_stack([own, there[own]])
+
+
+def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTable:
+    """Return one table of two whose positions are in one frame and whose labels differ.
+
+    Parameters
+    ----------
+    one, other : LandmarkTable
+    pairs : (k, 2) int64
+        Rows of `other` and of `one` that are one landmark, which has the label of the second.
+        Positions are averaged, weighed by how sure they are where both tell, else by how often they
+        were seen.
+    """
+    theirs, mine = pairs.T
+    share = _share(one, other, mine, theirs)
+    position, sd = one.position.copy(), one.sd.copy()
+    position[mine] += share[:, None] * (other.position[theirs] - position[mine])
+    sd[mine] = np.hypot((1 - share) * one.sd[mine], share * other.sd[theirs])
+    columns = {field.name: getattr(one, field.name).copy() for field in fields(LandmarkTable)}
+    columns |= {"position": position, "sd": sd}
+    for name, of in COMBINED.items():
+        columns[name][mine] = of(columns[name][mine], getattr(other, name)[theirs])
+    rest = np.setdiff1d(np.arange(len(other.landmark)), theirs)
+    for name, column in columns.items():
+        columns[name] = np.concatenate([column, getattr(other, name)[rest]])
+    return LandmarkTable(**columns)
+
+
+def _share(one: LandmarkTable, other: LandmarkTable, mine: Ints, theirs: Ints) -> Floats:
+    """Return the weight of the second of each pair in their average."""
+    a, b = one.sd[mine] ** 2, other.sd[theirs] ** 2
+    seen = one.observations[mine], other.observations[theirs]
+    by_count = seen[1] / np.maximum(seen[0] + seen[1], 1)
+    told = (a > 0) & (b > 0)
+    return np.where(told, a / np.where(told, a + b, 1.0), by_count)

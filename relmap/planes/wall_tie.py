@@ -1,0 +1,245 @@
+"""How the walls of one map lie among those of another: the motion that lays most of them on others.
+
+Walls are looked at as points along them, each with the direction of its front.  Which turns bring
+many fronts into the same directions shows in a histogram; for each of these turns a correlation of
+the points in coarse cells shows which shifts bring many onto one another.  The likeliest motions
+are fitted to the walls and compared by the length of wall that lies on walls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+from scipy.signal import fftconvolve
+from scipy.spatial import cKDTree
+
+SAMPLE_M = 0.1
+"""Distance of the points along a wall."""
+CELL_M = 0.2
+DIRECTIONS = 8
+"""Walls are compared with those whose fronts look into one of so many directions, or one beside."""
+TURNS, SHIFTS = 8, 6
+"""Turns that are tried, and shifts of each."""
+BIN_RAD, APART_RAD = np.deg2rad(1.0), np.deg2rad(4.0)
+"""Bins of the histogram of turns, and how far apart two of its peaks are."""
+NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
+"""A point lies on a wall that is no farther off and turned by no more (cosine)."""
+EXACTLY, LEAST_NEAR_M = 3.0, 0.005
+"""Rivals are compared by what is no farther off than so many times the best, or so much."""
+ROUNDS, FIRST = 8, 4.0
+"""Rounds of a fit, and how far points may be off at first, in units of `NEAR_M`."""
+ALIKE_M = 0.5
+"""Motions that lay all walls nearer than this to one another are the same."""
+LEAST_M = 6.0
+"""Length of wall that must lie on walls."""
+RIVAL = 0.7
+"""Share of it that may lie on walls elsewhere."""
+ACROSS = 0.1
+"""Least share of it that must keep the maps from sliding along the rest."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class WallPoints:
+    """Points along walls.
+
+    Attributes
+    ----------
+    at, normal : (n, 2) float64
+        Places, metres, and unit vectors to the front.
+    wall : (n,) int64
+        Row of the wall of each.
+    """
+
+    at: Floats
+    normal: Floats
+    wall: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, ends: Floats) -> WallPoints:
+        """Return points along walls by their ends (w, 2, 2), right to left."""
+        way = ends[:, 1] - ends[:, 0]
+        length = np.hypot(*way.T)
+        counts = np.maximum(np.rint(length / SAMPLE_M), 1).astype(np.int64)
+        wall = np.repeat(np.arange(len(ends)), counts)
+        rank = np.arange(len(wall)) - np.repeat(np.cumsum(counts) - counts, counts)
+        at = ends[wall, 0] + ((rank + 0.5) / counts[wall])[:, None] * way[wall]
+        along = (way / np.maximum(length, 1e-12)[:, None])[wall]
+        return cls(at, np.column_stack([-along[:, 1], along[:, 0]]), wall)
+
+    def moved(self, R: Floats, t: Floats) -> WallPoints:
+        """Return them turned by R (2, 2) and then shifted by t (2,)."""
+        return WallPoints(self.at @ R.T + t, self.normal @ R.T, self.wall)
+
+    @property
+    def angle(self) -> Floats:
+        """Direction of the front of each, radians."""
+        return np.arctan2(self.normal[:, 1], self.normal[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class WallTie:
+    """A motion of one map into the frame of another.
+
+    Attributes
+    ----------
+    R, t : (2, 2), (2,) float64
+    length_m : float
+        Of wall that it lays on walls.
+    across : float
+        How much of this keeps it from sliding, as a share: 0 where all walls are parallel.
+    rms_m : float
+        How far off these walls are.
+    """
+
+    R: Floats
+    t: Floats
+    length_m: float
+    across: float = 0.0
+    rms_m: float = np.inf
+
+
+def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
+    """Return how walls (w, 2, 2) may lie among others (v, 2, 2), most on walls first."""
+    points, among = WallPoints.of(ends), WallPoints.of(others)
+    if not (len(points.at) and len(among.at)):
+        return []
+    tree = cKDTree(among.at)
+    found: list[WallTie] = []
+    for turn in _turns(points, among):
+        for guess in _shifts(points, among, turn):
+            fitted = _fitted(points, among, tree, guess)
+            if not any(_alike(points, fitted, other) for other in found):
+                found.append(fitted)
+    if not found:
+        return []
+    best = max(found, key=lambda tie: tie.length_m)
+    # Walls that only look alike lie less exactly on one another than those that are the same.
+    near_m = float(np.clip(EXACTLY * best.rms_m, LEAST_NEAR_M, NEAR_M))
+    judged = [
+        replace(
+            tie, length_m=SAMPLE_M * np.count_nonzero(lying(points, among, tree, tie, near_m)[0])
+        )
+        for tie in found
+    ]
+    return sorted(judged, key=lambda tie: -tie.length_m)
+
+
+def _turns(points: WallPoints, among: WallPoints) -> list[float]:
+    """Return the turns that bring most fronts into the directions of others."""
+    bins = round(2 * np.pi / BIN_RAD)
+    counts = [
+        np.bincount(np.floor(each.angle / BIN_RAD).astype(int) % bins, minlength=bins)
+        for each in (points, among)
+    ]
+    spectra = [np.fft.rfft(count) for count in counts]
+    score = np.fft.irfft(np.conj(spectra[0]) * spectra[1], bins)
+    score += np.roll(score, 1) + np.roll(score, -1)
+    peaks = score == maximum_filter(score, round(2 * APART_RAD / BIN_RAD) + 1, mode="wrap")
+    order = np.argsort(-np.where(peaks, score, -1.0), kind="stable")[:TURNS]
+    return [float(k * BIN_RAD) for k in order if peaks[k]]
+
+
+def _shifts(points: WallPoints, among: WallPoints, turn: float) -> list[WallTie]:
+    """Return the shifts, after a turn, that bring most points into cells of others like them."""
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s], [s, c]])
+    turned = points.moved(R, np.zeros(2))
+    low, base = turned.at.min(axis=0), among.at.min(axis=0)
+    score = np.zeros(1)
+    for direction in range(DIRECTIONS):
+        here = _cells(turned, low, direction, 0)
+        there = maximum_filter(_cells(among, base, direction, 1) > 0, 3).astype(np.float64)
+        score = score + fftconvolve(there, here[::-1, ::-1])
+    size = round(2 * ALIKE_M / CELL_M) + 1
+    peaks = np.flatnonzero(score == maximum_filter(score, size))
+    peaks = peaks[np.argsort(-score.ravel()[peaks], kind="stable")][:SHIFTS]
+    shape = _shape(turned, low)
+    at = np.column_stack(np.unravel_index(peaks, score.shape)) - (np.array(shape) - 1)
+    return [WallTie(R, base - low + CELL_M * cell, 0.0) for cell in at]
+
+
+def _shape(points: WallPoints, low: Floats) -> tuple[int, int]:
+    columns, rows = np.floor((points.at.max(axis=0) - low) / CELL_M).astype(int) + 1
+    return int(columns), int(rows)
+
+
+def _cells(points: WallPoints, low: Floats, direction: int, beside: int) -> Floats:
+    """Return how many points are in each cell whose fronts look into a direction, or beside."""
+    off = np.round(points.angle / (2 * np.pi / DIRECTIONS)).astype(int) - direction
+    off = (off + DIRECTIONS // 2) % DIRECTIONS - DIRECTIONS // 2
+    cells = np.zeros(_shape(points, low))
+    at = np.floor((points.at[np.abs(off) <= beside] - low) / CELL_M).astype(int)
+    np.add.at(cells, tuple(at.T), 1.0)
+    return cells
+
+
+def _fitted(points: WallPoints, among: WallPoints, tree: cKDTree, guess: WallTie) -> WallTie:
+    """Fit a motion to the walls that lie on one another by it, and see again which do."""
+    tie = guess
+    for k in range(ROUNDS):
+        near_m = NEAR_M * max(FIRST / 2**k, 1.0)
+        on, other, off = lying(points, among, tree, tie, near_m)
+        if np.count_nonzero(on) < 3:
+            return replace(tie, length_m=0.0, across=0.0)
+        at = points.at[on] @ tie.R.T + tie.t
+        tie = _stepped(tie, at, among.normal[other[on]], off[on])
+    return tie
+
+
+def lying(
+    points: WallPoints, among: WallPoints, tree: cKDTree, tie: WallTie, near_m: float
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], Floats]:
+    """Tell which points lie on walls by a motion.
+
+    Parameters
+    ----------
+    points, among : WallPoints
+    tree : cKDTree
+        Of `among`.
+    tie : WallTie
+    near_m : float
+        How far off they may be.
+
+    Returns
+    -------
+    on : (n,) bool
+    other : (n,) int64
+        Row of the nearest of `among`.
+    off : (n,) float64
+        How far before it each point is.
+    """
+    moved = points.moved(tie.R, tie.t)
+    distance, other = tree.query(moved.at)
+    normal = among.normal[other]
+    off = np.einsum("ni,ni->n", among.at[other] - moved.at, normal)
+    on = (distance <= near_m + SAMPLE_M) & (np.abs(off) <= near_m)
+    on &= np.einsum("ni,ni->n", normal, moved.normal) >= TURN
+    return on, np.asarray(other, dtype=np.int64), off
+
+
+def _stepped(tie: WallTie, at: Floats, normal: Floats, off: Floats) -> WallTie:
+    """Return a motion with one step of least squares: how far points are from lines."""
+    centre = at.mean(axis=0)
+    arm = at - centre
+    lever = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
+    reach = max(float(np.sqrt((arm**2).sum(axis=1).mean())), 1e-9)
+    J = np.column_stack([normal, lever / reach])
+    information = J.T @ J
+    step = np.linalg.lstsq(information, J.T @ off, rcond=1e-9)[0]
+    turn = step[2] / reach
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s], [s, c]])
+    across = float(np.linalg.eigvalsh(normal.T @ normal / len(normal))[0])
+    t = R @ (tie.t - centre) + centre + step[:2]
+    rms_m = float(np.sqrt((off**2).mean()))
+    return WallTie(R @ tie.R, t, SAMPLE_M * len(at), across, rms_m)
+
+
+def _alike(points: WallPoints, one: WallTie, other: WallTie) -> bool:
+    apart = points.at @ (one.R - other.R).T + one.t - other.t
+    return bool(np.hypot(*apart.T).max() <= ALIKE_M)

@@ -1,0 +1,137 @@
+"""The page of a run: its map to look around in, its replay, its figures, and how it was made."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from relmap.io.results import Result
+from relmap.planes.files import PlaneResult
+from relmap.plots.html import document, table
+from relmap.plots.report_data import views_of
+
+REPORT = "report.html"
+LISTED = 12
+"""Submaps that are listed."""
+UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
+"""What must not stand in a script as it is."""
+MAP = """
+<div id="bar"><select id="view" aria-label="submap"></select>
+<button id="side" type="button" hidden>from the side</button>
+<span class="gap"></span>
+<button id="in" type="button" aria-label="zoom in">+</button>
+<button id="out" type="button" aria-label="zoom out">&minus;</button>
+<button id="whole" type="button">whole map</button></div>
+<div id="frame"><canvas id="map" tabindex="0" aria-label="the map from above"></canvas>
+<div id="scale"></div></div>
+<div id="replay"><button id="play" type="button">play</button>
+<input id="time" type="range" min="0" max="0" value="0" aria-label="time"></div>
+<p class="small" id="now" aria-live="off"></p>
+<p class="small" id="under">drag to move, wheel or pinch to zoom</p>
+<p class="small" id="legend"></p>
+<noscript><p>The map needs JavaScript; map.png beside this page shows it too.</p></noscript>
+"""
+
+
+def report_page(result: Result, command: str, name: str) -> str:
+    """Return the page of a finished run, with everything in it.
+
+    Parameters
+    ----------
+    result : Result
+        As `relmap.evaluation.run.run_mapper` returns it.
+    command : str
+        What makes it again.
+    name : str
+        Of the log.
+
+    Returns
+    -------
+    str
+        The same run gives the same page.
+    """
+    summary = result.summary
+    body = [
+        f"<h1>Map of {escape(name)}</h1>",
+        f"<p>{escape(_told(result))}</p>",
+        MAP,
+        *_sections(summary),
+        "<section><h2>How it was made</h2>",
+        f"<p><code>{escape(command)}</code></p>",
+        table((), _made(summary)),
+        "</section>",
+        f'<script id="data" type="application/json">{_safe(views_of(result))}</script>',
+        f"<script>{_resource('report.js')}</script>",
+    ]
+    return document(f"Map of {name}", body, _resource("report.css"))
+
+
+def _resource(name: str) -> str:
+    return files("relmap.plots").joinpath(name).read_text(encoding="utf-8")
+
+
+def _safe(content: Any) -> str:
+    return json.dumps(content, allow_nan=False, separators=(",", ":")).translate(UNSAFE)
+
+
+def _told(result: Result) -> str:
+    """Return what the map is, in a sentence."""
+    counts, n = result.summary["counts"], len(result.summary["submaps"])
+    what = f"{counts.get('mapped')} of {counts.get('landmarks')} landmarks"
+    if isinstance(result, PlaneResult):
+        what = f"{counts['planes_static']} walls with {counts['corners_static']} corners"
+    early = ", stopped early" if result.summary["interrupted"] else ""
+    apart = f"; the run broke into {n} submaps, each in a frame of its own" if n > 1 else ""
+    return f"{what}, mapped in {counts['iterations']} iterations{early}{apart}."
+
+
+def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the tables of what came out."""
+    yield "<section><h2>What came out</h2>"
+    yield table((), [*_flat(summary["counts"]), *_flat(summary["association_trust"])])
+    yield "</section>"
+    submaps = summary["submaps"]
+    if len(submaps) > 1:
+        head = ["submap", *(name.replace("_", " ") for name in submaps[0])]
+        rows = [[k, *map(_cell, submap.values())] for k, submap in enumerate(submaps[:LISTED])]
+        more = len(submaps) - LISTED
+        yield f"<section><h2>Submaps</h2>{table(head, rows)}"
+        yield f"<p>and {more} more</p></section>" if more > 0 else "</section>"
+    refinement = summary["refinement"]
+    if refinement is not None:
+        plain = {key: value for key, value in refinement.items() if not isinstance(value, list)}
+        yield f"<section><h2>Refinement</h2>{table((), _flat(plain))}"
+        yield '<p class="small">Residuals are in units of what the noise explains.</p></section>'
+    if "weak_links" in summary:
+        yield '<section id="weak"><h2>Weak links</h2><p class="small">Scans before which too little'
+        yield " was seen to tell how far the robot went; it was taken to go on as before.</p>"
+        yield '<p id="links"></p></section>'
+
+
+def _made(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield what else tells how the map was made."""
+    for key in ("format", "variant", "association", "dimensions", "scans", "seed", "refined"):
+        yield key, _cell(summary.get(key))
+    yield from _flat(summary["configuration"])
+    yield from _flat(summary["versions"])
+
+
+def _flat(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for key, value in content.items():
+        yield key.replace("_", " "), _cell(value)
+
+
+def _cell(value: Any) -> str:
+    """Return a value as a person reads it."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return " to ".join(map(str, value)) if len(value) == 2 else ", ".join(map(str, value))
+    return str(value)

@@ -1,0 +1,137 @@
+"""What the page of a run shows on its map, packed as the page's script unpacks it.
+
+Arrays are little-endian, in base 64: float32, int32, and uint16 for the points of scans.
+"""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.landmarks import Submap
+from relmap.io.results import Result
+from relmap.planes.files import DrawnSubmap, PlaneResult
+from relmap.plots.path import jumps
+from relmap.plots.run import weak_places
+from relmap.plots.sheet import limits_of
+
+POINTS = 60_000
+"""Points of scans that the page shows at most, of all submaps together."""
+STEPS = 65_535
+"""Steps from the least to the greatest coordinate of the points of scans."""
+View = dict[str, Any]
+
+
+def views_of(result: Result) -> list[View]:
+    """Return what is shown of each submap in its own frame, the map itself first."""
+    if isinstance(result, PlaneResult):
+        total = sum(len(submap.points) for submap in result.drawn)
+        every = max(-(-total // POINTS), 1)
+        return [_view_of_walls(k, submap, every) for k, submap in enumerate(result.drawn)]
+    others = enumerate(result.submaps[1:], start=1)
+    return [_view_of_points(result), *(_view_of_submap(k, s, result.planar) for k, s in others)]
+
+
+def _view_of_walls(number: int, submap: DrawnSubmap, every: int) -> View:
+    planes = submap.planes
+    mapped = planes.status == "static"
+    ends = planes.ends[mapped]
+    is_corner = planes.corner[mapped] >= 0
+    corners = ends[is_corner]
+    first = np.searchsorted(submap.iterations, planes.first_iteration[mapped])
+    return {
+        "name": _name(number),
+        "told": f"{len(submap.poses)} scans, {len(ends)} walls, {len(corners)} corners",
+        "axes": 2,
+        "limits": _limits(ends.reshape(-1, 2), submap.poses[:, :2, 3]),
+        "lines": _packed(ends, "<f4"),
+        "lineNames": _packed(planes.plane[mapped], "<i4"),
+        "lineSeen": _packed(planes.observations[mapped], "<i4"),
+        "lineFirst": _packed(first, "<i4"),
+        "dots": _packed(corners, "<f4"),
+        "dotFirst": _packed(np.repeat(first[:, None], 2, axis=1)[is_corner], "<i4"),
+        **_path(submap.iterations, submap.stamps_s, submap.poses, 2),
+        "weak": submap.weak.tolist(),
+        **_points(submap.points[::every], submap.point_scan[::every]),
+    }
+
+
+def _view_of_points(result: Result) -> View:
+    table, kept, axes = result.landmarks, result.mapped, 2 if result.planar else 3
+    at, iterations = table.position[kept][:, :axes], result.iterations
+    assert iterations is not None
+    return {
+        "name": _name(0),
+        "told": f"{len(result.poses)} poses, {len(at)} landmarks",
+        "axes": axes,
+        "limits": _limits(at, result.poses[:, :axes, 3]),
+        "dots": _packed(at, "<f4"),
+        "dotNames": _packed(table.landmark[kept], "<i8"),
+        "dotSeen": _packed(table.observations[kept], "<i4"),
+        "dotFirst": _packed(np.searchsorted(iterations, table.first_iteration[kept]), "<i4"),
+        **_path(iterations, result.stamps_s, result.poses, axes),
+        "rings": [
+            {"name": name, "at": _packed(at[:, :axes], "<f4")}
+            for name, at in weak_places(result).items()
+            if len(at)
+        ],
+    }
+
+
+def _view_of_submap(number: int, submap: Submap, planar: bool) -> View:
+    axes = 2 if planar else 3
+    at = submap.positions[:, :axes]
+    return {
+        "name": _name(number),
+        "told": f"{len(at)} landmarks",
+        "axes": axes,
+        "limits": _limits(at, np.empty((0, axes))),
+        "dots": _packed(at, "<f4"),
+        "dotNames": _packed(submap.landmark_ids, "<i8"),
+    }
+
+
+def _name(number: int) -> str:
+    return f"submap {number}" if number else "map"
+
+
+def _limits(places: NDArray[np.float64], way: NDArray[np.float64]) -> list[list[float]]:
+    """Return least and greatest coordinates of what is to be seen at first."""
+    return [limit.tolist() for limit in limits_of(places, way)]
+
+
+def _path(
+    iterations: NDArray[np.int64], stamps_s: NDArray[np.float64], poses: NDArray[Any], axes: int
+) -> View:
+    """Return places and headings of the robot, when it was there, and where the path leaps."""
+    position = poses[:, :axes, 3]
+    yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+    return {
+        "path": _packed(position, "<f4"),
+        "yaw": _packed(yaw, "<f4"),
+        "iterations": _packed(iterations, "<i4"),
+        "stamps": None if np.array_equal(stamps_s, iterations) else _packed(stamps_s, "<f8"),
+        "leaps": (1 + np.flatnonzero(jumps(position))).tolist(),
+    }
+
+
+def _points(points: NDArray[np.float64], scan: NDArray[np.int64]) -> View:
+    """Return points in steps of their extent, with that extent, and the scan of each."""
+    if not len(points):
+        return {}
+    low, high = points.min(axis=0), points.max(axis=0)
+    step = np.maximum((high - low) / STEPS, 1e-9)
+    return {
+        "points": _packed(np.rint((points - low) / step), "<u2"),
+        "pointLow": low.tolist(),
+        "pointStep": step.tolist(),
+        # Of ascending numbers the first point of each scan tells as much in less.
+        "pointFrom": _packed(np.searchsorted(scan, np.arange(int(scan[-1]) + 2)), "<i4"),
+    }
+
+
+def _packed(values: NDArray[Any], kind: str) -> str:
+    return b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()

@@ -1,0 +1,69 @@
+"""What a mapper shows and saves for people: as a text, a picture, a folder."""
+
+from __future__ import annotations
+
+from html import escape
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from relmap.core.landmarks import LandmarkMap
+
+# Pictures and results stand above mappers and are found by name: nothing here needs them.
+RESULTS, PICTURES = "relmap.evaluation.saved", "relmap.plots.of_mapper"
+
+
+class Shown:
+    """A mapper that can be looked at."""
+
+    @property
+    def n_iterations(self) -> int:
+        """How many scans were taken in."""
+        raise NotImplementedError
+
+    @property
+    def map(self) -> LandmarkMap:
+        """The mapped landmarks."""
+        raise NotImplementedError
+
+    def plot(self) -> Any:
+        """Draw the map as it is: of points the landmarks, of walls the floor plan by submaps.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        return import_module(PICTURES).plot_mapper(self)
+
+    def save_results(self, folder: PathLike[str] | str) -> None:
+        """Write what `relmap map` writes of a map, but the tracks, into a folder.
+
+        Times are iteration numbers, and ``tracks.csv.gz`` is empty: the log is not known here.
+
+        Parameters
+        ----------
+        folder : path
+            It is made where it is not there.
+
+        Raises
+        ------
+        RelmapError
+            Where it cannot be written; an earlier result in it is then as it was.
+        """
+        import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES))
+
+    def __repr__(self) -> str:
+        mapped = self.map
+        told = f"{self.n_iterations} iterations, {len(mapped)} landmarks mapped"
+        if len(mapped):
+            low, high = mapped.positions.min(axis=0), mapped.positions.max(axis=0)
+            extent = " x ".join(f"{size:.4g}" for size in np.subtract(high, low) if size > 0)
+            told += f", {extent} m" if extent else ""
+        return f"{type(self).__name__}({told})"
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(repr(self))}</p>{self.map.to_html()}"
