@@ -130,7 +130,7 @@ class Constellation(Numbered):
                 return carried.kept(carried.missed <= self._max_missed)
         return None
 
-    def _guided(self, tracks: LiveTracks, points_robot: NDArray[np.float64]) -> Placement:
+    def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
         """Return where odometry has the tracks, corrected by the few that are in view."""
         if not len(points_robot):
             return self.guide.predicted(tracks.expected.shape[1])

@@ -200,9 +200,7 @@ class Pattern:
         """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
         return np.asarray(inverse[self._places(chosen)])
 
-    def lower(
-        self, chosen: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+    def lower(self, chosen: Ints) -> tuple[Ints, tuple[Ints, ...]]:
         """Return where parts (k, m, m) over unknowns (k, m) go, and which entries of the parts do.
 
         Of two that mirror one another one goes.
@@ -210,13 +208,11 @@ class Pattern:
         goes = chosen[:, :, None] >= chosen[:, None]
         return self._places(chosen)[goes], np.nonzero(goes)
 
-    def add_diagonal(
-        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], value: float
-    ) -> None:
+    def add_diagonal(self, values: Floats, unknowns: Ints, value: float) -> None:
         """Add a value to the diagonal of a matrix (size,), at unknowns (n,)."""
         values[self._diagonal[unknowns]] += value
 
-    def _places(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _places(self, chosen: Ints) -> Ints:
         """Return where the entries (k, m, m) of parts over unknowns (k, m) stand."""
         start, column_of, row_begin, rows, offset = self.layout
         earlier = np.minimum(chosen[:, :, None], chosen[:, None])
