@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled, helper
 
 FEWEST = 8
@@ -26,9 +26,7 @@ BLUNT = 3.0
 
 
 @compiled
-def midpoint_pairs(
-    first: NDArray[np.float64], second: NDArray[np.float64], size: float, other_size: float
-) -> NDArray[np.float64]:
+def midpoint_pairs(first: Floats, second: Floats, size: float, other_size: float) -> Floats:
     """Return the four pairs of estimated midpoints in each iteration (k, 2, 2, 2), metres.
 
     From the first wall's midpoint, by its right or left end, to the second's, by its right or left
@@ -56,7 +54,7 @@ def midpoint_pairs(
 
 
 @helper
-def largest(ends: NDArray[np.float64]) -> float:
+def largest(ends: Floats) -> float:
     """Return the largest size of a wall in some iterations, of its ends (k, 2, 2)."""
     size = 0.0
     for k in range(len(ends)):
@@ -65,7 +63,7 @@ def largest(ends: NDArray[np.float64]) -> float:
 
 
 @compiled
-def deviations(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
+def deviations(pairs: Floats) -> Floats:
     """Return the standard deviation (2, 2) of each of four pairs (k, 2, 2, 2), metres."""
     k, found = len(pairs), np.empty((2, 2))
     for i in range(2):
@@ -82,7 +80,7 @@ def deviations(pairs: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @helper
-def _skew(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+def _skew(first: Floats, second: Floats) -> float:
     """Return the sine of the angle between two walls, in the middle one of some iterations."""
     k = len(first) // 2
     x, y = first[k, 1, 0] - first[k, 0, 0], first[k, 1, 1] - first[k, 0, 1]
@@ -91,7 +89,7 @@ def _skew(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
 
 
 @helper
-def _moved(ends: NDArray[np.float64], e: int) -> float:
+def _moved(ends: Floats, e: int) -> float:
     """Return how far one end (k, 2, 2) was from where it was first, at most; robot frame."""
     farthest = 0.0
     for k in range(len(ends)):
@@ -101,9 +99,7 @@ def _moved(ends: NDArray[np.float64], e: int) -> float:
 
 
 @helper
-def _expected(
-    first: NDArray[np.float64], second: NDArray[np.float64], size: float, sd: float, other_sd: float
-) -> float:
+def _expected(first: Floats, second: Floats, size: float, sd: float, other_sd: float) -> float:
     """Return the deviation that noise gives a pair of corners: of both ends, and of the turn."""
     k = len(first) // 2
     x = (second[k, 0, 0] + second[k, 1, 0] - first[k, 0, 0] - first[k, 1, 0]) / 2
@@ -113,9 +109,7 @@ def _expected(
 
 
 @helper
-def _common(
-    first: NDArray[np.float64], second: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _common(first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Return the ends of two walls (k, 2, 2) in the iterations in which both were seen."""
     n, at = 0, np.empty(len(first), dtype=np.int64)
     for k in range(len(first)):
@@ -126,9 +120,7 @@ def _common(
 
 
 @compiled
-def relative_deviations(
-    block: NDArray[np.float64], sd: NDArray[np.float64], wall: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def relative_deviations(block: Floats, sd: Floats, wall: int) -> tuple[Floats, Floats]:
     """Compare a wall with all others that it was seen with.
 
     Parameters

@@ -8,13 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import ordered
 from relmap.planes.matching_kernels import Seen, Tracks, half_turn
-
-Array = NDArray[np.float64]
 
 USUAL_RAD = np.deg2rad(60.0)
 """By how much a turn differs from the one before, about."""
@@ -35,7 +33,7 @@ AGREE_M = 0.15
 
 
 @helper
-def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tuple[Array, Array]:
+def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tuple[Floats, Floats]:
     """Return the turn of each track into each wall, and the length that tells it; (n, m) each."""
     angle, offset, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
@@ -53,7 +51,7 @@ def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tup
 
 
 @helper
-def _support(turn: Array, weight: Array, chosen: float) -> tuple[float, float]:
+def _support(turn: Floats, weight: Floats, chosen: float) -> tuple[float, float]:
     """Return how much of the walls' length is parallel after a turn, and by how much it is off.
 
     Each wall seen counts once, for the longest track that is parallel to it then.
@@ -74,7 +72,7 @@ def _support(turn: Array, weight: Array, chosen: float) -> tuple[float, float]:
 @helper
 def turns(
     tracks: Tracks, seen: Seen, before: float, reach_m: float, reach_rad: float, most: int
-) -> Array:
+) -> Floats:
     """Return the turns that bring most of the walls' length to be parallel, best first; (k,).
 
     The nearer a turn is to the one before, the more it counts.
@@ -104,7 +102,7 @@ def turns(
 
 
 @helper
-def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
+def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
     """Return what pairs of parallel walls say of the way: normal, distance and size; (k, 4)."""
     angle, _, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
@@ -132,7 +130,7 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
 
 
 @helper
-def _rows(of: Array, which: NDArray[np.int64], most: int) -> Array:
+def _rows(of: Floats, which: Ints, most: int) -> Floats:
     """Return the first rows of those chosen (k,)."""
     found = np.empty((min(len(which), most), of.shape[1]))
     for i in range(len(found)):
@@ -142,9 +140,7 @@ def _rows(of: Array, which: NDArray[np.int64], most: int) -> Array:
 
 
 @helper
-def _noted(
-    found: Array, count: int, x: float, y: float, reach_m: float, taken: NDArray[np.bool_]
-) -> int:
+def _noted(found: Floats, count: int, x: float, y: float, reach_m: float, taken: Bools) -> int:
     """Note a way that is within reach and not noted yet; return how many there are."""
     if not math.hypot(x, y) < reach_m or count == len(found):
         return count
@@ -158,12 +154,7 @@ def _noted(
 
 @helper
 def _corners(
-    tracks: Tracks,
-    seen: Seen,
-    yaw: float,
-    reach_m: float,
-    found: Array,
-    taken: NDArray[np.bool_],
+    tracks: Tracks, seen: Seen, yaw: float, reach_m: float, found: Floats, taken: Bools
 ) -> int:
     """Note the ways of one turn that bring a corner onto a corner; return how many there are."""
     angle, _, _, _, corner_at = tracks
@@ -183,7 +174,7 @@ def _corners(
 
 
 @helper
-def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Array:
+def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
     """Return the ways (k, 2) of one turn that corners, and walls that cross, imply.
 
     And to go at right angles to each wall.  Those that most of the walls agree with, by length,
@@ -220,7 +211,7 @@ def implied(
     reach_rad: float,
     n_turns: int,
     each: int,
-) -> Array:
+) -> Floats:
     """Return the motions (k, 3) that walls and corners of a scan imply: so many of each turn."""
     motions, count = np.empty((n_turns * each, 3)), 0
     for yaw in turns(tracks, seen, before, reach_m, reach_rad, n_turns):

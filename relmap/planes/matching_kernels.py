@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, solve, unset
 
-Array = NDArray[np.float64]
-Tracks = tuple[Array, Array, Array, Array, Array]
-Seen = tuple[Array, Array, Array, Array, Array, NDArray[np.bool_]]
+Tracks = tuple[Floats, Floats, Floats, Floats, Floats]
+Seen = tuple[Floats, Floats, Floats, Floats, Floats, Bools]
 
 SIGMAS = 4.0
 """Tolerance, in standard deviations of what two walls differ by."""
@@ -38,7 +37,7 @@ CORNER = 0.3
 
 
 @compiled
-def carried(tracks: Tracks, motion: Array) -> Tracks:
+def carried(tracks: Tracks, motion: Floats) -> Tracks:
     """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
     angle, offset, ends, sd, corner_at = tracks
     c, s, x, y = math.cos(motion[0]), math.sin(motion[0]), motion[1], motion[2]
@@ -63,7 +62,7 @@ def half_turn(angle: float) -> float:
 
 
 @helper
-def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
+def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
     """Return how well each track agrees with each wall, (n, m); 0 for not at all."""
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, normal, size, wall_sd, static = seen
@@ -105,8 +104,8 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Array:
 
 @helper
 def _cheapest_path(
-    worth: Array, start: int, column_of: NDArray[np.int64], price_column: Array, price_row: Array
-) -> tuple[int, NDArray[np.int64]]:
+    worth: Floats, start: int, column_of: Ints, price_column: Floats, price_row: Floats
+) -> tuple[int, Ints]:
     """Find the shortest path from a column to a free row, and make prices follow (Dijkstra).
 
     Returns that row, and for each row the one before it on its path.
@@ -138,7 +137,7 @@ def _cheapest_path(
 
 
 @helper
-def assigned(worth: Array) -> NDArray[np.int64]:
+def assigned(worth: Floats) -> Ints:
     """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
 
     -1 where a column gets none or one that is worth 0.  Shortest augmenting paths (Jonker and
@@ -160,7 +159,7 @@ def assigned(worth: Array) -> NDArray[np.int64]:
 
 
 @helper
-def _then(first: Array, second: Array) -> Array:
+def _then(first: Floats, second: Floats) -> Floats:
     """Return a motion followed by another."""
     c, s = math.cos(second[0]), math.sin(second[0])
     x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
@@ -171,7 +170,7 @@ def _then(first: Array, second: Array) -> Array:
 
 @helper
 def _pull(
-    A: Array, b: Array, nx: float, ny: float, x: float, y: float, off: float, w: float
+    A: Floats, b: Floats, nx: float, ny: float, x: float, y: float, off: float, w: float
 ) -> None:
     """Add to normal equations: a point (x, y) should move by `off` along (nx, ny)."""
     row = (ny * x - nx * y, nx, ny)
@@ -182,9 +181,7 @@ def _pull(
 
 
 @helper
-def correction(
-    tracks: Tracks, seen: Seen, track_of: NDArray[np.int64], held: float, least_m: float
-) -> Array:
+def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m: float) -> Floats:
     """Return the small motion that brings tracks onto the walls that they match (least squares).
 
     Both ends of a wall seen lie on the line of its track, and a corner seen again at its place
@@ -225,12 +222,12 @@ def correction(
 def settled(
     tracks: Tracks,
     seen: Seen,
-    guess: Array,
+    guess: Floats,
     roughly: float,
     rounds: int,
     held: float,
     least_m: float,
-) -> tuple[Array, NDArray[np.int64], float]:
+) -> tuple[Floats, Ints, float]:
     """Fit a motion to what agrees with it, in rounds, and see again what agrees.
 
     Returns the motion, the track of each wall (-1: none), and how well all agree.
@@ -255,7 +252,7 @@ def settled(
 
 
 @helper
-def _at_most(worth: Array) -> float:
+def _at_most(worth: Floats) -> float:
     """Return what the worth (n, m) of one row for each column sums up to at most."""
     total = 0.0
     for j in range(worth.shape[1]):
@@ -267,7 +264,7 @@ def _at_most(worth: Array) -> float:
 
 
 @helper
-def _entered(motion: Array, score: float, found: Array, best: Array) -> None:
+def _entered(motion: Floats, score: float, found: Floats, best: Floats) -> None:
     """Enter a motion among the best found so far."""
     at = len(best)
     while at > 0 and score > best[at - 1]:
@@ -281,7 +278,7 @@ def _entered(motion: Array, score: float, found: Array, best: Array) -> None:
 @compiled
 def guesses(
     tracks: Tracks, seen: Seen, roughly: float, reach_m: float, reach_rad: float, most: int
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Return the motions (most, 3) that bring a corner onto a corner and make most agree.
 
     With how well at most all agree then, best first; unused rows are 0.

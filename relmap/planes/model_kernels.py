@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled
 
 
 @compiled
 def corners_and_midpoints(
-    landmark: NDArray[np.int64],
-    corner: NDArray[np.int64],
-    ends: NDArray[np.float64],
-    half: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    landmark: Ints, corner: Ints, ends: Floats, half: Floats
+) -> tuple[Ints, Floats, Ints]:
     """Return the corners of walls, and the midpoints estimated from them (Fig. 4).
 
     Parameters

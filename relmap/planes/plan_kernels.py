@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @helper
@@ -41,8 +38,8 @@ def _vote(
 
 @helper
 def _cells(
-    beam: tuple[float, float, float, float], corner: Array, cell_m: float, shape: Index
-) -> Index:
+    beam: tuple[float, float, float, float], corner: Floats, cell_m: float, shape: Ints
+) -> Ints:
     """Return the cells of a grid that lie along a beam, a cell's size apart."""
     x, y, dx, dy = beam
     steps = int(np.hypot(dx, dy) / cell_m) + 1
@@ -58,12 +55,12 @@ def _cells(
 
 @compiled
 def beams_on_walls(
-    beams: tuple[Array, Array],
-    lines: tuple[Array, Array, Array, Array],
-    bins: tuple[Index, float],
-    grid: tuple[Array, float, Index, Index, Index],
+    beams: tuple[Floats, Floats],
+    lines: tuple[Floats, Floats, Floats, Floats],
+    bins: tuple[Ints, float],
+    grid: tuple[Floats, float, Ints, Ints, Ints],
     limits: tuple[float, float, float],
-) -> tuple[Index, Index, Array]:
+) -> tuple[Ints, Ints, Floats]:
     """Return how many beams end on each bin (b,) of the walls, and how many say that none is there.
 
     They go through it, or end a little before.  And how far each beam (n,) ends from the nearest

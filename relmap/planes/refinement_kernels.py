@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @compiled
 def linearised(
-    seen: tuple[Array, Index, Index, Index],
-    poses: tuple[Array, Array],
-    walls: tuple[Array, Array, Array, Array],
-) -> tuple[Array, Array, Array]:
+    seen: tuple[Floats, Ints, Ints, Ints],
+    poses: tuple[Floats, Floats],
+    walls: tuple[Floats, Floats, Floats, Floats],
+) -> tuple[Floats, Floats, Floats]:
     """Return how far points are from their lines, and corners along theirs.
 
     And the derivatives by the pose (r, 3), and by the wall's angle and its distance across, or the

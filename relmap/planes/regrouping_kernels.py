@@ -5,14 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Index = NDArray[np.int64]
-
-
-Lines = tuple[Array, Array, Array, Array, Bools]
+Lines = tuple[Floats, Floats, Floats, Floats, Bools]
 
 
 @helper
@@ -32,9 +28,9 @@ def _ends_from(lines: Lines, s: int, k: int) -> tuple[float, float, float]:
 def gathered(
     lines: Lines,
     together: tuple[NDArray[np.int32], NDArray[np.int32]],
-    order: Index,
+    order: Ints,
     limits: tuple[float, float, float, float],
-) -> Index:
+) -> Ints:
     """Return the wall that each (n,) is part of: itself, or the nearest of those before it.
 
     What takes in another is longer from then on: `reach` is changed.

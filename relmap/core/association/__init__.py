@@ -7,10 +7,4 @@ from relmap.core.association.constellation import Constellation
 from relmap.core.association.known import KnownAssociation
 from relmap.core.association.nearest_previous import NearestPrevious
 
-__all__ = [
-    "UNIDENTIFIED",
-    "Constellation",
-    "KnownAssociation",
-    "NearestPrevious",
-    "Registration",
-]
+__all__ = ["UNIDENTIFIED", "Constellation", "KnownAssociation", "NearestPrevious", "Registration"]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Bools, Floats, Ints
 
 UNIDENTIFIED = -1
 """In place of a landmark: the observation belongs to none that is known."""
@@ -18,15 +19,15 @@ _RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
 class Registration(Protocol):
     """How observations find their landmarks, which are numbered in the order of first sight."""
 
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def labels_of(self, landmarks: Ints) -> Ints:
         """Return what landmarks (n,) are called outside."""
         ...
 
-    def match(self, seen: Any, ids: NDArray[np.int64] | None, /) -> NDArray[np.int64]:
+    def match(self, seen: Any, ids: Ints | None, /) -> Ints:
         """Return whom each observation (n,) is of, or `UNIDENTIFIED`."""
         ...
 
-    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
         ...
 
@@ -42,7 +43,7 @@ class Numbered:
     def __init__(self) -> None:
         self.n_landmarks = 0
 
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def labels_of(self, landmarks: Ints) -> Ints:
         """Return landmarks (n,) as they are: they go by their number."""
         return landmarks
 
@@ -51,7 +52,7 @@ class Numbered:
         """No scan."""
         return []
 
-    def number_new(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def number_new(self, landmarks: Ints) -> Bools:
         """Give every `UNIDENTIFIED` entry (n,) a number of its own, in place; return which."""
         new = landmarks == UNIDENTIFIED
         n_new = int(new.sum())
@@ -60,15 +61,13 @@ class Numbered:
         return np.asarray(new)
 
 
-def middle(values: NDArray[np.float64]) -> float:
+def middle(values: Floats) -> float:
     """Return the upper median of values (n,): a fraction of the cost of `numpy.median`."""
     half = len(values) // 2
     return float(np.partition(values, half)[half])
 
 
-def nearest(
-    tree: cKDTree, points: NDArray[np.float64], rank: int = 1
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]:
     """Return distances and indices (n, rank) of the points' nearest in the tree, nearest first.
 
     Where the tree holds fewer, the distance is infinite and the index the tree's size.

@@ -7,19 +7,13 @@ The bound is a greedy colouring: a clique has one node of each colour at most (T
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
 
 @compiled
-def agreeing(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    a: NDArray[np.int64],
-    b: NDArray[np.int64],
-    tolerance_m: float,
-) -> NDArray[np.bool_]:
+def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: float) -> Bools:
     """Tell which pairs of matches agree: they are of different points as far apart on both sides.
 
     Parameters
@@ -50,7 +44,7 @@ def agreeing(
 
 
 @compiled
-def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int64]:
+def largest_clique(agree: Bools, most_steps: int) -> Ints:
     """Return the nodes of a largest clique, ascending; of the largest found where steps run out.
 
     Parameters
@@ -99,7 +93,7 @@ def largest_clique(agree: NDArray[np.bool_], most_steps: int) -> NDArray[np.int6
 
 
 @helper
-def _by_neighbours(agree: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _by_neighbours(agree: Bools) -> Ints:
     """Return the nodes, those with the most neighbours first; equals as they come."""
     n = len(agree)
     degree, order = np.zeros(n, np.int64), np.empty(n, np.int64)
@@ -115,7 +109,7 @@ def _by_neighbours(agree: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 @helper
-def _gather(marked: NDArray[np.bool_], nodes: NDArray[np.int64]) -> int:
+def _gather(marked: Bools, nodes: Ints) -> int:
     """Enter the nodes that are marked, ascending, and unmark them; return how many."""
     k = 0
     for i in range(len(marked)):
@@ -126,7 +120,7 @@ def _gather(marked: NDArray[np.bool_], nodes: NDArray[np.int64]) -> int:
 
 
 @helper
-def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _grown(neighbours: Bools) -> Ints:
     """Return a clique that takes in, in this order, every node that fits."""
     members = np.empty(len(neighbours), np.int64)
     k = 0
@@ -141,12 +135,7 @@ def _grown(neighbours: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 @helper
-def _colour(
-    neighbours: NDArray[np.bool_],
-    open_: NDArray[np.int64],
-    nodes: NDArray[np.int64],
-    colours: NDArray[np.int64],
-) -> None:
+def _colour(neighbours: Bools, open_: Ints, nodes: Ints, colours: Ints) -> None:
     """Colour the open nodes so that no two neighbours share one.
 
     Nodes and colours, from 1 on, are written in ascending order of the colour.

@@ -9,8 +9,8 @@ is forgotten afterwards: neither a pose nor a motion enters the map.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered
 from relmap.core.association.guiding import OdometryGuide
 from relmap.core.association.placement import Placement
@@ -59,9 +59,7 @@ class Constellation(Numbered):
         self._tracks_since = self._stray_since = None
         self.guide = OdometryGuide()
 
-    def match(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
-    ) -> NDArray[np.int64]:
+    def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the live tracks; the rest are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
         continued = None
@@ -81,7 +79,7 @@ class Constellation(Numbered):
         self._n_scans += 1
         return landmarks
 
-    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
         self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
         self._tracks_since, self._idle = None, 0
@@ -103,14 +101,9 @@ class Constellation(Numbered):
         waits = self._tracks_since if self._stray is None else None
         return [scan for scan in self._alone if scan != waits]
 
-    def _continue(
-        self, points_robot: NDArray[np.float64], landmarks: NDArray[np.int64]
-    ) -> LiveTracks | None:
+    def _continue(self, points_robot: Floats, landmarks: Ints) -> LiveTracks | None:
         """Enter the landmark of each point that continues a track; return the tracks, carried."""
-        for tracks, since in (
-            (self._tracks, self._tracks_since),
-            (self._stray, self._stray_since),
-        ):
+        for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:
                 continue
             placing = TrackPlacing(self._scale, self._idle)
@@ -137,7 +130,7 @@ class Constellation(Numbered):
                 return carried.kept(carried.missed <= self._max_missed)
         return None
 
-    def _guided(self, tracks: LiveTracks, points_robot: NDArray[np.float64]) -> Placement:
+    def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
         """Return where odometry has the tracks, corrected by the few that are in view."""
         if not len(points_robot):
             return self.guide.predicted(tracks.expected.shape[1])
@@ -165,9 +158,7 @@ class Constellation(Numbered):
             self._stray, self._idle = None, 0
             self._scale.allow_noise()
 
-    def _links(
-        self, carried: LiveTracks, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    def _links(self, carried: LiveTracks, points: Floats) -> tuple[Ints, Ints, Bools]:
         """Link tracks, carried along, to what is found where they are expected.
 
         Returns
@@ -190,12 +181,8 @@ class Constellation(Numbered):
         return rows, np.concatenate([target[linked], found]), strayed
 
     def _follow(
-        self,
-        carried: LiveTracks,
-        free: NDArray[np.int64],
-        points: NDArray[np.float64],
-        taken: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        self, carried: LiveTracks, free: Ints, points: Floats, taken: Bools
+    ) -> tuple[Ints, Ints]:
         """Follow tracks that are not where they would be at rest, from where they were last.
 
         One that was seen moving, or is too young to tell, may go far; one that was at rest so far

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.placement import DISTINCT, consistent_placements
 from relmap.core.association.search import log_chance
 
@@ -40,22 +40,22 @@ class Evidence:
         Iterations averaged into the position of each landmark, and when it was seen last.
     """
 
-    first: NDArray[np.int64]
+    first: Ints
     share: float
     reach_m: float
-    weight: NDArray[np.float64]
-    last: NDArray[np.int64]
+    weight: Floats
+    last: Ints
 
-    def sharpness(self, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
+    def sharpness(self, pairs: Ints) -> Floats:
         """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
         variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
         return np.asarray(np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0))
 
-    def tied(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def tied(self, pairs: Ints) -> Bools:
         """Tell which pairs (k, 2) others in view tie to when the older landmark was seen."""
         return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
 
-    def is_unlike_chance(self, pairs: NDArray[np.int64], log_placements: float = 0.0) -> bool:
+    def is_unlike_chance(self, pairs: Ints, log_placements: float = 0.0) -> bool:
         """Tell whether so many pairs (k, 2) of one placement out of some are not by chance."""
         later = len(self.first) - np.searchsorted(self.first, self.last[pairs[:, 1]].min(), "right")
         n = max(int(later), len(pairs))
@@ -63,11 +63,8 @@ class Evidence:
 
 
 def chosen(
-    position: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    tolerance_m: float,
-    evidence: Evidence | None = None,
-) -> NDArray[np.int64]:
+    position: Floats, pairs: Ints, tolerance_m: float, evidence: Evidence | None = None
+) -> Ints:
     """Return which of the pairs (k, 2) of landmarks are one, by where they are mapped.
 
     Those that lie on one another; where none do, those of the largest set that one rigid motion
@@ -109,7 +106,7 @@ def chosen(
     return pairs
 
 
-def _unique_nearest(pairs: NDArray[np.int64], distance: NDArray[np.float64]) -> NDArray[np.int64]:
+def _unique_nearest(pairs: Ints, distance: Floats) -> Ints:
     """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
     unique: list[tuple[int, int]] = []
     taken: set[int] = set()

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED
 from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
@@ -41,16 +41,14 @@ class KnownAssociation:
         for number, label in enumerate(self._labels.values.tolist()):
             self._parts[label % PARTS][label] = number
 
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def labels_of(self, landmarks: Ints) -> Ints:
         """Return the ids of landmarks (n,)."""
         return self._labels.values[landmarks]
 
-    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Do nothing: the ids tell."""
 
-    def match(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
-    ) -> NDArray[np.int64]:
+    def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).
 
         Negative ids are of none, and so is what cannot be right.
@@ -68,9 +66,7 @@ class KnownAssociation:
             self._labels.extend(known[new])
         return landmarks
 
-    def _believed(
-        self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _believed(self, ids: Ints, points_robot: Floats) -> Ints:
         """Return the ids (n,), others or `UNIDENTIFIED` where an observation cannot be of its own.
 
         Note which these are.

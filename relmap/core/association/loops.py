@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
 from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
@@ -35,7 +35,7 @@ class Loop:
         Where what the later visit saw should lie, from where it lies on the map.
     """
 
-    pairs: NDArray[np.int64]
+    pairs: Ints
     placement: Placement
 
 
@@ -68,7 +68,7 @@ class LoopFinder:
                     return loop
         return None
 
-    def _loop(self, finder: PlaceFinder, own: NDArray[np.int64], seed: int) -> Loop | None:
+    def _loop(self, finder: PlaceFinder, own: Ints, seed: int) -> Loop | None:
         """Return the loop that the neighbourhood of a landmark closes, if it does."""
         table = self._table
         together = own[
@@ -106,7 +106,7 @@ class LoopFinder:
         sure = finder.by_chance(len(points), len(pairs), rival, trials) <= BY_CHANCE
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
 
-    def _drift_m(self, around: NDArray[np.int64], together: NDArray[np.int64], begin: int) -> float:
+    def _drift_m(self, around: Ints, together: Ints, begin: int) -> float:
         """Return how far the map may have drifted between an iteration and landmarks seen later.
 
         A random walk of the direction: each time that all in view is replaced it is known by so

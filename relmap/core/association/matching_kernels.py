@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
 
 
 @compiled
-def claims(wanted: NDArray[np.int64], distance: NDArray[np.float64], n: int) -> NDArray[np.bool_]:
+def claims(wanted: Ints, distance: Floats, n: int) -> Bools:
     """Of rows that want the same one of n targets, tell the nearest; the first of equals.
 
     Rows at infinite distance want nothing.
@@ -35,9 +35,7 @@ def _bucket(x: int, y: int, z: int, n_buckets: int) -> int:
 
 
 @helper
-def buckets(
-    points: NDArray[np.float64], cell: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def buckets(points: Floats, cell: float) -> tuple[Ints, Ints]:
     """Put points (n, d) into the buckets of a hashed grid of cells.
 
     Returns the first point of each bucket, and of each point the next in its bucket; -1 ends.
@@ -57,9 +55,7 @@ def buckets(
 
 
 @compiled
-def nearest_within(
-    points: NDArray[np.float64], queries: NDArray[np.float64], reach: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def nearest_within(points: Floats, queries: Floats, reach: float) -> tuple[Floats, Ints]:
     """Return distance and index (k,) of the point (n, d) nearest to each query (k, d).
 
     Only points within reach count; where there is none, the distance is infinite and the index n.
@@ -90,9 +86,7 @@ def nearest_within(
 
 
 @compiled
-def two_nearest(
-    points: NDArray[np.float64], queries: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def two_nearest(points: Floats, queries: Floats) -> tuple[Floats, Ints]:
     """Return the distances (k, 2) of the two points (n, d) nearest to each query, and the nearest.
 
     For a few queries this is quicker than to build a tree.  Infinite where there are not as many.
@@ -115,12 +109,12 @@ def two_nearest(
 
 @compiled
 def see_tracks(
-    expected: NDArray[np.float64],
-    latest: NDArray[np.float64],
-    counts: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]],
-    rows: NDArray[np.int64],
-    points: NDArray[np.float64],
-    strayed: NDArray[np.bool_],
+    expected: Floats,
+    latest: Floats,
+    counts: tuple[Ints, Ints, Ints],
+    rows: Ints,
+    points: Floats,
+    strayed: Bools,
     memory: int,
     careful: int,
 ) -> None:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Bools, Ints
 from relmap.core.association.evidence import Evidence, chosen
 from relmap.core.association.scale import spacing_of
 from relmap.core.association.sightings import Sightings
@@ -73,7 +73,7 @@ class Merger:
         """Return an index to be restored."""
         return SpatialIndex(self._table, 1.0)
 
-    def leave(self, landmarks: NDArray[np.int64]) -> None:
+    def leave(self, landmarks: Ints) -> None:
         """Note that landmarks have left the view: from now on they may be seen again."""
         landmarks = landmarks[self._model.is_compared(landmarks)]
         for landmark in landmarks.tolist():
@@ -84,7 +84,7 @@ class Merger:
         """Enter all landmarks anew, as the map has moved; `go_on` does it little by little."""
         self._entered = 0
 
-    def doubles(self) -> NDArray[np.int64]:
+    def doubles(self) -> Ints:
         """Return the landmarks (k,) that lie near older ones that they may be, to be merged next.
 
         Wherever they are now, as the map has moved or a submap has joined another, and however
@@ -112,14 +112,12 @@ class Merger:
             self._enter(landmarks[self._index.holds(landmarks)])
             self._entered = end
 
-    def _enter(self, landmarks: NDArray[np.int64]) -> None:
+    def _enter(self, landmarks: Ints) -> None:
         mapped = landmarks[self._table.weight[landmarks] > 0]
         if self._index is not None and len(mapped):
             self._index.add(mapped, self._table.position[mapped])
 
-    def find(
-        self, landmarks: NDArray[np.int64], levels: NDArray[np.int64], noise_m: float
-    ) -> NDArray[np.int64]:
+    def find(self, landmarks: Ints, levels: Ints, noise_m: float) -> Ints:
         """Return pairs (k, 2) of landmarks: a new one, and the old one that it is.
 
         Parameters
@@ -154,7 +152,7 @@ class Merger:
         evidence = self._evidence(landmarks, tolerance_m)
         return chosen(self._table.position, np.array(pairs), tolerance_m, evidence)
 
-    def _evidence(self, landmarks: NDArray[np.int64], tolerance_m: float) -> Evidence | None:
+    def _evidence(self, landmarks: Ints, tolerance_m: float) -> Evidence | None:
         """Return what merges of some of the landmarks (n,), seen together, are judged by."""
         if self._index is None or self._model.drift_m is not None:
             return None
@@ -163,7 +161,7 @@ class Merger:
         share = min(np.log(2) * (REACH * tolerance_m / reach_m) ** d, 0.5)
         return Evidence(first, share, reach_m, self._table.weight, self._table.last)
 
-    def visits(self, doubles: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    def visits(self, doubles: Ints) -> Iterator[Ints]:
         """Yield landmarks (k,) near one another that were seen together; each double has a turn."""
         table, had = self._table, np.zeros(len(self._table), dtype=bool)
         for seed in doubles.tolist():
@@ -192,7 +190,7 @@ class Merger:
             self._apart.setdefault(one, []).append(other)
             self._apart.setdefault(other, []).append(one)
 
-    def allowed(self, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def allowed(self, pairs: Ints) -> Bools:
         """Tell which pairs (k, 2) of landmarks were not found to be two; (k,)."""
         return np.array([not self._are_apart(*pair) for pair in pairs.tolist()], dtype=bool)
 
@@ -203,7 +201,7 @@ class Merger:
             of[track] == other and tracks.count(track) > 1 for tracks in noted for track in tracks
         )
 
-    def _begun(self, landmarks: NDArray[np.int64]) -> SpatialIndex | None:
+    def _begun(self, landmarks: Ints) -> SpatialIndex | None:
         reach_m = self._model.drift_m
         if reach_m is None:
             reach_m = REACH * spacing_of(self._table.position[landmarks])
@@ -233,9 +231,7 @@ class Merger:
         return bool(later and not self._are_apart(new, old) and self._model.may_be(table, new, old))
 
 
-def merge_doubles(
-    table: LandmarkState, merger: Merger, merge: Callable[[NDArray[np.int64]], int]
-) -> bool:
+def merge_doubles(table: LandmarkState, merger: Merger, merge: Callable[[Ints], int]) -> bool:
     """Merge landmarks that are the same by where they lie now; tell whether there were any.
 
     Parameters

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered, nearest
 
 
@@ -26,16 +26,14 @@ class NearestPrevious(Numbered):
     def __init__(self, gate_m: float | None) -> None:
         super().__init__()
         self._gate_m = gate_m
-        self._previous: NDArray[np.float64] = np.empty((0, 0))
+        self._previous: Floats = np.empty((0, 0))
         self._landmarks = np.empty(0, dtype=np.int64)
 
-    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
         self._landmarks, self._previous = landmarks, points_robot
 
-    def match(
-        self, points_robot: NDArray[np.float64], ids: NDArray[np.int64] | None
-    ) -> NDArray[np.int64]:
+    def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the previous iteration's; the rest are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
         if len(self._previous) and len(points_robot):
@@ -45,9 +43,7 @@ class NearestPrevious(Numbered):
         self._landmarks, self._previous = landmarks, points_robot
         return landmarks
 
-    def _mutual_pairs(
-        self, points_robot: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _mutual_pairs(self, points_robot: Floats) -> tuple[Ints, Ints]:
         previous = cKDTree(self._previous)
         distances, places = nearest(previous, points_robot)
         distance, there = distances[:, 0], places[:, 0]

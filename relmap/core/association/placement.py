@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats, Ints
 
 DISTINCT = 0.8
 """Share of the matches of the best placement that a rival may have."""
@@ -32,18 +33,16 @@ class Placement:
         Matches that it brings together.
     """
 
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
+    R: Floats
+    t: Floats
     n_agreeing: int
 
-    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, points: Floats) -> Floats:
         """Bring points (n, d) into the other frame."""
         return points @ self.R.T + self.t
 
 
-def trimmed_fit(
-    source: NDArray[np.float64], target: NDArray[np.float64], tolerance_m: float
-) -> Placement | None:
+def trimmed_fit(source: Floats, target: Floats, tolerance_m: float) -> Placement | None:
     """Fit matches that are mostly right, leaving out those that disagree.
 
     Least squares over all, then over those nearer than one and a half times the median error, and
@@ -65,12 +64,7 @@ def trimmed_fit(
     return Placement(R, t, n_agreeing) if n_agreeing >= 0 else None
 
 
-def consistent_set(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    tolerance_m: float,
-) -> NDArray[np.int64]:
+def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: float) -> Ints:
     """Return the largest set of candidate matches whose mutual distances agree.
 
     It is a largest clique of the graph of the candidates, in which two are neighbours where they
@@ -97,12 +91,8 @@ def consistent_set(
 
 
 def consistent_placements(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    pairs: NDArray[np.int64],
-    tolerance_m: float,
-    fit_m: float,
-) -> Iterator[tuple[Placement, NDArray[np.int64]]]:
+    source: Floats, target: Floats, pairs: Ints, tolerance_m: float, fit_m: float
+) -> Iterator[tuple[Placement, Ints]]:
     """Yield the placement of the largest consistent set of candidates, and then its rivals.
 
     Each rival is that of the largest set of the candidates that no placement before explains.

@@ -10,11 +10,11 @@ corners: of 15 scans of 20 to 60 landmarks in maps of 1000, that found as many i
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import betaincinv
 from scipy.stats import binom
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
 from relmap.core.geometry.alignment import fit_rigid_each
@@ -52,9 +52,9 @@ class PlaceFinder:
         Standard deviation of an observed coordinate.
     """
 
-    def __init__(self, positions: NDArray[np.float64], noise_m: float) -> None:
+    def __init__(self, positions: Floats, noise_m: float) -> None:
         self._positions = positions
-        self._among: NDArray[np.bool_] | None = None
+        self._among: Bools | None = None
         self._corners, sides = _triangles(positions)
         self._sides = cKDTree(sides) if len(sides) else None
         if self._sides is not None:
@@ -63,7 +63,7 @@ class PlaceFinder:
             least, most = EXACT * self._apart_m, COARSE * self._apart_m
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
 
-    def find(self, points: NDArray[np.float64]) -> Placement | None:
+    def find(self, points: Floats) -> Placement | None:
         """Return the placement of a scan's frame in the map's; None where it is not clear.
 
         Parameters
@@ -73,9 +73,7 @@ class PlaceFinder:
         places = self.places(points)
         return places[0] if places and is_clear(points, places) else None
 
-    def places(
-        self, points: NDArray[np.float64], among: NDArray[np.bool_] | None = None
-    ) -> list[Placement]:
+    def places(self, points: Floats, among: Bools | None = None) -> list[Placement]:
         """Return where points (n, d) may lie, the best place first, if enough of them agree there.
 
         The others are its rivals.  Where it is given, only some landmarks (m,) of the map count.
@@ -96,17 +94,13 @@ class PlaceFinder:
         found.sort(key=lambda placement: -placement.n_agreeing)
         return found if found and found[0].n_agreeing >= needed else []
 
-    def landmarks_at(
-        self, points: NDArray[np.float64], among: NDArray[np.bool_] | None = None
-    ) -> NDArray[np.int64]:
+    def landmarks_at(self, points: Floats, among: Bools | None = None) -> Ints:
         """Return the rows of the map that lie at points (n, d), map frame; -1 where none does."""
         self._among = among
         distance, landmark = self._nearest(points)
         return np.where(distance <= self._tolerance_m, landmark, -1)
 
-    def _nearest(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _nearest(self, points: Floats) -> tuple[Floats, Ints]:
         """Return distance and row of the landmark nearest to each point (n, d) that counts."""
         distance, landmark = nearest(self._tree, points, 1 if self._among is None else 3)
         if self._among is None:
@@ -135,7 +129,7 @@ class PlaceFinder:
             share = max(share, float(betaincinv(elsewhere - 3, n - elsewhere + 1, 1 / trials)))
         return trials * float(binom.sf(n_agreeing - 4, n - 3, share))
 
-    def _hypotheses(self, points: NDArray[np.float64], needed: float) -> list[Placement]:
+    def _hypotheses(self, points: Floats, needed: float) -> list[Placement]:
         """Return where triangles found in the map put the scan, the likeliest first.
 
         Of these the ones that bring enough of it near mapped landmarks.
@@ -161,7 +155,7 @@ class PlaceFinder:
         enough = np.sum(apart <= REACH * self._tolerance_m, axis=1) >= needed
         return [Placement(R[k], t[k], 3) for k in likely[enough]]
 
-    def _settled(self, points: NDArray[np.float64], placement: Placement) -> Placement | None:
+    def _settled(self, points: Floats, placement: Placement) -> Placement | None:
         """Fit a placement to all that it brings onto mapped landmarks."""
         reach_m = REACH * self._tolerance_m
         for _ in range(3):
@@ -175,13 +169,13 @@ class PlaceFinder:
             placement, reach_m = fitted, max(reach_m / 2, self._tolerance_m)
         return placement
 
-    def _is_near(self, points: NDArray[np.float64], one: Placement, other: Placement) -> bool:
+    def _is_near(self, points: Floats, one: Placement, other: Placement) -> bool:
         """Tell whether two placements are the same but for what settling changes."""
         off = np.abs(one.apply(points) - other.apply(points))
         return bool(off.max() <= REACH * self._tolerance_m)
 
 
-def is_clear(points: NDArray[np.float64], places: list[Placement]) -> bool:
+def is_clear(points: Floats, places: list[Placement]) -> bool:
     """Tell whether the first of some placements of points (n, d) fits far better than others.
 
     Than those that put them elsewhere, that is.
@@ -189,7 +183,7 @@ def is_clear(points: NDArray[np.float64], places: list[Placement]) -> bool:
     return found_elsewhere(points, places) < DISTINCT * places[0].n_agreeing
 
 
-def found_elsewhere(points: NDArray[np.float64], places: list[Placement]) -> int:
+def found_elsewhere(points: Floats, places: list[Placement]) -> int:
     """Return how many of points (n, d) the next best place brings onto landmarks, elsewhere."""
     there, extent_m = places[0].apply(points), float(np.ptp(points, axis=0).max())
     rivals = [
@@ -200,9 +194,7 @@ def found_elsewhere(points: NDArray[np.float64], places: list[Placement]) -> int
     return max(rivals, default=0)
 
 
-def _triangles(
-    positions: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _triangles(positions: Floats) -> tuple[Ints, Floats]:
     """Return triangles of neighbours as corners (k, 3), and their sides (k, 3), in metres.
 
     Sides are in ascending order, and each corner stands at the place of the side opposite.

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle
 from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import SIGMAS, WIDER, Scale
@@ -60,19 +60,17 @@ class TrackPlacing:
     scale: Scale
     idle: int
 
-    def placement(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
+    def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None where none is sure."""
         found = self._found(tracks, points)
         return self._found_of_unknown_noise(tracks, points) if found is None else found
 
-    def is_unique(
-        self, placement: Placement, tracks: LiveTracks, points: NDArray[np.float64]
-    ) -> bool:
+    def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
         """Tell whether chance brings tracks onto points (n, d) so well in no placement at all."""
         chance = self._log_chance(placement.n_agreeing, tracks.expected, points)
         return bool(chance <= LOG_CHANCE)
 
-    def _found(self, tracks: LiveTracks, points: NDArray[np.float64]) -> Placement | None:
+    def _found(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Find the placement of the tracks' frame in the scan's on which most matches agree."""
         from relmap.core.association.matching_kernels import claims, two_nearest
 
@@ -110,11 +108,7 @@ class TrackPlacing:
         return near
 
     def _is_unlike_chance(
-        self,
-        placement: Placement,
-        here: NDArray[np.float64],
-        there: NDArray[np.float64],
-        missed: int,
+        self, placement: Placement, here: Floats, there: Floats, missed: int
     ) -> bool:
         """Tell whether a placement brings tracks (n, d) onto points (m, d) not just by chance.
 
@@ -131,11 +125,7 @@ class TrackPlacing:
         return self._log_chance(placement.n_agreeing, here, there) <= LOG_CHANCE
 
     def _log_chance(
-        self,
-        n_agreeing: int,
-        here: NDArray[np.float64],
-        there: NDArray[np.float64],
-        moved_m: float | None = None,
+        self, n_agreeing: int, here: Floats, there: Floats, moved_m: float | None = None
     ) -> float:
         """Return the log of how many placements bring so many tracks onto points by chance.
 
@@ -149,16 +139,12 @@ class TrackPlacing:
         share = min(np.log(2) * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
         return chance_of(max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements)
 
-    def _is_familiar_pair(
-        self, tracks: LiveTracks, rows: NDArray[np.int64], distance: NDArray[np.float64]
-    ) -> bool:
+    def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
         """Tell whether two matches in the plane will do: well known, just seen, hardly moved."""
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
         return bool(known and distance.max() <= NEARBY * self.scale.spacing_m)
 
-    def _found_of_unknown_noise(
-        self, tracks: LiveTracks, points: NDArray[np.float64]
-    ) -> Placement | None:
+    def _found_of_unknown_noise(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
         scale, possible = self.scale, min(int(np.sum(tracks.missed == 0)), len(points))
         learnt, scale.noise_m = scale.noise_m, None
@@ -170,9 +156,7 @@ class TrackPlacing:
         scale.noise_m, scale.wider = learnt, 1.0
         return None
 
-    def _search(
-        self, tracks: LiveTracks, points: NDArray[np.float64]
-    ) -> tuple[Placement | None, int]:
+    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int]:
         """Look for the tracks in the scan however the robot moved and turned.
 
         Of many, for those near the robot.  The placement is None where it is not sure; beside it

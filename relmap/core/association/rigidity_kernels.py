@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 
 
 @compiled
-def extent_of(points: NDArray[np.float64]) -> float:
+def extent_of(points: Floats) -> float:
     """Return the longest side of the box around points (n, d)."""
     longest = 0.0
     for a in range(points.shape[1]):
@@ -23,9 +23,7 @@ def extent_of(points: NDArray[np.float64]) -> float:
 
 
 @helper
-def _in_both(
-    ids: NDArray[np.int64], scan_ids: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _in_both(ids: Ints, scan_ids: Ints) -> tuple[Ints, Ints]:
     """Return where the ids that are in both of two lists, which ascend, stand in each."""
     n, m = len(ids), len(scan_ids)
     rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
@@ -43,20 +41,8 @@ def _in_both(
 
 @compiled
 def lay_on(
-    ids: NDArray[np.int64],
-    points: NDArray[np.float64],
-    scan_ids: NDArray[np.int64],
-    scan_points: NDArray[np.float64],
-    limits: tuple[float, int, int],
-) -> tuple[
-    NDArray[np.int64],
-    NDArray[np.int64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    float,
-    float,
-]:
+    ids: Ints, points: Floats, scan_ids: Ints, scan_points: Floats, limits: tuple[float, int, int]
+) -> tuple[Ints, Ints, Floats, Floats, Floats, float, float]:
     """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
 
     The limits are the tolerance, the most pairs to fit and the fewest.  Returns the rows of both,
@@ -93,13 +79,13 @@ def lay_on(
 
 @compiled
 def carry(
-    last: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]],
-    scan_ids: NDArray[np.int64],
-    scan_points: NDArray[np.float64],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
+    last: tuple[Ints, Floats, Ints, Ints],
+    scan_ids: Ints,
+    scan_points: Floats,
+    R: Floats,
+    t: Floats,
     longest: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Ints, Floats, Ints, Ints]:
     """Return the landmarks of a scan, and those not in it carried along into its frame.
 
     `last` are ids, points, scans missed and how often each was seen.  Both ids ascend, and so do

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats
 from relmap.core.association.base import middle, nearest
 
 COARSE = 0.1
@@ -76,7 +76,7 @@ class Scale:
         if self.noise_m is not None:
             self.noise_m = max(self.noise_m, FAINT * self.spacing_m)
 
-    def learn(self, expected: NDArray[np.float64], found: NDArray[np.float64]) -> None:
+    def learn(self, expected: Floats, found: Floats) -> None:
         """Learn the noise of a coordinate's difference from links of landmarks at rest."""
         n, d = expected.shape
         if n <= FEW:
@@ -89,7 +89,7 @@ class Scale:
             self.noise_m = float(np.sqrt(self.noise_m**2 + SLOWNESS * (variance - self.noise_m**2)))
 
 
-def spacing_of(points: NDArray[np.float64]) -> float:
+def spacing_of(points: Floats) -> float:
     """Return the median distance of points (n, d) to their nearest neighbours, metres."""
     if len(points) < 2:
         return np.inf

@@ -11,8 +11,8 @@ import math
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement, trimmed_fit
 
 TRIANGLES = 120
@@ -41,10 +41,7 @@ def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> 
 
 
 def search(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    tolerance_m: float,
-    fewest: int,
+    source: Floats, target: Floats, tolerance_m: float, fewest: int
 ) -> tuple[Placement, int] | None:
     """Return the placement on which most points agree, and on how many the best rival rests.
 
@@ -92,10 +89,7 @@ def search(
 
 
 def settled(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    placement: Placement,
-    tolerance_m: float,
+    source: Floats, target: Floats, placement: Placement, tolerance_m: float
 ) -> Placement | None:
     """Fit a placement of points (n, d) to all that it brings onto others (m, d).
 
@@ -117,12 +111,7 @@ def settled(
     return placement
 
 
-def _matches(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    placement: Placement,
-    tolerance_m: float,
-) -> NDArray[np.int64]:
+def _matches(source: Floats, target: Floats, placement: Placement, tolerance_m: float) -> Ints:
     """Return the target of each source point (n,), -1 where it comes to lie on none."""
     from relmap.core.association.search_kernels import matched_at
 
@@ -131,7 +120,7 @@ def _matches(
     return match
 
 
-def _triangles(points: NDArray[np.float64], least_m: float) -> NDArray[np.int64]:
+def _triangles(points: Floats, least_m: float) -> Ints:
     """Return triangles (k, 3) of points (n, d) whose sides, in space whose heights, are long."""
     n, d = points.shape
     rng = np.random.default_rng(n)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import fit_rows
 from relmap.core.linalg.compiling import compiled
 from relmap.core.linalg.small_kernels import identity
 
 
 @compiled
-def distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def distances(points: Floats) -> Floats:
     """Return the mutual distances (n, n) of points (n, d)."""
     n, d = points.shape
     found = np.zeros((n, n))
@@ -27,12 +27,7 @@ def distances(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @compiled
 def matched_at(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    tolerance_m: float,
-    match: NDArray[np.int64],
+    source: Floats, target: Floats, R: Floats, t: Floats, tolerance_m: float, match: Ints
 ) -> int:
     """Enter the target point (m, d) that each source point (n, d) comes to lie on, or -1.
 
@@ -67,13 +62,8 @@ def matched_at(
 
 @compiled
 def placements_by_triangles(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    triangles: NDArray[np.int64],
-    tolerance_m: float,
-    fewest: int,
-    most: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    source: Floats, target: Floats, triangles: Ints, tolerance_m: float, fewest: int, most: int
+) -> tuple[Floats, Floats, Ints]:
     """Return placements that triangles of source points found among the target points.
 
     Parameters
@@ -125,9 +115,7 @@ def placements_by_triangles(
 
 
 @compiled
-def _enter(
-    points: NDArray[np.float64], i: int, j: int, k: int, corners: NDArray[np.float64]
-) -> None:
+def _enter(points: Floats, i: int, j: int, k: int, corners: Floats) -> None:
     """Enter three of points (n, d) as corners (3, d)."""
     for a in range(points.shape[1]):
         corners[0, a], corners[1, a], corners[2, a] = points[i, a], points[j, a], points[k, a]

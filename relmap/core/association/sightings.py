@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import LandmarkState
 
@@ -33,7 +33,7 @@ class Sightings:
         _, a, b = np.intersect1d(self._segment[here], self._segment[there], return_indices=True)
         return bool((self._visible[here[a]] & self._visible[there[b]]).any())
 
-    def _rows(self, landmark: int) -> NDArray[np.int64]:
+    def _rows(self, landmark: int) -> Ints:
         numbers = self._table.members(landmark)
         return np.concatenate([np.arange(*self._begin[[k, k + 1]]) for k in numbers])
 

@@ -9,15 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relmap.core.association.recognition import (
-    ENOUGH,
-    HITS,
-    MORE,
-    PlaceFinder,
-    found_elsewhere,
-)
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.association.recognition import ENOUGH, HITS, MORE, PlaceFinder, found_elsewhere
 from relmap.core.association.tying import BY_CHANCE, CLEAR
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
@@ -26,9 +20,7 @@ NEARBY = 100
 """Iterations before and after a stray scan within which what it shows was seen."""
 
 
-def find_strays(
-    table: LandmarkState, rows: SegmentRows, noise_m: float
-) -> Iterator[NDArray[np.int64]]:
+def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iterator[Ints]:
     """Yield pairs (k, 2) of tracks that are not mapped, and mapped landmarks that they are.
 
     Parameters
@@ -60,9 +52,7 @@ def find_strays(
                 yield pairs[np.unique(pairs[:, 1], return_index=True)[1]]
 
 
-def _found(
-    finder: PlaceFinder, points: NDArray[np.float64], among: NDArray[np.bool_], trials: int
-) -> NDArray[np.int64]:
+def _found(finder: PlaceFinder, points: Floats, among: Bools, trials: int) -> Ints:
     """Return the rows of the map on which points (n, d) lie; -1 where none surely does."""
     places = finder.places(points, among) if among.sum() >= ENOUGH else []
     if not places:

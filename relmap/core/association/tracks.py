@@ -8,6 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
+
 MEMORY = 8
 """Observations that the expected place of a track averages, about."""
 CAREFUL = 5
@@ -26,7 +28,7 @@ class Tracks:
         """Return the number of tracks."""
         return len(next(iter(vars(self).values())))
 
-    def kept(self, rows: NDArray[np.bool_]) -> Self:
+    def kept(self, rows: Bools) -> Self:
         """Return some of the tracks."""
         if rows.all():
             return self
@@ -59,28 +61,26 @@ class LiveTracks(Tracks):
         Above 0 where the track was seen moving against the others not long ago.
     """
 
-    landmarks: NDArray[np.int64]
-    expected: NDArray[np.float64]
-    latest: NDArray[np.float64]
-    missed: NDArray[np.int64]
-    seen: NDArray[np.int64]
-    restless: NDArray[np.int64]
+    landmarks: Ints
+    expected: Floats
+    latest: Floats
+    missed: Ints
+    seen: Ints
+    restless: Ints
 
     @classmethod
-    def begun(cls, landmarks: NDArray[np.int64], points: NDArray[np.float64]) -> LiveTracks:
+    def begun(cls, landmarks: Ints, points: Floats) -> LiveTracks:
         """Return tracks seen for the first time."""
         zeros = np.zeros(len(landmarks), dtype=np.int64)
         return cls(landmarks, points, points.copy(), zeros, zeros + 1, zeros.copy())
 
-    def see(
-        self, rows: NDArray[np.int64], points: NDArray[np.float64], strayed: NDArray[np.bool_]
-    ) -> None:
+    def see(self, rows: Ints, points: Floats, strayed: Bools) -> None:
         """Note in place where some tracks were found, which strayed, and who was missed."""
         from relmap.core.association.matching_kernels import see_tracks
 
         counts = (self.missed, self.seen, self.restless)
         see_tracks(self.expected, self.latest, counts, rows, points, strayed, MEMORY, CAREFUL)
 
-    def carried(self, expected: NDArray[np.float64], latest: NDArray[np.float64]) -> LiveTracks:
+    def carried(self, expected: Floats, latest: Floats) -> LiveTracks:
         """Return the tracks with their places in the next iteration."""
         return LiveTracks(self.landmarks, expected, latest, self.missed, self.seen, self.restless)

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import ENOUGH, HITS, PlaceFinder, found_elsewhere
@@ -34,7 +34,7 @@ APART = 4.0
 """How far apart submaps are laid out, in sizes of the largest."""
 
 
-def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[NDArray[np.int64]]:
+def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
     """Join submaps that show the same place.
 
     Parameters
@@ -89,12 +89,7 @@ def _found_elsewhere(
     return None
 
 
-def _leads_back(
-    back: PlaceFinder,
-    hit: NDArray[np.float64],
-    placement: Placement,
-    points: NDArray[np.float64],
-) -> bool:
+def _leads_back(back: PlaceFinder, hit: Floats, placement: Placement, points: Floats) -> bool:
     """Tell whether what was hit (k, d) is found where the points (n, d) are, and only there."""
     returned = back.find(hit)
     if returned is None:
@@ -103,9 +98,7 @@ def _leads_back(
     return bool(off_m <= SAME * np.ptp(points, axis=0).max())
 
 
-def _laid_out(
-    table: LandmarkState, landmarks: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], dict[int, NDArray[np.float64]], NDArray[np.int64]]:
+def _laid_out(table: LandmarkState, landmarks: Ints) -> tuple[Floats, dict[int, Floats], Ints]:
     """Return landmarks (n, d), their submaps side by side, by what shifts, and the submaps (n,)."""
     positions, of = table.position[landmarks].copy(), table.submap[landmarks]
     size_m = float(np.max(np.abs(positions)))
@@ -117,7 +110,7 @@ def _laid_out(
     return positions, shifts, of
 
 
-def neighbourhoods(positions: NDArray[np.float64]) -> Iterator[NDArray[np.int64]]:
+def neighbourhoods(positions: Floats) -> Iterator[Ints]:
     """Yield the nearest landmarks (k,) to some of those at positions (n, d); all get a turn."""
     tree, had = cKDTree(positions), np.zeros(len(positions), dtype=bool)
     rank = min(NEIGHBOURHOOD, len(positions))

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 
 DEGENERATE = 1e-6
@@ -18,10 +18,8 @@ DEGENERATE = 1e-6
 
 
 def fit_rigid(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    weights: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    source: Floats, target: Floats, weights: Floats | None = None
+) -> tuple[Floats, Floats]:
     """Return the rotation and translation that bring `source` nearest to `target`.
 
     Minimises ``sum(weights * |target - (source @ R.T + t)|^2)`` over proper rotations R, never
@@ -61,7 +59,7 @@ def fit_rigid(
     return R, target_mean - R @ source_mean
 
 
-def rotation_of_moment(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_of_moment(moment: Floats) -> Floats:
     """Return the proper rotations (..., d, d) that fit cross moments (..., d, d) best.
 
     The moment is ``sum(w * source_i target_j)`` of centred points; reflections are excluded by
@@ -75,12 +73,8 @@ def rotation_of_moment(moment: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def fit_rigid_each(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    at: NDArray[np.int64],
-    n: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    source: Floats, target: Floats, weights: Floats, at: Ints, n: int
+) -> tuple[Floats, Floats, Bools]:
     """Fit many sets of matched points at once, each as `fit_rigid` does.
 
     Parameters
@@ -111,12 +105,7 @@ def fit_rigid_each(
     return R, target_mean - np.einsum("nij,nj->ni", R, source_mean), fixed
 
 
-def place_each(
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    at: NDArray[np.int64],
-    points: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
     """Return points (k, d), each turned and shifted by placement at (k,) of R and t."""
     placed, turn = t[at], R[at]
     for b in range(points.shape[1]):
@@ -124,14 +113,14 @@ def place_each(
     return np.asarray(placed)
 
 
-def sums_each(values: NDArray[np.float64], at: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+def sums_each(values: Floats, at: Ints, n: int) -> Floats:
     """Sum values (k, ...) that belong to sets at (k,), 0 to n - 1; (n, ...)."""
     columns = values.reshape(len(values), math.prod(values.shape[1:])).T
     sums = [np.bincount(at, weights=column, minlength=n).astype(np.float64) for column in columns]
     return np.stack(sums, axis=-1).reshape(n, *values.shape[1:])
 
 
-def fixes_rotation(points: NDArray[np.float64]) -> bool:
+def fixes_rotation(points: Floats) -> bool:
     """Tell whether points (n, d) fix a rotation.
 
     In the plane two apart do; in space three not on one line.
@@ -142,7 +131,7 @@ def fixes_rotation(points: NDArray[np.float64]) -> bool:
     return bool(scatter_fixes_rotation(centred.T @ centred))
 
 
-def scatter_fixes_rotation(scatter: NDArray[np.float64]) -> NDArray[np.bool_]:
+def scatter_fixes_rotation(scatter: Floats) -> Bools:
     """Tell which scatter matrices (..., d, d) of centred points fix a rotation; (...,)."""
     trace = np.trace(scatter, axis1=-2, axis2=-1)
     if scatter.shape[-1] == 2:

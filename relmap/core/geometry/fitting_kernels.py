@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.rotation_kernels import best_rotation, fixes
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
@@ -14,9 +14,7 @@ TRIMMING_ROUNDS = 8
 
 
 @helper
-def centre_of(
-    points: NDArray[np.float64], rows: NDArray[np.bool_]
-) -> tuple[float, float, float, int]:
+def centre_of(points: Floats, rows: Bools) -> tuple[float, float, float, int]:
     """Return the mean of some rows of points (n, d), with z = 0 in the plane, and their number."""
     x, y, z, count = 0.0, 0.0, 0.0, 0
     for i in range(len(points)):
@@ -31,12 +29,7 @@ def centre_of(
 
 
 @helper
-def _moments(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    rows: NDArray[np.bool_],
-    means: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _moments(source: Floats, target: Floats, rows: Bools, means: Floats) -> tuple[Floats, Floats]:
     """Return centred moments (3, 3) of some rows of matched points (n, d) about their means (2, 3).
 
     These are that of source and target, and the scatter of the source; what the plane lacks is 0.
@@ -59,11 +52,8 @@ def _moments(
 
 @helper
 def fit_rows(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    rows: NDArray[np.bool_],
-    guess: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], bool, NDArray[np.float64]]:
+    source: Floats, target: Floats, rows: Bools, guess: Floats
+) -> tuple[Floats, Floats, bool, Floats]:
     """Fit some rows of matched points (n, d) rigidly, as `fit_rigid` does with equal weights.
 
     Returns R, t, whether the rows fix R, and the scatter (3, 3) of their source points.  A guess
@@ -82,7 +72,7 @@ def fit_rows(
 
 
 @compiled
-def swings(points: NDArray[np.float64], rows: NDArray[np.bool_]) -> NDArray[np.float64]:
+def swings(points: Floats, rows: Bools) -> Floats:
     """Return the variance (n,) of points (n, d) placed by a fit to some rows of them.
 
     In units of that of one of these.  They leave those far from their line free to swing.
@@ -96,12 +86,7 @@ def swings(points: NDArray[np.float64], rows: NDArray[np.bool_]) -> NDArray[np.f
 
 
 @helper
-def add_swings(
-    points: NDArray[np.float64],
-    rows: NDArray[np.bool_],
-    scatter: NDArray[np.float64],
-    swing: NDArray[np.float64],
-) -> None:
+def add_swings(points: Floats, rows: Bools, scatter: Floats, swing: Floats) -> None:
     """Add what `swings` returns to variances (n,), but for NaN; the scatter is overwritten."""
     n, d = points.shape
     x, y, z, count = centre_of(points, rows)
@@ -125,13 +110,7 @@ def add_swings(
 
 
 @helper
-def set_placement(
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    i: int,
-    turn: NDArray[np.float64],
-    shift: NDArray[np.float64],
-) -> None:
+def set_placement(R: Floats, t: Floats, i: int, turn: Floats, shift: Floats) -> None:
     """Enter turn and shift as the i-th of placements R (m, d, d) and t (m, d)."""
     for a in range(len(shift)):
         t[i, a] = shift[a]
@@ -140,13 +119,7 @@ def set_placement(
 
 
 @helper
-def _misfits(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    misfit: NDArray[np.float64],
-) -> None:
+def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Floats) -> None:
     """Enter how far from its target (n, d) a fit puts each point (n,)."""
     n, d = source.shape
     for i in range(n):
@@ -161,10 +134,8 @@ def _misfits(
 
 @compiled
 def trimmed_fit_rows(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    tolerance_m: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    source: Floats, target: Floats, tolerance_m: float
+) -> tuple[Floats, Floats, int]:
     """Fit matches (n, d), leaving out those that disagree; see `trimmed_fit`.
 
     Returns R, t and the number of matches within the tolerance, which is -1 where too few are left.

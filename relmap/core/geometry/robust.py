@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each, place_each
 
 OUTLIER = 7.0
@@ -18,7 +18,7 @@ ROUNDS = 8
 four."""
 
 
-def limit_of(residual: NDArray[np.float64], dimension: int, size: float) -> float:
+def limit_of(residual: Floats, dimension: int, size: float) -> float:
     """Return the residual beyond which noise explains none of residuals (n,).
 
     Parameters
@@ -34,7 +34,7 @@ def limit_of(residual: NDArray[np.float64], dimension: int, size: float) -> floa
     return max(OUTLIER * scale, EXACT * size, 1e-300)
 
 
-def lenient(residual: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+def lenient(residual: Floats, limit: float) -> Floats:
     """Return weights (n,), 1 up to the limit, whose pull falls as Cauchy's with the distance.
 
     Huber's pull does not fall, and many wrong matches far off bend a long chain by metres.
@@ -42,24 +42,20 @@ def lenient(residual: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
     return np.asarray((limit / np.maximum(residual, limit)) ** 2)
 
 
-def strict(residual: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+def strict(residual: Floats, limit: float) -> Floats:
     """Return weights (n,), 1 up to the limit, that leave what is far beyond it no say at all."""
     return lenient(residual, limit) ** 2
 
 
-def robust_cost(residual: NDArray[np.float64], limit: float) -> float:
+def robust_cost(residual: Floats, limit: float) -> float:
     """Return the cost of which the lenient weights make least squares."""
     outside = np.maximum(residual / limit, 1.0)
     return float(np.sum(np.minimum(residual, limit) ** 2 + 2 * limit**2 * np.log(outside)))
 
 
 def fit_robust_each(
-    source: NDArray[np.float64],
-    target: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    at: NDArray[np.int64],
-    n: int,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    source: Floats, target: Floats, counts: Floats, at: Ints, n: int
+) -> tuple[Floats, Floats, Bools, Floats]:
     """Fit many sets of matched points as `fit_rigid_each` does, whatever a few of them say.
 
     The first fit is that of the least sum of distances (Weiszfeld, 1937); the last is by least
@@ -84,10 +80,10 @@ def fit_robust_each(
     size = float(np.ptp(target, axis=0).max()) if len(target) else 0.0
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)
 
-    def apart() -> NDArray[np.float64]:
+    def apart() -> Floats:
         return np.asarray(np.linalg.norm(place_each(R, t, at, source) - target, axis=1))
 
-    def weights() -> NDArray[np.float64]:
+    def weights() -> Floats:
         residual = root * apart()
         return lenient(residual, limit_of(residual[fixed[at]], source.shape[1], size))
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import DEGENERATE
 from relmap.core.linalg.compiling import helper
 from relmap.core.linalg.small_kernels import diagonalise, inverse3, product
@@ -16,7 +16,7 @@ SETTLED = 1e-11
 
 
 @helper
-def fixes(scatter: NDArray[np.float64], d: int) -> bool:
+def fixes(scatter: Floats, d: int) -> bool:
     """Tell whether the scatter (3, 3) of centred points in d dimensions fixes a rotation."""
     trace, minors = scatter[0, 0] + scatter[1, 1] + scatter[2, 2], 0.0
     for a in range(3):
@@ -26,7 +26,7 @@ def fixes(scatter: NDArray[np.float64], d: int) -> bool:
 
 
 @helper
-def turned_by(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned_by(turn: Floats) -> Floats:
     """Return the rotation (d, d) by an angle (1,) or a rotation vector (3,) (Rodrigues)."""
     if len(turn) == 1:
         R = np.empty((2, 2))
@@ -48,7 +48,7 @@ def turned_by(turn: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @helper
-def _by_eigenvector(moment: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_eigenvector(moment: Floats) -> Floats:
     """Return the best rotation (3, 3) from the eigenvector that is its quaternion (Horn, 1987)."""
     N = np.empty((4, 4))
     N[0, 0] = moment[0, 0] + moment[1, 1] + moment[2, 2]
@@ -70,7 +70,7 @@ def _by_eigenvector(moment: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @helper
-def best_rotation(moment: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
+def best_rotation(moment: Floats, guess: Floats) -> Floats:
     """Return the rotation (d, d) that fits a cross moment (3, 3) best.
 
     In space by Newton's method from a guess (d, d), which is several times faster than the

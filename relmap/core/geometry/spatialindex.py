@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.table import NONE, LandmarkState
 
 SIDE = 2**20
@@ -36,7 +36,7 @@ class SpatialIndex:
         self._strides = SIDE ** np.arange(dimension)
         self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
 
-    def add(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
+    def add(self, landmarks: Ints, positions: Floats) -> None:
         """Enter landmarks (k,) at positions (k, d), in place of where they were before."""
         keys = np.array(self._keys(self._cells(positions)), dtype=np.int64)
         before = self._table.cell[landmarks]
@@ -48,7 +48,7 @@ class SpatialIndex:
             self._first[key] = landmark
             self._table.cell[landmark] = key
 
-    def near(self, position: NDArray[np.float64]) -> NDArray[np.int64]:
+    def near(self, position: Floats) -> Ints:
         """Return the landmarks within a cell's side of the position (d,), and some more."""
         found = []
         for key in self._keys(self._cells(position) + self._around):
@@ -58,7 +58,7 @@ class SpatialIndex:
                 landmark = int(self._table.next_in_cell[landmark])
         return np.array(found, dtype=np.int64)
 
-    def holds(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def holds(self, landmarks: Ints) -> Bools:
         """Tell which landmarks (k,) were entered."""
         return np.asarray(self._table.cell[landmarks] != NONE)
 
@@ -74,10 +74,10 @@ class SpatialIndex:
                 other = int(self._table.next_in_cell[other])
             self._table.next_in_cell[other] = after
 
-    def _cells(self, positions: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _cells(self, positions: Floats) -> Ints:
         return np.floor(positions / self.cell_m).astype(np.int64)
 
-    def _keys(self, cells: NDArray[np.int64]) -> list[int]:
+    def _keys(self, cells: Ints) -> list[int]:
         """Return a number for each cell (k, d), never negative."""
         keys: list[int] = (cells % SIDE @ self._strides).tolist()
         return keys

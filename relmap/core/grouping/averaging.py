@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap, complete
 from relmap.core.grouping.dynamics import FEWEST, Binning, Bins, DynamicStatus, n_log_n, rests
@@ -57,11 +57,7 @@ class Averaging:
         return self._noise_spread * self.noise.sigma_m
 
     def completed(
-        self,
-        chart: PointChart,
-        group: Group,
-        core: NDArray[np.float64],
-        average: NDArray[np.float64],
+        self, chart: PointChart, group: Group, core: Floats, average: Floats
     ) -> RelativeMap:
         """Complete a group's relative map to all that its chart saw at rest; note who moves.
 
@@ -81,9 +77,7 @@ class Averaging:
         interval = chart.iterations[group.columns]
         return replace(relative.only(at_rest), common_interval=interval)
 
-    def _completed(
-        self, chart: PointChart, group: Group, average: NDArray[np.float64]
-    ) -> RelativeMap:
+    def _completed(self, chart: PointChart, group: Group, average: Floats) -> RelativeMap:
         """Complete a relative map to all of the chart, from the group outwards.
 
         Few members leave the far end of the chart free to swing: what is placed well enough from
@@ -108,7 +102,7 @@ class Averaging:
             reference[np.isin(landmarks, relative.landmarks[solid])] = relative.positions[solid]
         return relative
 
-    def static(self, chart: PointChart, weights: NDArray[np.float64]) -> NDArray[np.int64]:
+    def static(self, chart: PointChart, weights: Floats) -> Ints:
         """Return the rows of the chart that keep their distances and were not seen moving."""
         self.n_comparisons = 0
         block, noise_m = chart.points_robot, self._tolerated_m
@@ -136,7 +130,7 @@ class Averaging:
         often = chart.visible.sum(axis=1) >= FEWEST
         allowed = n_log_n(int(often.sum()))
         rest = np.flatnonzero(often & self._table.dynamic[chart.landmarks])
-        together: list[NDArray[np.int64]] = []
+        together: list[Ints] = []
         while len(rest) > 1 and self.n_comparisons < allowed:
             binning = Binning(chart.points_robot[rest], self._tolerated_m)
             bins = binning.sort(np.zeros(len(rest)), allowed - self.n_comparisons)

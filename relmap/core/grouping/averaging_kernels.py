@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.fitting_kernels import add_swings, fit_rows, set_placement
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import median, smallest
@@ -12,13 +12,7 @@ from relmap.core.linalg.small_kernels import identity
 
 
 @helper
-def place(
-    points: NDArray[np.float64],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    i: int,
-    placed: NDArray[np.float64],
-) -> None:
+def place(points: Floats, R: Floats, t: Floats, i: int, placed: Floats) -> None:
     """Enter where an iteration i, as it lies, puts its points (n, d) in places (n, i, d)."""
     n, d = points.shape
     for k in range(n):
@@ -30,9 +24,7 @@ def place(
 
 
 @helper
-def _averages(
-    placed: NDArray[np.float64], amplified: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _averages(placed: Floats, amplified: Floats) -> tuple[Floats, Floats]:
     """Return the mean places (n, d), and the sums of squared deviations (n,) from them.
 
     Of places (n, i, d), NaN or not; amplified variances (n,) come as sums and are averaged too.
@@ -64,15 +56,8 @@ def _averages(
 
 @compiled
 def place_iterations(
-    block: NDArray[np.float64], reference: NDArray[np.float64]
-) -> tuple[
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.bool_],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-]:
+    block: Floats, reference: Floats
+) -> tuple[Floats, Floats, Bools, Floats, Floats, Floats]:
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
     Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then for each landmark (n,),
@@ -102,9 +87,7 @@ def place_iterations(
 
 
 @helper
-def _radial_variances(
-    block: NDArray[np.float64], inner: NDArray[np.bool_], variance: NDArray[np.float64]
-) -> None:
+def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
     """Enter the variance (g,) of the distances from the centre of the inner ones of a group."""
     g, m, d = block.shape
     centre, radius, h = np.zeros((m, d)), np.empty(m), 0
@@ -129,7 +112,7 @@ def _radial_variances(
 
 
 @compiled
-def steady_variance(block: NDArray[np.float64], freedoms_median: float) -> float:
+def steady_variance(block: Floats, freedoms_median: float) -> float:
     """Return the typical variance of the distances from the centre of a group (g, i, d).
 
     The centre is that of the steadier half: one that moves would take it along.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import unset
@@ -16,7 +16,7 @@ VOTERS = 3
 
 
 @helper
-def keeps_distance(block: NDArray[np.float64], a: int, b: int, limit: float, fewest: int) -> bool:
+def keeps_distance(block: Floats, a: int, b: int, limit: float, fewest: int) -> bool:
     """Tell whether the distance of two rows of a block (n, i, d) varies by no more than a limit.
 
     NaN marks what was not seen; fewer than `fewest` common iterations tell nothing.
@@ -38,7 +38,7 @@ def keeps_distance(block: NDArray[np.float64], a: int, b: int, limit: float, few
 
 
 @helper
-def _outward(block: NDArray[np.float64], near: NDArray[np.int64]) -> NDArray[np.float64]:
+def _outward(block: Floats, near: Ints) -> Floats:
     """Return how far (k,), squared, the mean places of some rows are from the middle of these."""
     k, m, d = len(near), block.shape[1], block.shape[2]
     place, centre, square = np.zeros((k, d)), np.zeros(d), np.zeros(k)
@@ -59,13 +59,7 @@ def _outward(block: NDArray[np.float64], near: NDArray[np.int64]) -> NDArray[np.
 
 
 @helper
-def _vote(
-    block: NDArray[np.float64],
-    near: NDArray[np.int64],
-    n_voters: int,
-    limit: float,
-    fewest: int,
-) -> tuple[NDArray[np.int64], int]:
+def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -> tuple[Ints, int]:
     """Let some members of a bin, from the outermost to the innermost, vote on the others.
 
     They catch what circles round the first member; none votes for itself.  Returns which ones stay,
@@ -94,14 +88,14 @@ def _vote(
 
 @helper
 def _company(
-    block: NDArray[np.float64],
+    block: Floats,
     pivot: int,
-    others: NDArray[np.int64],
+    others: Ints,
     sample: tuple[int, int],
     budget: int,
     limit: float,
     fewest: int,
-) -> tuple[NDArray[np.int64], int]:
+) -> tuple[Ints, int]:
     """Return which others keep their distance from a pivot, and the number of comparisons.
 
     A static landmark agrees with others in a small sample of all.  If none in the
@@ -133,14 +127,14 @@ def _company(
 
 @helper
 def _bin_with(
-    block: NDArray[np.float64],
+    block: Floats,
     pivot: int,
-    others: NDArray[np.int64],
+    others: Ints,
     sample: tuple[int, int],
     budget: int,
     limit: float,
     fewest: int,
-) -> tuple[NDArray[np.int64], int]:
+) -> tuple[Ints, int]:
     """Return the other members of the bin that a pivot begins, and the number of comparisons."""
     near, n = _company(block, pivot, others, sample, budget, limit, fewest)
     n_voters = min(VOTERS, len(near), (budget - n) // max(len(near) - 1, 1))
@@ -151,9 +145,7 @@ def _bin_with(
 
 
 @helper
-def _next_pivot(
-    free: NDArray[np.bool_], tries: NDArray[np.int64], priority: NDArray[np.float64]
-) -> int:
+def _next_pivot(free: Bools, tries: Ints, priority: Floats) -> int:
     """Return the free row with the fewest tries, of these that of the highest priority, or -1."""
     best = -1
     for row in range(len(free)):
@@ -165,7 +157,7 @@ def _next_pivot(
 
 
 @helper
-def _others(free: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _others(free: Bools) -> Ints:
     """Return the free rows."""
     rows, n = np.empty(len(free), dtype=np.int64), 0
     for row in range(len(free)):
@@ -177,14 +169,8 @@ def _others(free: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 @compiled
 def sort_into_bins(
-    block: NDArray[np.float64],
-    free: NDArray[np.bool_],
-    priority: NDArray[np.float64],
-    limit: float,
-    fewest: int,
-    size: int,
-    allowed: int,
-) -> tuple[NDArray[np.int64], int]:
+    block: Floats, free: Bools, priority: Floats, limit: float, fewest: int, size: int, allowed: int
+) -> tuple[Ints, int]:
     """Sort free rows of a block (n, i, d) into bins; see `relmap.core.grouping.dynamics.Binning`.
 
     Returns the number of each row's bin, -1 where it is in none, and the comparisons made.  What is

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.store import ObservationStore
 
 
@@ -27,11 +27,11 @@ class PointChart:
         Of an observed coordinate, where covariances came with the observations.
     """
 
-    landmarks: NDArray[np.int64]
-    iterations: NDArray[np.int64]
-    points_robot: NDArray[np.float64]
-    visible: NDArray[np.bool_]
-    variance: NDArray[np.float64] | None = None
+    landmarks: Ints
+    iterations: Ints
+    points_robot: Floats
+    visible: Bools
+    variance: Floats | None = None
 
     @classmethod
     def around(cls, seed: int, store: ObservationStore, begin: int, end: int) -> PointChart:
@@ -39,7 +39,7 @@ class PointChart:
         landmarks, iterations, block = store.seen_with(seed, begin, end)
         return cls(landmarks, iterations, block, np.isfinite(block[:, :, 0]))
 
-    def only(self, rows: NDArray[np.bool_]) -> PointChart:
+    def only(self, rows: Bools) -> PointChart:
         """Return the chart of some of its landmarks, the seed among them."""
         return PointChart(
             self.landmarks[rows],
@@ -50,13 +50,11 @@ class PointChart:
         )
 
     @property
-    def common_interval(self) -> NDArray[np.int64]:
+    def common_interval(self) -> Ints:
         """Number of iterations each landmark shares with the seed; (n,)."""
         return np.asarray(self.visible.sum(axis=1))
 
-    def sorted_by_common_interval(
-        self, rows: NDArray[np.int64], preference: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def sorted_by_common_interval(self, rows: Ints, preference: Floats) -> Ints:
         """Return the order of some rows (k,) with larger common intervals higher up (Fig. 10).
 
         The seed shares all its iterations with itself, so it comes out on top.

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
 
 @helper
 def _members_and_columns(
-    landmarks: NDArray[np.int64],
-    offsets: NDArray[np.int64],
-    seed: int,
-    slots: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    landmarks: Ints, offsets: Ints, seed: int, slots: Ints
+) -> tuple[Ints, Ints]:
     """Return who was seen when a seed was, the seed first, and when; number them in the slots."""
     columns, members = np.empty(len(offsets) - 1, np.int64), np.empty(len(landmarks) + 1, np.int64)
     members[0], slots[seed] = seed, 0
@@ -36,12 +33,8 @@ def _members_and_columns(
 
 @compiled
 def chart_block(
-    landmarks: NDArray[np.int64],
-    points: NDArray[np.float64],
-    offsets: NDArray[np.int64],
-    seed: int,
-    slots: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    landmarks: Ints, points: Floats, offsets: Ints, seed: int, slots: Ints
+) -> tuple[Ints, Ints, Floats]:
     """Chart what was seen in the iterations in which a seed was.
 
     Parameters

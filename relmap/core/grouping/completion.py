@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,24 +42,24 @@ class RelativeMap:
         Variance of an observed coordinate, where covariances came with the observations.
     """
 
-    landmarks: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    amplified: NDArray[np.float64]
-    used: NDArray[np.bool_]
-    iterations: NDArray[np.int64]
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
-    fixed: NDArray[np.bool_]
-    common_interval: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    given: NDArray[np.float64] | None = None
+    landmarks: Ints
+    positions: Floats
+    variance: Floats
+    amplified: Floats
+    used: Bools
+    iterations: Ints
+    R: Floats
+    t: Floats
+    fixed: Bools
+    common_interval: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    given: Floats | None = None
 
     @property
-    def n_used(self) -> NDArray[np.int64]:
+    def n_used(self) -> Ints:
         """Number of observations behind each position; (n,)."""
         return np.asarray(self.used.sum(axis=1))
 
-    def only(self, rows: NDArray[np.bool_]) -> RelativeMap:
+    def only(self, rows: Bools) -> RelativeMap:
         """Return the map of some of its landmarks."""
         return replace(
             self,
@@ -71,12 +72,7 @@ class RelativeMap:
         )
 
 
-def complete(
-    landmarks: NDArray[np.int64],
-    iterations: NDArray[np.int64],
-    block: NDArray[np.float64],
-    reference: NDArray[np.float64],
-) -> RelativeMap:
+def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats) -> RelativeMap:
     """Average a whole chart in the frame of a relative map of some of it.
 
     Parameters

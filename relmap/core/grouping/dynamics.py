@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -44,11 +44,11 @@ class Bins:
         Pairs of landmarks compared.
     """
 
-    members: list[NDArray[np.int64]]
+    members: list[Ints]
     n_comparisons: int
 
     @property
-    def static(self) -> NDArray[np.int64]:
+    def static(self) -> Ints:
         """The largest bin."""
         return self.members[0] if self.members else np.empty(0, dtype=np.int64)
 
@@ -67,7 +67,7 @@ class DynamicStatus:
         self.table = table
         self._n_bins = 0
 
-    def go_together(self, bins: list[NDArray[np.int64]], alone: NDArray[np.int64]) -> None:
+    def go_together(self, bins: list[Ints], alone: Ints) -> None:
         """Take note of which dynamic landmarks kept their mutual distances, and which went alone.
 
         A bin keeps its number as long as some of it stay together; who is alone in view keeps it.
@@ -84,7 +84,7 @@ class DynamicStatus:
             table.moving_bin[members] = number
             taken.add(number)
 
-    def test(self, relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
+    def test(self, relative: RelativeMap, noise_m: float) -> Bools:
         """Take note of who moves in a relative map; return who was seen often enough, and rests.
 
         A landmark whose place deviates more than the noise explains, in group after group, is
@@ -116,12 +116,12 @@ class DynamicStatus:
         return np.asarray((relative.n_used >= FEWEST) & still & ~table.dynamic[landmarks])
 
 
-def judge_at_last(table: LandmarkState, landmarks: NDArray[np.int64]) -> None:
+def judge_at_last(table: LandmarkState, landmarks: Ints) -> None:
     """Call those dynamic that left the view without a place and moved when last looked at."""
     table.dynamic[landmarks[table.restless[landmarks]]] = True
 
 
-def rests(relative: RelativeMap, noise_m: float) -> NDArray[np.bool_]:
+def rests(relative: RelativeMap, noise_m: float) -> Bools:
     """Tell whose place deviates no more than the noise explains; (n,).
 
     That is the noise of most landmarks, or that of the landmark itself where it is known.
@@ -144,12 +144,12 @@ class Binning:
         Standard deviation of an observed coordinate.
     """
 
-    def __init__(self, block: NDArray[np.float64], noise_m: float) -> None:
+    def __init__(self, block: Floats, noise_m: float) -> None:
         self._block = block
         self._often = np.isfinite(block[:, :, 0]).sum(axis=1) >= FEWEST
         self._limit = LIMIT * 2 * max(noise_m, _exact(block)) ** 2
 
-    def sort(self, priority: NDArray[np.float64], allowed: float | None = None) -> Bins:
+    def sort(self, priority: Floats, allowed: float | None = None) -> Bins:
         """Sort landmarks into bins, until half of them, or of the priority, are in one.
 
         Landmarks seen too seldom to be compared, or that found no company, are in none.
@@ -178,6 +178,6 @@ def n_log_n(n: int) -> float:
     return float(n * np.log2(max(n, 2)))
 
 
-def _exact(points: NDArray[np.float64]) -> float:
+def _exact(points: Floats) -> float:
     """Return the deviation, metres, that rounding alone may bring to points (n, ..., d)."""
     return EXACT * float(np.sqrt(points.shape[-1]) * np.nanmax(np.abs(points), initial=0.0))

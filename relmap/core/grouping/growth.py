@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.grouping.chart import PointChart
 
 
@@ -22,16 +22,12 @@ class Group:
         Columns of the common interval in the chart.
     """
 
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    rows: Ints
+    columns: Ints
 
 
 def grow_group(
-    chart: PointChart,
-    candidates: NDArray[np.int64],
-    weights: NDArray[np.float64],
-    min_members: int,
-    min_shared: int,
+    chart: PointChart, candidates: Ints, weights: Floats, min_members: int, min_shared: int
 ) -> Group | None:
     """Grow a group down the sorted chart to the largest members x common interval (Fig. 11).
 

@@ -14,8 +14,9 @@ import itertools
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtri
+
+from relmap.core.arrays import Floats, Ints
 
 if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
@@ -41,7 +42,7 @@ class Pattern:
         Entries of the factor.
     """
 
-    def __init__(self, first: NDArray[np.int64], layout: Layout) -> None:
+    def __init__(self, first: Ints, layout: Layout) -> None:
         self.first, self.layout = first, layout
         start, column_of, _, _, offset = layout
         self.size = int(offset[-1])
@@ -61,9 +62,7 @@ class Pattern:
         return float(self._flops.sum())
 
     @classmethod
-    def of_cliques(
-        cls, width: NDArray[np.int64], begin: NDArray[np.int64], cliques: NDArray[np.int64]
-    ) -> Pattern:
+    def of_cliques(cls, width: Ints, begin: Ints, cliques: Ints) -> Pattern:
         """Return an order that fills little.
 
         Parameters
@@ -83,7 +82,7 @@ class Pattern:
         return cls(first, (start, column_of, row_begin, np.sort(panel + rows) - panel, offset))
 
     @classmethod
-    def of_levels(cls, level: NDArray[np.int64], q: int) -> Pattern:
+    def of_levels(cls, level: Ints, q: int) -> Pattern:
         """Return the order of levels.
 
         Parameters
@@ -107,15 +106,13 @@ class Pattern:
         first[np.argsort(level, kind="stable")] = q * np.arange(len(level))
         return cls(first, (start, column_of, row_begin, np.concatenate(rows), offset))
 
-    def add(
-        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], part: NDArray[np.float64]
-    ) -> None:
+    def add(self, values: Floats, unknowns: Ints, part: Floats) -> None:
         """Add a symmetric part (n, n) over unknowns (n,), ascending and all tied, to a matrix."""
         from relmap.core.linalg.cholesky_kernels import add_part
 
         add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))
 
-    def hold(self, values: NDArray[np.float64], share: float, least: float) -> None:
+    def hold(self, values: Floats, share: float, least: float) -> None:
         """Hold every unknown where it is a little: a share of what holds it, and at least so much.
 
         `values` (size,) is the matrix.
@@ -123,16 +120,16 @@ class Pattern:
         values[self._diagonal] *= 1 + share
         values[self._diagonal] += least
 
-    def largest(self, values: NDArray[np.float64]) -> float:
+    def largest(self, values: Floats) -> float:
         """Return the largest entry of the matrix's diagonal."""
         return float(values[self._diagonal].max())
 
-    def fix(self, values: NDArray[np.float64], node: int, q: int) -> None:
+    def fix(self, values: Floats, node: int, q: int) -> None:
         """Let a node's q unknowns stay where they are."""
         own = self._diagonal[self.first[node] : self.first[node] + q]
         values[own] += STIFF * max(self.largest(values), 1.0)
 
-    def factorise(self, values: NDArray[np.float64]) -> None:
+    def factorise(self, values: Floats) -> None:
         """Put its Cholesky factor in place of a matrix.
 
         `values` (size,) is the matrix, positive definite, its lower triangle as `add` puts it.
@@ -142,13 +139,13 @@ class Pattern:
 
         factorise(self.layout, values)
 
-    def solve(self, values: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    def solve(self, values: Floats, right: Floats) -> Floats:
         """Return the solution (u,) for a right side; `values` (size,) is the factor."""
         from relmap.core.linalg.cholesky_kernels import solve
 
         return solve(self.layout, values, right)
 
-    def inverse(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inverse(self, values: Floats) -> Floats:
         """Return the inverse where the factor has entries (Takahashi, Fagan and Chin, 1973).
 
         Parameters
@@ -177,14 +174,12 @@ class Pattern:
                 target[:k] -= pull.T @ target[k:]
         return found
 
-    def _panel(self, values: NDArray[np.float64], p: int) -> NDArray[np.float64]:
+    def _panel(self, values: Floats, p: int) -> Floats:
         """Return the columns (h, k) of a panel, a view."""
         start, _, _, _, offset = self.layout
         return values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - start[p])
 
-    def _part(
-        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], place: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
+    def _part(self, values: Floats, unknowns: Ints, place: Ints) -> Floats:
         """Return the symmetric part (n, n) over unknowns (n,), ascending; `place` (u,) is room."""
         start, column_of, row_begin, rows, _ = self.layout
         part = np.empty((len(unknowns), len(unknowns)))
@@ -201,13 +196,11 @@ class Pattern:
             part[a:b, a:b] = lower + np.tril(lower, -1).T
         return part
 
-    def parts(self, inverse: NDArray[np.float64], chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    def parts(self, inverse: Floats, chosen: Ints) -> Floats:
         """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
         return np.asarray(inverse[self._places(chosen)])
 
-    def lower(
-        self, chosen: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+    def lower(self, chosen: Ints) -> tuple[Ints, tuple[Ints, ...]]:
         """Return where parts (k, m, m) over unknowns (k, m) go, and which entries of the parts do.
 
         Of two that mirror one another one goes.
@@ -215,13 +208,11 @@ class Pattern:
         goes = chosen[:, :, None] >= chosen[:, None]
         return self._places(chosen)[goes], np.nonzero(goes)
 
-    def add_diagonal(
-        self, values: NDArray[np.float64], unknowns: NDArray[np.int64], value: float
-    ) -> None:
+    def add_diagonal(self, values: Floats, unknowns: Ints, value: float) -> None:
         """Add a value to the diagonal of a matrix (size,), at unknowns (n,)."""
         values[self._diagonal[unknowns]] += value
 
-    def _places(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _places(self, chosen: Ints) -> Ints:
         """Return where the entries (k, m, m) of parts over unknowns (k, m) stand."""
         start, column_of, row_begin, rows, offset = self.layout
         earlier = np.minimum(chosen[:, :, None], chosen[:, None])

@@ -8,20 +8,19 @@ That one is its column of the factor, whose pattern need not be looked for then.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
 
-Index = NDArray[np.int64]
 NEVER = 2**62
 """In place of the degree of what is eliminated."""
 
 
 @helper
 def _union(
-    of: int, begin: Index, end: Index, member: Index, own: Index, mark: Index, stamp: int
-) -> Index:
+    of: int, begin: Ints, end: Ints, member: Ints, own: Ints, mark: Ints, stamp: int
+) -> Ints:
     """Return the members of some cliques, each once, but for one of them."""
     size = 0
     for e in own:
@@ -38,7 +37,7 @@ def _union(
 
 
 @helper
-def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Index]:
+def _cliques_of(n: int, begin: Ints, member: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the cliques of each of n members: from where, up to where, and which."""
     first, of = np.zeros(n + 1, dtype=np.int64), np.empty(len(member), dtype=np.int64)
     for m in member:
@@ -54,9 +53,7 @@ def _cliques_of(n: int, begin: Index, member: Index) -> tuple[Index, Index, Inde
 
 
 @helper
-def _absorb(
-    clique: int, u: int, first: Index, last: Index, of: Index, gone: NDArray[np.bool_]
-) -> None:
+def _absorb(clique: int, u: int, first: Ints, last: Ints, of: Ints, gone: Bools) -> None:
     """Put a clique in place of those of member u that it has swallowed."""
     kept = first[u]
     for k in range(first[u], last[u]):
@@ -68,7 +65,7 @@ def _absorb(
 
 
 @helper
-def _with_room(numbers: Index, more: int) -> Index:
+def _with_room(numbers: Ints, more: int) -> Ints:
     """Return numbers (n,) and room for more."""
     longer = np.empty(len(numbers) + more, dtype=np.int64)
     for i in range(len(numbers)):
@@ -77,7 +74,7 @@ def _with_room(numbers: Index, more: int) -> Index:
 
 
 @helper
-def _least(degree: Index) -> int:
+def _least(degree: Ints) -> int:
     """Return the first of those of the least degree."""
     least = 0
     for v in range(len(degree)):
@@ -87,7 +84,7 @@ def _least(degree: Index) -> int:
 
 
 @helper
-def _total(width: Index, which: Index) -> int:
+def _total(width: Ints, which: Ints) -> int:
     """Return the sum of the widths of some."""
     total = 0
     for k in which:
@@ -96,7 +93,7 @@ def _total(width: Index, which: Index) -> int:
 
 
 @compiled
-def minimum_degree(width: Index, clique_begin: Index, cliques: Index) -> tuple[Index, Index, Index]:
+def minimum_degree(width: Ints, clique_begin: Ints, cliques: Ints) -> tuple[Ints, Ints, Ints]:
     """Return an order (b,) of elimination that fills little, and what each block is tied to then.
 
     Parameters

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
 
 @compiled
-def smallest(values: NDArray[np.float64], k: int) -> float:
+def smallest(values: Floats, k: int) -> float:
     """Return the k-th smallest, from 0, of values (n,); they change places.
 
     Hoare's "find" (Algorithm 65, CACM 1961).
@@ -36,14 +36,14 @@ def smallest(values: NDArray[np.float64], k: int) -> float:
 
 
 @helper
-def median(values: NDArray[np.float64]) -> float:
+def median(values: Floats) -> float:
     """Return the median of values (n,); they change places."""
     n = len(values)
     return (smallest(values, (n - 1) // 2) + smallest(values, n // 2)) / 2
 
 
 @helper
-def ordered(values: NDArray[np.float64]) -> NDArray[np.int64]:
+def ordered(values: Floats) -> Ints:
     """Return the order (n,) of values, the smallest first, equal ones as they come (merge sort)."""
     n, width = len(values), 1
     order, merged = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
@@ -63,9 +63,7 @@ def ordered(values: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 @helper
-def _in_sets(
-    of: NDArray[np.int64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _in_sets(of: Ints, values: Floats) -> tuple[Ints, Floats]:
     """Return where each set 0, 1, ... begins, and the values (n,) set after set."""
     n = 0
     for k in of:
@@ -83,7 +81,7 @@ def _in_sets(
 
 
 @compiled
-def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def medians(of: Ints, values: Floats) -> Floats:
     """Return the lower median of the values (n,) of each set 0, 1, ...; none may be empty."""
     begin, in_sets = _in_sets(of, values)
     found = np.empty(len(begin) - 1)
@@ -94,9 +92,7 @@ def medians(of: NDArray[np.int64], values: NDArray[np.float64]) -> NDArray[np.fl
 
 
 @compiled
-def quantiles(
-    of: NDArray[np.int64], values: NDArray[np.float64], share: float
-) -> NDArray[np.float64]:
+def quantiles(of: Ints, values: Floats, share: float) -> Floats:
     """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
     begin, in_sets = _in_sets(of, values)
     found = np.empty(len(begin) - 1)

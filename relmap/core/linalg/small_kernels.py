@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import helper
 
 SWEEPS = 20
@@ -14,7 +14,7 @@ ROUNDING = 1e-17
 
 
 @helper
-def identity(n: int) -> NDArray[np.float64]:
+def identity(n: int) -> Floats:
     """Return the unit matrix (n, n)."""
     unit = np.zeros((n, n))
     for i in range(n):
@@ -23,7 +23,7 @@ def identity(n: int) -> NDArray[np.float64]:
 
 
 @helper
-def unset(n: int) -> NDArray[np.int64]:
+def unset(n: int) -> Ints:
     """Return n numbers of nothing, -1: less to compile than numpy's `full`."""
     numbers = np.empty(n, dtype=np.int64)
     for i in range(n):
@@ -32,7 +32,7 @@ def unset(n: int) -> NDArray[np.int64]:
 
 
 @helper
-def product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float64]:
+def product(A: Floats, B: Floats) -> Floats:
     """Return the product (n, k) of two matrices (n, m) and (m, k)."""
     result = np.empty((len(A), B.shape[1]))
     for i in range(len(A)):
@@ -45,7 +45,7 @@ def product(A: NDArray[np.float64], B: NDArray[np.float64]) -> NDArray[np.float6
 
 
 @helper
-def inverse3(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
+def inverse3(A: Floats) -> tuple[Floats, bool]:
     """Return the inverse of a symmetric matrix (3, 3), and whether it is positive definite."""
     inverse = np.empty((3, 3))
     for i in range(3):
@@ -61,7 +61,7 @@ def inverse3(A: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:
 
 
 @helper
-def diagonalise(A: NDArray[np.float64]) -> NDArray[np.float64]:
+def diagonalise(A: Floats) -> Floats:
     """Turn a symmetric matrix (n, n) into that of its eigenvalues, in place; return the vectors.
 
     Jacobi's method (Golub and Van Loan, "Matrix Computations", 8.5).  The vectors are columns.
@@ -89,7 +89,7 @@ def diagonalise(A: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @helper
-def factorise(A: NDArray[np.float64]) -> None:
+def factorise(A: Floats) -> None:
     """Put the lower Cholesky factor of a positive definite matrix (n, n) in its place."""
     for i in range(len(A)):
         for j in range(i + 1):
@@ -100,7 +100,7 @@ def factorise(A: NDArray[np.float64]) -> None:
 
 
 @helper
-def solve(L: NDArray[np.float64], x: NDArray[np.float64]) -> None:
+def solve(L: Floats, x: Floats) -> None:
     """Put the solution in place of the right side (n,), with the matrix's factor (n, n)."""
     n = len(x)
     for i in range(n):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import expm, logm
 from scipy.sparse.linalg import splu
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
 
@@ -17,13 +17,7 @@ SLACK = 1e-9
 """Weight of staying where it is, which fixes the frame."""
 
 
-def bend(
-    global_map: GlobalMap,
-    rows: SegmentRows,
-    pairs: NDArray[np.int64],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-) -> None:
+def bend(global_map: GlobalMap, rows: SegmentRows, pairs: Ints, R: Floats, t: Floats) -> None:
     """Spread the drift that a closed loop shows over what lies between.
 
     Segments and the landmarks that they saw move alike, as far as they can: least squares on the

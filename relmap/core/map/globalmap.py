@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -30,22 +30,18 @@ class GlobalMap:
         self.table = table
         self._n_submaps = 0
 
-    def submaps_of(self, landmarks: NDArray[np.int64], at_least: int = 1) -> NDArray[np.int64]:
+    def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
         """Return the submaps that so many of the landmarks belong to, the oldest first."""
         submaps, counts = np.unique(self.table.submap[landmarks], return_counts=True)
         return np.asarray(submaps[(submaps != NONE) & (counts >= at_least)])
 
-    def weights_in(self, submap: int, landmarks: NDArray[np.int64]) -> NDArray[np.float64]:
+    def weights_in(self, submap: int, landmarks: Ints) -> Floats:
         """Return the weights (g,) of landmarks, 0 for those outside the submap."""
         return np.where(self.table.submap[landmarks] == submap, self.table.weight[landmarks], 0.0)
 
     def align(
-        self,
-        submap: int,
-        landmarks: NDArray[np.int64],
-        relative_map: NDArray[np.float64],
-        n_iterations: NDArray[np.int64],
-    ) -> NDArray[np.float64] | None:
+        self, submap: int, landmarks: Ints, relative_map: Floats, n_iterations: Ints
+    ) -> Floats | None:
         """Fit a group's relative map to those of its members that are in a submap.
 
         Each counts with the number of iterations behind its two positions, the one in the map and
@@ -82,13 +78,7 @@ class GlobalMap:
         self._n_submaps += 1
         return self._n_submaps - 1
 
-    def place(
-        self,
-        submap: int,
-        landmarks: NDArray[np.int64],
-        positions: NDArray[np.float64],
-        weights: NDArray[np.float64],
-    ) -> None:
+    def place(self, submap: int, landmarks: Ints, positions: Floats, weights: Floats) -> None:
         """Put landmarks (g,) at positions (g, d) of a submap, averaged with what is settled.
 
         Parameters
@@ -108,32 +98,24 @@ class GlobalMap:
         self.table.weight[landmarks] = total
         self.table.submap[landmarks] = submap
 
-    def move(self, landmarks: NDArray[np.int64], positions: NDArray[np.float64]) -> None:
+    def move(self, landmarks: Ints, positions: Floats) -> None:
         """Move mapped landmarks (k,), and what is settled of them, to positions (k, d)."""
         self.table.settled_position[landmarks] += positions - self.table.position[landmarks]
         self.table.position[landmarks] = positions
 
-    def join(
-        self, submap: int, landmarks: NDArray[np.int64], positions: NDArray[np.float64]
-    ) -> None:
+    def join(self, submap: int, landmarks: Ints, positions: Floats) -> None:
         """Let other submaps join one where landmarks (g,), placed in it, fix how they lie."""
         for other in self.submaps_of(landmarks):
             if other != submap:
                 self._join(int(other), submap, landmarks, positions)
 
-    def _join(
-        self,
-        other: int,
-        submap: int,
-        landmarks: NDArray[np.int64],
-        positions: NDArray[np.float64],
-    ) -> None:
+    def _join(self, other: int, submap: int, landmarks: Ints, positions: Floats) -> None:
         shared = self.table.submap[landmarks] == other
         there = self.table.position[landmarks[shared]]
         if fixes_rotation(there) and self._is_fixed(other, landmarks[shared]):
             self.tie(other, submap, *fit_rigid(there, positions[shared]))
 
-    def _is_fixed(self, submap: int, shared: NDArray[np.int64]) -> bool:
+    def _is_fixed(self, submap: int, shared: Ints) -> bool:
         """Tell whether some landmarks leave none of their submap free to swing far."""
         from relmap.core.geometry.fitting_kernels import swings
 
@@ -141,7 +123,7 @@ class GlobalMap:
         swing = swings(self.table.position[members], np.isin(members, shared))
         return bool((swing <= LOOSE_SUBMAP).all())
 
-    def tie(self, other: int, submap: int, R: NDArray[np.float64], t: NDArray[np.float64]) -> None:
+    def tie(self, other: int, submap: int, R: Floats, t: Floats) -> None:
         """Let a submap join another, in whose frame its own lies at R (d, d) and t (d,)."""
         moved = self.table.submap == other
         for places in (self.table.position, self.table.settled_position):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.grouping.completion import RelativeMap
 from relmap.core.grouping.dynamics import FEWEST, judge_at_last
 from relmap.core.grouping.levels import GroupLevels
@@ -38,13 +38,7 @@ class Placing:
         self._map = global_map
         self._levels = levels
 
-    def place(
-        self,
-        submap: int,
-        level: int,
-        placed: NDArray[np.float64],
-        relative: RelativeMap,
-    ) -> NDArray[np.int64]:
+    def place(self, submap: int, level: int, placed: Floats, relative: RelativeMap) -> Ints:
         """Enter a relative map where it is the best there is.
 
         Parameters
@@ -80,7 +74,7 @@ class Placing:
         self._close(members[reached == 3])
         return landmarks[self._table.weight[landmarks] > 0]
 
-    def leave_out_moving(self, landmarks: NDArray[np.int64]) -> None:
+    def leave_out_moving(self, landmarks: Ints) -> None:
         """Take those of landmarks (k,) that are known to move off the map."""
         moving = landmarks[self._table.dynamic[landmarks]]
         if len(moving):
@@ -101,7 +95,7 @@ class Placing:
         # The group of the one seen longest is of use to most of the others.
         return int(waited[np.argmax(self._table.in_interval[waited])]) if len(waited) else None
 
-    def needs_last_pass(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def needs_last_pass(self, landmarks: Ints) -> Bools:
         """Tell whose interval holds enough for a group, does not move and is still stored; (n,).
 
         What little is left of an interval that was cut while it lasted needs no group of its own.
@@ -112,12 +106,12 @@ class Placing:
         needed &= self._table.last[landmarks] >= self._store.first_iteration
         return np.asarray(needed & ~self._table.dynamic[landmarks])
 
-    def be_done_with(self, gone: NDArray[np.int64]) -> None:
+    def be_done_with(self, gone: Ints) -> None:
         """Close the intervals of landmarks that have left, and judge those that got no place."""
         judge_at_last(self._table, gone[self._table.weight[gone] == 0])
         self._close(gone)
 
-    def _close(self, landmarks: NDArray[np.int64]) -> None:
+    def _close(self, landmarks: Ints) -> None:
         """End the interval of landmarks: where they are now is kept for good."""
         self._table.settle(landmarks)
         self._levels.close(landmarks)

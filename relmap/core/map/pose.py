@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 
 
-def trajectory(
-    rows: SegmentRows, positions_map: NDArray[np.float64], of: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     """Return the pose in every iteration (sections I and III).
 
     Each is the least-squares fit of what was seen to where it is mapped.  The observations are

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 
@@ -59,19 +60,19 @@ class SegmentRows:
         Where each iteration lies: robot frame to segment frame.
     """
 
-    landmark: NDArray[np.int64]
-    segment: NDArray[np.int64]
-    points: NDArray[np.float64]
+    landmark: Ints
+    segment: Ints
+    points: Floats
     visible: NDArray[np.uint8]
-    first_iteration: NDArray[np.int64]
-    squares: NDArray[np.float64]
-    freedoms: NDArray[np.int64]
-    iteration_segment: NDArray[np.int64]
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
+    first_iteration: Ints
+    squares: Floats
+    freedoms: Ints
+    iteration_segment: Ints
+    R: Floats
+    t: Floats
 
     @property
-    def n_seen(self) -> NDArray[np.int64]:
+    def n_seen(self) -> Ints:
         """Number of observations behind each row; (n,)."""
         return SEEN[self.visible]
 
@@ -122,7 +123,7 @@ class CondensedSegments:
             self._t.values,
         )
 
-    def condense(self, store: ObservationStore, before: int, dynamic: NDArray[np.bool_]) -> bool:
+    def condense(self, store: ObservationStore, before: int, dynamic: Bools) -> bool:
         """Condense the next segment, if it is whole before an iteration; tell whether it is.
 
         Parameters
@@ -138,7 +139,7 @@ class CondensedSegments:
         self._condense(store, self.end + LENGTH, dynamic)
         return True
 
-    def with_rest(self, store: ObservationStore, dynamic: NDArray[np.bool_]) -> SegmentRows:
+    def with_rest(self, store: ObservationStore, dynamic: Bools) -> SegmentRows:
         """Return the rows of all iterations seen, those still in the store included.
 
         These are condensed anew each time: the last segment may not be whole yet.
@@ -148,7 +149,7 @@ class CondensedSegments:
             whole._condense(store, min(whole.end + LENGTH, store.n_iterations), dynamic)
         return whole.rows
 
-    def _condense(self, store: ObservationStore, end: int, dynamic: NDArray[np.bool_]) -> None:
+    def _condense(self, store: ObservationStore, end: int, dynamic: Bools) -> None:
         begin, k, d = self.end, end - self.end, store.dimension
         self._make_room(k, d)
         landmarks, iterations = store.seen(begin, end)
@@ -179,11 +180,7 @@ class CondensedSegments:
                 self._enter(begin, present[~steady], *_means(block[~steady], joined, R, t))
 
     def _enter(
-        self,
-        begin: int,
-        landmarks: NDArray[np.int64],
-        points: NDArray[np.float64],
-        visible: NDArray[np.uint8],
+        self, begin: int, landmarks: Ints, points: Floats, visible: NDArray[np.uint8]
     ) -> None:
         """Enter rows of the latest segment."""
         there = (visible > 0) & np.isfinite(points).all(axis=1)
@@ -205,15 +202,8 @@ class CondensedSegments:
 
 
 def _laid_together(
-    block: NDArray[np.float64], free: NDArray[np.bool_]
-) -> tuple[
-    NDArray[np.bool_],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.uint8],
-    float,
-]:
+    block: Floats, free: Bools
+) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float]:
     """Lay as many of the free iterations (k,) of a block (n, k, d) on one another as hold together.
 
     Returns which these are, where they lie, R (k, d, d) and t (k, d), the places (n, d) and
@@ -233,17 +223,12 @@ def _laid_together(
     return joined, R, t, places, _visibility(seen), float(np.sum(deviation**2))
 
 
-def _visibility(seen: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _visibility(seen: Bools) -> NDArray[np.uint8]:
     """Return who was seen (n, k) as bits (n,)."""
     return np.packbits(seen, axis=1, bitorder="little")[:, 0]
 
 
-def _means(
-    block: NDArray[np.float64],
-    joined: NDArray[np.bool_],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+def _means(block: Floats, joined: Bools, R: Floats, t: Floats) -> tuple[Floats, NDArray[np.uint8]]:
     """Return mean places (n, d) and visibility (n,) of landmarks that nothing is fitted to."""
     seen = np.isfinite(block[:, :, 0]) & joined
     placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)

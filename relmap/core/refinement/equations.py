@@ -14,9 +14,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each, place_each, sums_each
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.condensing import LENGTH
@@ -36,15 +36,12 @@ no covariance: many weak holds along a chain add up to a strong one."""
 ROUNDING = 1e-13
 """Residual that is taken for rounding, as a share of the map's size."""
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 
 class Laid(NamedTuple):
     """Landmarks (m, d), and the rows (n, d) of each segment where it was laid on them, metres."""
 
-    positions: Array
-    placed: Array
+    positions: Floats
+    placed: Floats
 
 
 class SegmentProblem:
@@ -66,7 +63,7 @@ class SegmentProblem:
         self.freedoms = max(d * n - unknowns, 1)
         self.rounding = n * (ROUNDING * size) ** 2
 
-    def laid(self, positions: Array, weight: Array) -> Laid:
+    def laid(self, positions: Floats, weight: Floats) -> Laid:
         """Lay each segment on positions as it fits best, by observations of weights (n,)."""
         rows, there = self.rows, positions[self.rows.landmark]
         R, t, _ = fit_rigid_each(
@@ -74,7 +71,7 @@ class SegmentProblem:
         )
         return Laid(positions, place_each(R, t, rows.segment, rows.points))
 
-    def residuals(self, state: Laid) -> Array:
+    def residuals(self, state: Laid) -> Floats:
         """Return the lengths (n,) of what is left, in units of an observation."""
         off = state.placed - state.positions[self.rows.landmark]
         return np.asarray(np.sqrt(np.sum(off**2, axis=1) * self.rows.n_seen))
@@ -82,7 +79,7 @@ class SegmentProblem:
     def equations(
         self,
         state: Laid,
-        weight: Array,
+        weight: Floats,
         with_matrix: bool,
         damping: float,
         hold: tuple[float, float] = HOLD,
@@ -90,20 +87,22 @@ class SegmentProblem:
         """Return the normal equations of what is kept."""
         raise NotImplementedError
 
-    def stepped(self, state: Laid, equations: NormalEquations, step: Array, weight: Array) -> Laid:
+    def stepped(
+        self, state: Laid, equations: NormalEquations, step: Floats, weight: Floats
+    ) -> Laid:
         """Return where landmarks and segments lie after a step."""
         return self.laid(self._moved(state, step, weight), weight)
 
-    def covariances(self, state: Laid, weight: Array) -> Array:
+    def covariances(self, state: Laid, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks under noise of variance 1."""
         matrix = self.equations(state, weight, True, 0.0, (BARELY, 0.0)).matrix
         self.pattern.factorise(matrix)
         return self._covariances(state, weight, self.pattern.inverse(matrix))
 
-    def _moved(self, state: Laid, step: Array, weight: Array) -> Array:
+    def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
         raise NotImplementedError
 
-    def _covariances(self, state: Laid, weight: Array, inverse: Array) -> Array:
+    def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
         raise NotImplementedError
 
     def _held(self, equations: NormalEquations, damping: float, hold: tuple[float, float]) -> None:
@@ -112,7 +111,7 @@ class SegmentProblem:
             least += share * self.pattern.largest(equations.matrix)
             self.pattern.hold(equations.matrix, share + damping, least)
 
-    def _centre(self, placed: Array) -> Array:
+    def _centre(self, placed: Floats) -> Floats:
         """Return the middle (s, d) of each segment."""
         total = sums_each(placed, self.rows.segment, len(self.rows.segments))
         return np.asarray(total / np.diff(self.rows.begin)[:, None])
@@ -146,9 +145,7 @@ class FreePlacements(SegmentProblem):
             pattern, kept, begin, scalar, segment, times, free_in_matrix=times - fixed
         )
 
-    def _placements(
-        self, anchor: tuple[int, int]
-    ) -> tuple[Indices, Indices, Array, Indices, Array]:
+    def _placements(self, anchor: tuple[int, int]) -> tuple[Ints, Ints, Floats, Ints, Floats]:
         """Return the rows that placements saw, each set once.
 
         How many rows each saw, how many placements saw them, in which segment, and how many of them
@@ -170,7 +167,7 @@ class FreePlacements(SegmentProblem):
     def equations(
         self,
         state: Laid,
-        weight: Array,
+        weight: Floats,
         with_matrix: bool,
         damping: float,
         hold: tuple[float, float] = HOLD,
@@ -185,10 +182,10 @@ class FreePlacements(SegmentProblem):
         self._held(equations, damping, hold)
         return equations
 
-    def _moved(self, state: Laid, step: Array, weight: Array) -> Array:
+    def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
         return np.asarray(state.positions + step[self._unknown])
 
-    def _covariances(self, state: Laid, weight: Array, inverse: Array) -> Array:
+    def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
         return self.pattern.parts(inverse, self._unknown)
 
 
@@ -208,11 +205,7 @@ class FreeLandmarks(SegmentProblem):
     """
 
     def __init__(
-        self,
-        rows: JointRows,
-        size: float,
-        level: Indices,
-        anchor: tuple[int, int] | None = None,
+        self, rows: JointRows, size: float, level: Ints, anchor: tuple[int, int] | None = None
     ) -> None:
         super().__init__(rows, size)
         d = self._d = rows.points.shape[1]
@@ -238,7 +231,7 @@ class FreeLandmarks(SegmentProblem):
     def equations(
         self,
         state: Laid,
-        weight: Array,
+        weight: Floats,
         with_matrix: bool,
         damping: float,
         hold: tuple[float, float] = HOLD,
@@ -256,7 +249,7 @@ class FreeLandmarks(SegmentProblem):
             self.pattern.fix(equations.matrix, self._fixed, len(fixed))
         return equations
 
-    def _linearised(self, state: Laid, weight: Array) -> tuple[Linearised, Array]:
+    def _linearised(self, state: Laid, weight: Floats) -> tuple[Linearised, Floats]:
         """Return the residuals of the rows, some of them twice, and their weights."""
         rows, d = self.rows, self._d
         off = (state.placed - state.positions[rows.landmark])[self._row]
@@ -268,7 +261,7 @@ class FreeLandmarks(SegmentProblem):
             np.repeat(self._seen * weight[self._row], d),
         )
 
-    def _moved(self, state: Laid, step: Array, weight: Array) -> Array:
+    def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
         """Return the means of the rows, their segments turned and shifted."""
         steps, d = step[self._unknown], self._d
         if self._fixed != self._anchor:
@@ -279,14 +272,14 @@ class FreeLandmarks(SegmentProblem):
         moved = place_each(turn, shift, self._placement, away) + centre
         return self.means(moved, weight)
 
-    def means(self, placed: Array, weight: Array) -> Array:
+    def means(self, placed: Floats, weight: Floats) -> Floats:
         """Return the weighted mean (m, d) for each landmark of what was laid somewhere (k, d)."""
         omega, of = self._seen * weight[self._row], self.rows.landmark[self._row]
         m = len(self.rows.landmarks)
         total = np.bincount(of, weights=omega, minlength=m)
         return np.asarray(sums_each(placed * omega[:, None], of, m) / total[:, None])
 
-    def _covariances(self, state: Laid, weight: Array, inverse: Array) -> Array:
+    def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
         linear, each = self._linearised(state, weight)
         return self._eliminated.covariances(linear, each, BARELY, inverse)
 
@@ -327,7 +320,7 @@ def exact_flops(rows: JointRows, pattern: Pattern) -> float:
     return float(pattern.flops + 2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
 
 
-def derivatives(away: Array) -> Array:
+def derivatives(away: Floats) -> Floats:
     """Return the derivatives (n, d, q) of points by a turn and a shift; (n, d) from the centre."""
     n, d = away.shape
     J = np.zeros((n, d, 3 * d - 3))
@@ -340,7 +333,7 @@ def derivatives(away: Array) -> Array:
     return J
 
 
-def rotations(turns: Array) -> Array:
+def rotations(turns: Floats) -> Floats:
     """Return the rotations (n, d, d) by angles (n, 1) or rotation vectors (n, 3)."""
     if turns.shape[1] == 3:
         return np.asarray(Rotation.from_rotvec(turns).as_matrix())

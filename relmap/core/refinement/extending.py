@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import place_each, sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
@@ -35,14 +35,12 @@ SEEN_AGAIN = 2
 class _Laid(NamedTuple):
     """The rows (n,) as their segments lie: places, variances, and how far these may deviate."""
 
-    placed: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    placed: Floats
+    variance: Floats
     limit: float
 
 
-def extend_submaps(
-    global_map: GlobalMap, rows: SegmentRows, among: NDArray[np.bool_] | None = None
-) -> bool:
+def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None = None) -> bool:
     """Extend submaps, the largest first, to what segments tie to them; tell whether any grew.
 
     Landmarks of smaller submaps come to the larger; those that were taken for moving, and keep
@@ -73,11 +71,7 @@ def extend_submaps(
 
 
 def _extend(
-    global_map: GlobalMap,
-    submap: int,
-    rows: SegmentRows,
-    free: NDArray[np.bool_],
-    suspects: bool,
+    global_map: GlobalMap, submap: int, rows: SegmentRows, free: Bools, suspects: bool
 ) -> bool:
     """Extend one submap by free landmarks (m,), either at rest or suspected."""
     table, tier, grew = global_map.table, 0, False
@@ -101,12 +95,7 @@ def _extend(
     return grew
 
 
-def _lay(
-    rows: SegmentRows,
-    landmark: NDArray[np.int64],
-    positions: NDArray[np.float64],
-    known: NDArray[np.bool_],
-) -> _Laid:
+def _lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _Laid:
     """Lay every segment on those of its rows (n,) that are known, and tell how sure the others are.
 
     Where fewer agree than fix a segment, or less than half, the variance of all of it is infinite.
@@ -128,14 +117,14 @@ def _lay(
     return _Laid(placed, variance, STEADY * usual)
 
 
-def _upper(values: NDArray[np.float64], of: NDArray[np.int64]) -> NDArray[np.float64]:
+def _upper(values: Floats, of: Ints) -> Floats:
     """Return what most of the values (n,) of each number in `of` do not exceed."""
     order = np.lexsort((values, of))
     _, first, counts = np.unique(of[order], return_index=True, return_counts=True)
     return np.asarray(values[order][first + (AGREEING * counts).astype(np.int64)])
 
 
-def _variances(rows: SegmentRows, fitted: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+def _variances(rows: SegmentRows, fitted: Ints, n: int) -> Floats:
     """Return the variance (n,) of each row of segments fitted to some rows, in an observation's."""
     at, d = rows.segment[fitted], rows.points.shape[1]
     seen = rows.n_seen[fitted].astype(np.float64)
@@ -156,13 +145,8 @@ def _variances(rows: SegmentRows, fitted: NDArray[np.int64], n: int) -> NDArray[
 
 
 def _placed(
-    table: LandmarkState,
-    rows: SegmentRows,
-    landmark: NDArray[np.int64],
-    chosen: NDArray[np.int64],
-    laid: _Laid,
-    sure: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    table: LandmarkState, rows: SegmentRows, landmark: Ints, chosen: Ints, laid: _Laid, sure: int
+) -> tuple[Ints, Floats, Floats]:
     """Return landmarks (k,), places (k, d) and weights (k,) of those on which segments agree."""
     chosen = chosen[np.argsort(landmark[chosen], kind="stable")]
     numbers, first = np.unique(landmark[chosen], return_index=True)

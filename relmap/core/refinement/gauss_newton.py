@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.schur import NormalEquations
 
 State = TypeVar("State")
-Array = NDArray[np.float64]
-Weigh = Callable[[Array], Array]
+Weigh = Callable[[Floats], Floats]
 """Weights (n,) of residuals (n,)."""
 
 WORSE = 1.001
@@ -47,12 +46,12 @@ class Problem(Protocol[State]):
     freedoms: int
     rounding: float
 
-    def residuals(self, state: State) -> Array:
+    def residuals(self, state: State) -> Floats:
         """Return the sizes (n,) of what is left of the observations, each as sure as the others."""
         ...
 
     def equations(
-        self, state: State, weight: Array, with_matrix: bool, damping: float
+        self, state: State, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations, of observations of weights (n,).
 
@@ -61,7 +60,7 @@ class Problem(Protocol[State]):
         ...
 
     def stepped(
-        self, state: State, equations: NormalEquations, step: Array, weight: Array
+        self, state: State, equations: NormalEquations, step: Floats, weight: Floats
     ) -> State | None:
         """Return the state after the step that solves the equations; None if it is too long."""
         ...
@@ -86,14 +85,14 @@ class Solution(Generic[State]):
     """
 
     state: State
-    weight: Array
+    weight: Floats
     last: State | None
     gain: float
     converged: bool
-    factor: Array | None
+    factor: Floats | None
 
 
-def weighted_squares(residual: Array, weight: Array) -> float:
+def weighted_squares(residual: Floats, weight: Floats) -> float:
     """Return the cost of least squares."""
     return float(weight @ residual**2)
 
@@ -103,8 +102,8 @@ def gauss_newton(
     state: State,
     weigh: Weigh,
     rounds: int,
-    factor: Array | None = None,
-    cost_of: Callable[[Array, Array], float] = weighted_squares,
+    factor: Floats | None = None,
+    cost_of: Callable[[Floats, Floats], float] = weighted_squares,
     unsure: float = UNSURE,
     same: float = SAME,
     monotone: bool = True,

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.linalg.compiling import compiled
 from relmap.core.linalg.small_kernels import unset
-
-Index = NDArray[np.int64]
 
 
 @compiled
 def breadth_first(
-    start: int, begin: Index, landmark: Index, entry_begin: Index, entry: Index, segment: Index
-) -> tuple[Index, Index]:
+    start: int, begin: Ints, landmark: Ints, entry_begin: Ints, entry: Ints, segment: Ints
+) -> tuple[Ints, Ints]:
     """Return levels of landmarks (m,) and segments (s,), from one landmark on.
 
     `entry` lists the rows of each landmark, from `entry_begin` (m + 1,) on.  What cannot be reached

@@ -12,8 +12,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, place_each, sums_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.map.globalmap import GlobalMap
@@ -39,9 +39,7 @@ BODIES = 64
 WHOLE = 400
 """Segments up to which each is a body of its own in the last step, which need not be quick."""
 
-Points = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Seen = tuple[Indices, Points, Points]
+Seen = tuple[Ints, Floats, Floats]
 """Landmarks (n,), where they are, (n, d), and how much was seen of them, (n,)."""
 
 
@@ -148,11 +146,11 @@ class LiveRefinement:
         self._length *= 2 if kept < len(bodies) else 1
         self._most = max(BODIES, 2 * kept)
 
-    def _bodies(self) -> tuple[Indices, Points, Points, Indices]:
+    def _bodies(self) -> tuple[Ints, Floats, Floats, Ints]:
         landmark = self._table.landmark_of[self._landmark]
         return landmark, self._points, self._weight, self._body
 
-    def _step(self, landmark: Indices, points: Points, seen: Points, body: Indices) -> None:
+    def _step(self, landmark: Ints, points: Floats, seen: Floats, body: Ints) -> None:
         """Take a Gauss-Newton step for the submap that is in view, if there is one.
 
         Parameters
@@ -190,7 +188,7 @@ class LiveRefinement:
         )
         self.move(submap, joint, placed[on], weight[on])
 
-    def move(self, submap: int, rows: JointRows, placed: Points, weight: Points) -> None:
+    def move(self, submap: int, rows: JointRows, placed: Floats, weight: Floats) -> None:
         """Move the landmarks, and what was mapped meanwhile along with the latest body.
 
         A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not

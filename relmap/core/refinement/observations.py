@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.refinement.rows import numbered
 
@@ -26,19 +26,17 @@ class Observations:
         Their numbers in the run.
     """
 
-    points: NDArray[np.float64]
-    landmark: NDArray[np.int64]
-    iteration: NDArray[np.int64]
-    iterations: NDArray[np.int64]
+    points: Floats
+    landmark: Ints
+    iteration: Ints
+    iterations: Ints
 
     @property
-    def begin(self) -> NDArray[np.int64]:
+    def begin(self) -> Ints:
         """Where the rows of each iteration begin, and where the last ends; (k + 1,)."""
         return np.searchsorted(self.iteration, np.arange(len(self.iterations) + 1))
 
-    def placed_on(
-        self, positions: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    def placed_on(self, positions: Floats) -> tuple[Floats, Floats, Bools]:
         """Return the placement of each iteration that fits landmarks (m, d) best.
 
         Returns
@@ -53,12 +51,8 @@ class Observations:
 
 
 def observations_of(
-    points: NDArray[np.float64],
-    seen: NDArray[np.int64],
-    when: NDArray[np.int64],
-    landmarks: NDArray[np.int64],
-    positions: NDArray[np.float64],
-) -> tuple[Observations, NDArray[np.int64]]:
+    points: Floats, seen: Ints, when: Ints, landmarks: Ints, positions: Floats
+) -> tuple[Observations, Ints]:
     """Return the observations of landmarks (m,) at positions (m, d), and which (k,) of all.
 
     Parameters
@@ -80,8 +74,6 @@ def observations_of(
     return _observations(points[rows], at[rows], when[rows]), rows
 
 
-def _observations(
-    points: NDArray[np.float64], landmark: NDArray[np.int64], when: NDArray[np.int64]
-) -> Observations:
+def _observations(points: Floats, landmark: Ints, when: Ints) -> Observations:
     iterations, iteration = numbered(when)
     return Observations(points, landmark, iteration, iterations)

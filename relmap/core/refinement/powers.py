@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaln
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.equations import derivatives, rotations
 from relmap.core.refinement.gauss_newton import gauss_newton
@@ -72,7 +72,7 @@ def refine_by_powers(refined: Refined, seen: Observations) -> Refined:
     )
 
 
-def shape_of(residuals: NDArray[np.float64]) -> float:
+def shape_of(residuals: Floats) -> float:
     """Return the power p for which noise of density ``exp(-|x|^p)`` has the residuals' kurtosis."""
     square = residuals**2
     kurtosis = np.mean(square**2) / np.mean(square) ** 2
@@ -84,9 +84,9 @@ def shape_of(residuals: NDArray[np.float64]) -> float:
 class Placed(NamedTuple):
     """Landmarks (m, d), and the placements of iterations, R (k, d, d) and t (k, d)."""
 
-    positions: NDArray[np.float64]
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
+    positions: Floats
+    R: Floats
+    t: Floats
 
 
 class PowerProblem:
@@ -121,29 +121,29 @@ class PowerProblem:
         found.power, found._unit = power, unit
         return found
 
-    def of_points(self, points: NDArray[np.float64]) -> PowerProblem:
+    def of_points(self, points: Floats) -> PowerProblem:
         """Return the same for other observations (n, d) of the same landmarks."""
         found = copy(self)
         found.seen = replace(self.seen, points=points)
         return found
 
-    def left(self, state: Placed) -> NDArray[np.float64]:
+    def left(self, state: Placed) -> Floats:
         """Return what is left of each observation (n, d), robot frame, metres."""
         at = self.seen.iteration
         away = state.positions[self.seen.landmark] - state.t[at]
         return np.asarray(self.seen.points - np.einsum("nji,nj->ni", state.R[at], away))
 
-    def residuals(self, state: Placed) -> NDArray[np.float64]:
+    def residuals(self, state: Placed) -> Floats:
         """Return what is left (n d,), axis by axis."""
         return self.left(state).ravel()
 
-    def weights(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+    def weights(self, residual: Floats) -> Floats:
         """Return the weights of least squares that make the sum of powers least."""
         size = np.abs(residual)
         return np.asarray(np.maximum((size / size.max()) ** (self.power - 2), FAINT))
 
     def equations(
-        self, state: Placed, weight: NDArray[np.float64], with_matrix: bool, damping: float
+        self, state: Placed, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of the landmarks."""
         at, d = self.seen.iteration, self.seen.points.shape[1]
@@ -158,30 +158,18 @@ class PowerProblem:
         return equations
 
     def stepped(
-        self,
-        state: Placed,
-        equations: NormalEquations,
-        step: NDArray[np.float64],
-        weight: NDArray[np.float64],
+        self, state: Placed, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Placed:
         """Return the state after a step, or the better part of it."""
         placements = equations.eliminated_steps(step)
         tried = [self._moved(state, share, step, placements) for share in SHARES]
         return min(tried, key=lambda each: self.sum_of_powers(self.residuals(each)))
 
-    def sum_of_powers(
-        self, residual: NDArray[np.float64], _: NDArray[np.float64] | None = None
-    ) -> float:
+    def sum_of_powers(self, residual: Floats, _: Floats | None = None) -> float:
         """Return what is made least."""
         return float(np.sum(np.abs(residual / self._unit) ** self.power))
 
-    def _moved(
-        self,
-        state: Placed,
-        share: float,
-        step: NDArray[np.float64],
-        placements: NDArray[np.float64],
-    ) -> Placed:
+    def _moved(self, state: Placed, share: float, step: Floats, placements: Floats) -> Placed:
         share /= self.power - 1
         turn, shift = np.split(share * placements, [-self.seen.points.shape[1]], axis=1)
         positions = state.positions + share * step[self._unknown]
@@ -196,7 +184,7 @@ class PowerSolution:
     state: Placed
 
     @classmethod
-    def of(cls, seen: Observations, positions: NDArray[np.float64]) -> PowerSolution:
+    def of(cls, seen: Observations, positions: Floats) -> PowerSolution:
         """Return the solution of least squares."""
         R, t, _ = seen.placed_on(positions)
         return cls(PowerProblem(seen, len(positions)), Placed(positions, R, t))
@@ -207,7 +195,7 @@ class PowerSolution:
         return self.problem.power
 
     @property
-    def left(self) -> NDArray[np.float64]:
+    def left(self) -> Floats:
         """What is left of each observation (n, d), robot frame, metres."""
         return self.problem.left(self.state)
 

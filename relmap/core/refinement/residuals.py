@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.rows import JointRows
@@ -25,9 +25,9 @@ class SegmentResiduals:
         What it is apart from the map, root mean square, in units of what the noise explains.
     """
 
-    first_iteration: NDArray[np.int64]
-    middle: NDArray[np.float64]
-    residual: NDArray[np.float64]
+    first_iteration: Ints
+    middle: Floats
+    residual: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,18 +44,14 @@ class MergeResiduals:
         The same, in units of what the noise explains.
     """
 
-    landmark: NDArray[np.int64]
-    track: NDArray[np.int64]
-    apart_m: NDArray[np.float64]
-    residual: NDArray[np.float64]
+    landmark: Ints
+    track: Ints
+    apart_m: Floats
+    residual: Floats
 
 
 def segment_residuals(
-    rows: SegmentRows,
-    joint: JointRows,
-    placed: NDArray[np.float64],
-    positions: NDArray[np.float64],
-    noise_m: float,
+    rows: SegmentRows, joint: JointRows, placed: Floats, positions: Floats, noise_m: float
 ) -> SegmentResiduals:
     """Compare each segment's sum of squares with what noise alone would leave of it.
 
@@ -80,12 +76,7 @@ def segment_residuals(
 
 
 def merge_residuals(
-    landmarks: NDArray[np.int64],
-    of: NDArray[np.int64],
-    number: NDArray[np.int64],
-    off: NDArray[np.float64],
-    seen: NDArray[np.float64],
-    variance: NDArray[np.float64],
+    landmarks: Ints, of: Ints, number: Ints, off: Floats, seen: Floats, variance: Floats
 ) -> MergeResiduals:
     """Compare where landmarks were seen under each number that was merged into another.
 

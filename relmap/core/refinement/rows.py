@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.condensing import SegmentRows
 
 
@@ -32,22 +33,17 @@ class JointRows:
         Where these are among all rows.
     """
 
-    points: NDArray[np.float64]
+    points: Floats
     visible: NDArray[np.uint8]
-    n_seen: NDArray[np.float64]
-    segment: NDArray[np.int64]
-    landmark: NDArray[np.int64]
-    landmarks: NDArray[np.int64]
-    segments: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    n_seen: Floats
+    segment: Ints
+    landmark: Ints
+    landmarks: Ints
+    segments: Ints
+    rows: Ints
 
     @classmethod
-    def of_landmarks(
-        cls,
-        rows: SegmentRows,
-        landmark: NDArray[np.int64],
-        kept: NDArray[np.int64],
-    ) -> JointRows:
+    def of_landmarks(cls, rows: SegmentRows, landmark: Ints, kept: Ints) -> JointRows:
         """Return chosen rows `kept` (n,), where all rows are of landmarks (k,)."""
         landmarks, compact = numbered(landmark[kept])
         segments, segment = numbered(rows.segment[kept])
@@ -63,22 +59,18 @@ class JointRows:
         )
 
     @property
-    def begin(self) -> NDArray[np.int64]:
+    def begin(self) -> Ints:
         """Where the rows of each segment begin, and where the last ends; (s + 1,)."""
         return np.searchsorted(self.segment, np.arange(len(self.segments) + 1))
 
 
-def rows_of_each(
-    landmark: NDArray[np.int64], n: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
     """Return where the rows of each of n landmarks begin (n + 1,) in a list of rows (k,)."""
     counts = np.bincount(landmark, minlength=n)
     return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
 
 
-def levels_of(
-    begin: NDArray[np.int64], landmark: NDArray[np.int64], n_landmarks: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def levels_of(begin: Ints, landmark: Ints, n_landmarks: int) -> tuple[Ints, Ints]:
     """Return levels of landmarks (m,) and of what saw them (s,), beginning at an outer landmark.
 
     Neighbours are at most one level apart.
@@ -101,7 +93,7 @@ def levels_of(
     return of_landmark, numbered(of_segment)[1]
 
 
-def numbered(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def numbered(values: Ints) -> tuple[Ints, Ints]:
     """Return what is among values (k,), ascending, and the place of each in that."""
     there = np.zeros(int(values.max(initial=-1)) + 1, dtype=bool)
     there[values] = True

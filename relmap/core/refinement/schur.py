@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 
 if TYPE_CHECKING:
@@ -38,10 +38,10 @@ class NormalEquations:
         From a step (u,) to those of the bodies (p, q).
     """
 
-    right: NDArray[np.float64]
-    matrix: NDArray[np.float64]
+    right: Floats
+    matrix: Floats
     cost: float
-    eliminated_steps: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    eliminated_steps: Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class Linearised:
     by_kept : (r, k) float64
     """
 
-    off: NDArray[np.float64]
-    by_eliminated: NDArray[np.float64]
-    by_kept: NDArray[np.float64]
+    off: Floats
+    by_eliminated: Floats
+    by_kept: Floats
 
 
 class Elimination:
@@ -83,13 +83,13 @@ class Elimination:
     def __init__(
         self,
         pattern: Pattern,
-        kept: NDArray[np.int64],
-        begin: NDArray[np.int64],
-        seen: NDArray[np.int64],
-        stretch: NDArray[np.int64],
-        times: NDArray[np.float64] | None = None,
-        free: NDArray[np.float64] | None = None,
-        free_in_matrix: NDArray[np.float64] | None = None,
+        kept: Ints,
+        begin: Ints,
+        seen: Ints,
+        stretch: Ints,
+        times: Floats | None = None,
+        free: Floats | None = None,
+        free_in_matrix: Floats | None = None,
     ) -> None:
         self._pattern, self._kept = pattern, kept
         times = np.ones(len(stretch)) if times is None else times
@@ -107,10 +107,10 @@ class Elimination:
     def equations(
         self,
         linear: Linearised,
-        weight: NDArray[np.float64],
+        weight: Floats,
         hold: float,
         with_matrix: bool,
-        along: NDArray[np.float64] | None = None,
+        along: Floats | None = None,
     ) -> NormalEquations:
         """Return the equations of the unknowns that are kept.
 
@@ -131,18 +131,14 @@ class Elimination:
         right, layout = np.zeros(self._pattern.n_unknowns), self._pattern.layout
         cost, roots = reduced_equations(rows, bodies, self._stretches, hold, layout, matrix, right)
 
-        def steps(step: NDArray[np.float64]) -> NDArray[np.float64]:
+        def steps(step: Floats) -> Floats:
             return eliminated_steps(rows, bodies, self._kept, step, roots)
 
         return NormalEquations(right, matrix, cost, steps)
 
     def covariances(
-        self,
-        linear: Linearised,
-        weight: NDArray[np.float64],
-        hold: float,
-        inverse: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        self, linear: Linearised, weight: Floats, hold: float, inverse: Floats
+    ) -> Floats:
         """Return the covariances (p, q, q) of the bodies, from those of what is kept."""
         from relmap.core.refinement.schur_kernels import eliminated_covariances
 
@@ -151,7 +147,7 @@ class Elimination:
         return eliminated_covariances(rows, bodies, self._stretches, hold, layout, inverse)
 
     def _seen(
-        self, linear: Linearised, weight: NDArray[np.float64], along: NDArray[np.float64] | None
+        self, linear: Linearised, weight: Floats, along: Floats | None
     ) -> tuple[Rows, Bodies]:
         """Return rows and bodies as the kernels have them."""
         none = np.zeros((len(self._bodies[2]), linear.by_eliminated.shape[1]))

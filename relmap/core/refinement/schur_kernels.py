@@ -11,17 +11,15 @@ begins, `begin` (g + 1,) and `unknowns`, those of each that are kept, ascending.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky_kernels import Layout, add_part, take_part
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, identity, solve
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Rows = tuple[Array, Array, Array, Array, Index]
-Bodies = tuple[Index, Index, Array, Array, Array, Array]
-Stretches = tuple[Index, Index, Index]
+Rows = tuple[Floats, Floats, Floats, Floats, Ints]
+Bodies = tuple[Ints, Ints, Floats, Floats, Floats, Floats]
+Stretches = tuple[Ints, Ints, Ints]
 
 STIFF = 1e3
 """What holds a body along a direction in which nothing measures it, as a share of what holds it
@@ -29,7 +27,7 @@ otherwise."""
 
 
 @helper
-def _hold(matrix: Array, along: Array, share: float) -> None:
+def _hold(matrix: Floats, along: Floats, share: float) -> None:
     """Hold a body (q, q), turn and shift, in a direction, and a little in all."""
     q = len(matrix)
     d, turn, shift = (q + 3) // 3, 0.0, 0.0
@@ -46,7 +44,7 @@ def _hold(matrix: Array, along: Array, share: float) -> None:
 
 @helper
 def _whitened(
-    rows: Rows, bodies: Bodies, i: int, hold: float, root: Array, coupling: Array, pull: Array
+    rows: Rows, bodies: Bodies, i: int, hold: float, root: Floats, coupling: Floats, pull: Floats
 ) -> None:
     """Enter the Cholesky factor (q, q) of a body's matrix.
 
@@ -76,7 +74,7 @@ def _whitened(
 
 
 @helper
-def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> float:
+def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Floats, part: Floats) -> float:
     """Add what the rows of a body say of what is kept; return their weighted squares."""
     off, _, by_kept, weight, number = rows
     begin, seen, times, _, _, _ = bodies
@@ -94,7 +92,7 @@ def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Array, part: Array) -> 
 
 
 @helper
-def _eliminated(coupling: Array, free: Array) -> Array:
+def _eliminated(coupling: Floats, free: Floats) -> Floats:
     """Return what eliminating bodies, so many of each free (n,), adds to the matrix (u, u).
 
     What couples them, times their factor's inverse (n * q, u), is changed.
@@ -119,9 +117,9 @@ def reduced_equations(
     stretches: Stretches,
     hold: float,
     layout: Layout,
-    values: Array,
-    right: Array,
-) -> tuple[float, Array]:
+    values: Floats,
+    right: Floats,
+) -> tuple[float, Floats]:
     """Add the normal equations that are left of what is kept when the bodies are eliminated.
 
     Parameters
@@ -171,7 +169,7 @@ def reduced_equations(
 
 
 @compiled
-def eliminated_steps(rows: Rows, bodies: Bodies, kept: Index, step: Array, roots: Array) -> Array:
+def eliminated_steps(rows: Rows, bodies: Bodies, kept: Ints, step: Floats, roots: Floats) -> Floats:
     """Return the steps (p, q) of the bodies that belong to a step (u,) of what is kept.
 
     `kept` (r, k) are the unknowns of each row that are kept, `roots` as from `reduced_equations`.
@@ -195,8 +193,8 @@ def eliminated_steps(rows: Rows, bodies: Bodies, kept: Index, step: Array, roots
 
 @compiled
 def eliminated_covariances(
-    rows: Rows, bodies: Bodies, stretches: Stretches, hold: float, layout: Layout, inverse: Array
-) -> Array:
+    rows: Rows, bodies: Bodies, stretches: Stretches, hold: float, layout: Layout, inverse: Floats
+) -> Floats:
     """Return the covariances (p, q, q) of the bodies, from the inverse over what is kept."""
     first, begin, unknowns = stretches
     q, place = rows[1].shape[1], np.empty_like(layout[1])

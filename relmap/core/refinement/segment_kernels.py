@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.geometry.fitting_kernels import centre_of, fit_rows, set_placement
 from relmap.core.grouping.averaging_kernels import place
 from relmap.core.linalg.compiling import compiled, helper
@@ -22,9 +22,7 @@ EXACT = 1e-9
 
 
 @helper
-def _is_tied(
-    here: NDArray[np.float64], rows: NDArray[np.bool_], scatter: NDArray[np.float64]
-) -> bool:
+def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
     """Tell whether some rows of an iteration, NaN where it saw nothing, hold all of it firmly."""
     x, y, z, _ = centre_of(here, rows)
     across, farthest = scatter[0, 0] + scatter[1, 1], 0.0
@@ -40,12 +38,7 @@ def _is_tied(
 
 
 @compiled
-def join(
-    block: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-    free: NDArray[np.bool_],
-    seed: int,
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+def join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Floats, Floats]:
     """Fit one iteration after another to those before, from the seed outwards, while they hold."""
     n, k, d = block.shape
     R, t, joined = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k, dtype=np.bool_)
@@ -79,12 +72,7 @@ def join(
 
 
 @helper
-def _mean_of(
-    block: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the mean places (n, d), their counts (n,), and all deviations (n, k, d)."""
     n, k, d = block.shape
     mean, counts, deviation = np.zeros((n, d)), np.zeros(n), np.zeros((n, k, d))
@@ -107,12 +95,8 @@ def _mean_of(
 
 @compiled
 def settle(
-    block: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-    joined: NDArray[np.bool_],
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Bring iterations to where all of the segment agree best; R and t are changed.
 
     Each is fitted to the mean of all, in turns (generalised Procrustes analysis; Gower, 1975).
@@ -135,12 +119,7 @@ def settle(
 
 
 @compiled
-def trim(
-    deviation: NDArray[np.float64],
-    mean: NDArray[np.float64],
-    counts: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-) -> bool:
+def trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
     """Leave out the worst observation of each iteration, if it deviates too much; tell if any did.
 
     The others may deviate because of it.

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.geometry.robust import EXACT, lenient, limit_of, robust_cost, strict
 from relmap.core.refinement.equations import Laid, SegmentProblem
 from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newton
 
-Array = NDArray[np.float64]
-Weights = Callable[[Array, float], Array]
+Weights = Callable[[Floats, float], Floats]
 
 ROUNDS, FEW_ROUNDS = 100, 10
 """Steps at most, and from where another problem that is nearly the same has settled."""
@@ -29,7 +28,7 @@ class HasPositions(Protocol):
     """A state with landmarks (m, d), metres."""
 
     @property
-    def positions(self) -> Array:
+    def positions(self) -> Floats:
         """Where the landmarks are."""
         ...
 
@@ -53,7 +52,7 @@ class Settled(Generic[State]):
     """
 
     state: State
-    weight: Array
+    weight: Floats
     converged: bool
 
 
@@ -69,8 +68,8 @@ def settle(problem: Problem[State], start: State) -> Settled[State]:
     residual = problem.residuals(start)
     limit = first = limit_of(residual, d, size)
 
-    def weighing(function: Weights) -> Callable[[Array], Array]:
-        def weigh(residual: Array) -> Array:
+    def weighing(function: Weights) -> Callable[[Floats], Floats]:
+        def weigh(residual: Floats) -> Floats:
             nonlocal limit
             limit = min(limit_of(residual, d, size), limit)
             return function(residual, limit)
@@ -104,6 +103,6 @@ def polished(problem: SegmentProblem, settled: Settled[Laid]) -> Settled[Laid]:
     return replace(settled, state=found.state) if cost(found.state) <= cost(start) else settled
 
 
-def size_of(positions: Array) -> float:
+def size_of(positions: Floats) -> float:
     """Return how far from their middle positions (m, d) lie, metres."""
     return float(np.abs(positions - positions.mean(axis=0)).max())

@@ -17,6 +17,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.state.growing import GrowingArray
 
 PLAIN = {bool: (bool,), int: (int,), float: (float, int), str: (str,), NoneType: ()}
@@ -102,7 +103,7 @@ class StateWriter:
                 self.columns[f"{name}/{key}"] = np.concatenate(arrays)
 
 
-def _rows(lists: dict[int, Any]) -> NDArray[np.int64]:
+def _rows(lists: dict[int, Any]) -> Ints:
     """Return the numbers (n, 2) in a dictionary: key and value, or key and each of a list."""
     rows = [
         (key, item)

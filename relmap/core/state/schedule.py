@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.config import MapperConfig
 from relmap.core.state.table import LandmarkState
 
@@ -44,12 +44,12 @@ class GroupingSchedule:
         self._gone = np.empty(0, dtype=np.int64)
 
     @property
-    def in_view(self) -> NDArray[np.int64]:
+    def in_view(self) -> Ints:
         """Landmarks in view, those missed for a moment included."""
         return self._in_view
 
     @property
-    def gone(self) -> NDArray[np.int64]:
+    def gone(self) -> Ints:
         """Those that have left the view and wait for level 3, in the order of leaving; (k,)."""
         self._gone = self._gone[self._table.is_gone[self._gone]]
         return self._gone
@@ -59,7 +59,7 @@ class GroupingSchedule:
         begins = self._table.begin[np.concatenate([self._in_view, self.gone])]
         return max(int(begins.min(initial=end)), end - LONGEST_INTERVAL)
 
-    def see(self, landmarks: NDArray[np.int64], iteration: int) -> NDArray[np.int64]:
+    def see(self, landmarks: Ints, iteration: int) -> Ints:
         """Note who is seen in this iteration; return who has left the view with it."""
         table = self._table
         arrived = landmarks[iteration - table.last[landmarks] > self._max_missed + 1]
@@ -75,7 +75,7 @@ class GroupingSchedule:
             table.is_gone[left] = True
         return left
 
-    def note_due(self, landmarks: NDArray[np.int64]) -> None:
+    def note_due(self, landmarks: Ints) -> None:
         """Queue those of the landmarks seen in this iteration that have become due.
 
         One whose group fails for lack of others is due again after as many more observations.
@@ -99,12 +99,12 @@ class GroupingSchedule:
         self._due = np.delete(self._due, first)
         return seed, int(level[first])
 
-    def level_due(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def level_due(self, landmarks: Ints) -> Ints:
         """Return the level (n,) that landmarks in view should have by now; 0 if they have it."""
         level = np.searchsorted(self._thresholds, self._table.in_interval[landmarks], side="right")
         return np.where(level > self._table.level[landmarks], level, 0)
 
-    def waited(self, iteration: int) -> NDArray[np.int64]:
+    def waited(self, iteration: int) -> Ints:
         """Return who is due at level 3 for having left the view so long ago; (k,)."""
         gone, last = self.gone, self._table.last
         if not len(gone) or iteration - last[gone[0]] < self._wait:
@@ -117,9 +117,7 @@ class GroupingSchedule:
         self._gone = np.concatenate([self.gone, stayed])
         self._table.is_gone[self._in_view] = True
 
-    def reached(
-        self, landmarks: NDArray[np.int64], n_averaged: NDArray[np.int64], level: int
-    ) -> NDArray[np.int64]:
+    def reached(self, landmarks: Ints, n_averaged: Ints, level: int) -> Ints:
         """Return the level (n,) that a group of some level gives to the landmarks it averaged.
 
         The third is for whole intervals only, and one that holds less than half of a landmark's
@@ -136,7 +134,7 @@ class GroupingSchedule:
         for waiting in (self._in_view, self._due, self._gone):
             waiting[waiting == new] = old
 
-    def begin_anew(self, landmarks: NDArray[np.int64], iteration: int) -> None:
+    def begin_anew(self, landmarks: Ints, iteration: int) -> None:
         """End the interval of landmarks; those in view begin another."""
         self._table.is_gone[landmarks] = False
         self._table.begin[landmarks] = iteration

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import FEW, MANY, GrowingArray
 
 Rows = dict[str, NDArray[Any]]
@@ -27,9 +28,9 @@ class Shown(NamedTuple):
         How many points each observation shows; None where each shows one.
     """
 
-    landmarks: NDArray[np.int64]
-    points_robot: NDArray[np.float64]
-    per_row: NDArray[np.int64] | None = None
+    landmarks: Ints
+    points_robot: Floats
+    per_row: Ints | None = None
 
 
 def shown_points(rows: Rows) -> Shown:
@@ -93,13 +94,13 @@ class ObservationStore:
         return self._first_iteration
 
     @property
-    def iterations(self) -> NDArray[np.int64]:
+    def iterations(self) -> Ints:
         """When each observation stored was made; (n,) ascending."""
         return np.repeat(
             np.arange(self._stored_from, self.n_iterations), np.diff(self._offsets.values)
         )
 
-    def between(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
+    def between(self, begin: int, end: int) -> tuple[slice, Ints]:
         """Return the rows of iterations `begin` to `end`, and the iteration of each."""
         rows, offsets = self._rows(begin, end)
         return rows, np.repeat(np.arange(begin, end), np.diff(offsets))
@@ -108,9 +109,7 @@ class ObservationStore:
         """Return a column (n, ...) of all observations stored, in order of iteration."""
         return self._columns[name].values
 
-    def append(
-        self, landmark: NDArray[np.int64], location: NDArray[np.float64], **others: NDArray[Any]
-    ) -> None:
+    def append(self, landmark: Ints, location: Floats, **others: NDArray[Any]) -> None:
         """Store one iteration: n observations of landmarks, where they were seen, and what else."""
         if len(landmark):
             for name, values in {"landmark": landmark, "location": location, **others}.items():
@@ -149,18 +148,16 @@ class ObservationStore:
         landmarks = self.column("landmark")[rows]
         landmarks[(landmarks == landmark) & (when >= begin) & (when < end)] = track
 
-    def seen(self, begin: int, end: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def seen(self, begin: int, end: int) -> tuple[Ints, Ints]:
         """Return landmark and iteration of every point shown in iterations `begin` to `end`."""
         shown, offsets = self._shown(begin, end)
         return shown.landmarks, np.repeat(np.arange(begin, end), np.diff(offsets))
 
-    def points(self, begin: int, end: int) -> NDArray[np.float64]:
+    def points(self, begin: int, end: int) -> Floats:
         """Return every point (k, d) shown in iterations `begin` to `end`, ordered as in `seen`."""
         return self._shown(begin, end)[0].points_robot
 
-    def seen_with(
-        self, seed: int, begin: int, end: int
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    def seen_with(self, seed: int, begin: int, end: int) -> tuple[Ints, Ints, Floats]:
         """Return everything seen in those of the iterations `begin` to `end` that show a seed.
 
         Returns
@@ -181,14 +178,14 @@ class ObservationStore:
         order = np.argsort(np.where(landmarks == seed, -1, landmarks))
         return landmarks[order], columns + begin, block[order]
 
-    def _rows(self, begin: int, end: int) -> tuple[slice, NDArray[np.int64]]:
+    def _rows(self, begin: int, end: int) -> tuple[slice, Ints]:
         """Return the rows of some iterations, and where those of each begin and the last end."""
         first = begin - self._stored_from
         offsets = self._offsets.values[first : end - self._stored_from + 1]
         base = self._offsets.values[0]
         return slice(int(offsets[0] - base), int(offsets[-1] - base)), offsets - offsets[0]
 
-    def _shown(self, begin: int, end: int) -> tuple[Shown, NDArray[np.int64]]:
+    def _shown(self, begin: int, end: int) -> tuple[Shown, Ints]:
         """Return what some iterations show, and where the points of each begin and the last end."""
         rows, offsets = self._rows(begin, end)
         shown = self._show({name: column.values[rows] for name, column in self._columns.items()})

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.columns import COLUMNS, MERGED, NONE
 
 __all__ = ["NONE", "LandmarkState"]
@@ -76,37 +77,37 @@ class LandmarkState:
         Condensed segment in which it was seen last, or `NONE`.
     """
 
-    landmark_of: NDArray[np.int64]
-    track_begin: NDArray[np.int64]
-    track_end: NDArray[np.int64]
-    track_observations: NDArray[np.int64]
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    since: NDArray[np.int64]
-    observations: NDArray[np.int64]
-    begin: NDArray[np.int64]
-    in_interval: NDArray[np.int64]
-    is_gone: NDArray[np.bool_]
-    level: NDArray[np.int64]
-    highest_level: NDArray[np.int64]
-    averaged: NDArray[np.int64]
-    group: NDArray[np.int64]
-    dynamic: NDArray[np.bool_]
-    restless: NDArray[np.bool_]
-    strikes: NDArray[np.int64]
-    struck_until: NDArray[np.int64]
-    moved_until: NDArray[np.int64]
-    tested_until: NDArray[np.int64]
-    moving_bin: NDArray[np.int64]
-    position: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    settled_position: NDArray[np.float64]
-    settled_weight: NDArray[np.float64]
-    submap: NDArray[np.int64]
-    asked_level: NDArray[np.int64]
-    cell: NDArray[np.int64]
-    next_in_cell: NDArray[np.int64]
-    last_segment: NDArray[np.int64]
+    landmark_of: Ints
+    track_begin: Ints
+    track_end: Ints
+    track_observations: Ints
+    first: Ints
+    last: Ints
+    since: Ints
+    observations: Ints
+    begin: Ints
+    in_interval: Ints
+    is_gone: Bools
+    level: Ints
+    highest_level: Ints
+    averaged: Ints
+    group: Ints
+    dynamic: Bools
+    restless: Bools
+    strikes: Ints
+    struck_until: Ints
+    moved_until: Ints
+    tested_until: Ints
+    moving_bin: Ints
+    position: Floats
+    weight: Floats
+    settled_position: Floats
+    settled_weight: Floats
+    submap: Ints
+    asked_level: Ints
+    cell: Ints
+    next_in_cell: Ints
+    last_segment: Ints
 
     STATE = " ".join(COLUMNS)
 
@@ -145,7 +146,7 @@ class LandmarkState:
         return int(self.position.shape[1])
 
     @property
-    def is_own(self) -> NDArray[np.bool_]:
+    def is_own(self) -> Bools:
         """Whether each row is a landmark still, not merged into another; (n,)."""
         return np.asarray(self.landmark_of == np.arange(len(self)))
 
@@ -171,9 +172,7 @@ class LandmarkState:
         for column in (self.track_begin, self.first, self.since):
             column[before:] = iteration
 
-    def enter(
-        self, landmarks: NDArray[np.int64], points: NDArray[np.float64], iteration: int
-    ) -> NDArray[np.int64]:
+    def enter(self, landmarks: Ints, points: Floats, iteration: int) -> Ints:
         """Add rows for those of landmarks (k,) seen now, at points (k, d), that are new.
 
         Returns who they are after merging.
@@ -183,25 +182,25 @@ class LandmarkState:
         self.track_observations[landmarks] += 1
         return self.now(landmarks)
 
-    def now(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def now(self, landmarks: Ints) -> Ints:
         """Return what landmarks (any shape), as they were numbered, are after merging; -1 stays."""
         merged = landmarks.copy()
         merged[landmarks >= 0] = self.landmark_of[landmarks[landmarks >= 0]]
         return merged
 
-    def see(self, landmarks: NDArray[np.int64], iteration: int) -> None:
+    def see(self, landmarks: Ints, iteration: int) -> None:
         """Note which landmarks (k,) are seen."""
         self.last[landmarks] = iteration
         self.observations[landmarks] += 1
         self.in_interval[landmarks] += 1
 
-    def settle(self, landmarks: NDArray[np.int64]) -> None:
+    def settle(self, landmarks: Ints) -> None:
         """Keep the positions of landmarks (k,): what is placed later is averaged with them."""
         mapped = landmarks[self.weight[landmarks] > 0]
         self.settled_position[mapped] = self.position[mapped]
         self.settled_weight[mapped] = self.weight[mapped]
 
-    def take_off_map(self, landmarks: NDArray[np.int64]) -> None:
+    def take_off_map(self, landmarks: Ints) -> None:
         """Take landmarks (k,) off the map."""
         self.position[landmarks] = np.nan
         self.weight[landmarks] = self.settled_weight[landmarks] = 0.0
@@ -257,7 +256,7 @@ class LandmarkState:
         before = begin[:, None] <= other_end
         return not bool((before & (other_begin <= end[:, None])).any())
 
-    def _stretches(self, landmark: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _stretches(self, landmark: int) -> tuple[Ints, Ints]:
         """Return the first and last iterations of each track of a landmark."""
         numbers = self.members(landmark)
         return self.track_begin[numbers], self.track_end[numbers]
@@ -288,9 +287,7 @@ class LandmarkState:
             setattr(self, name, room[:n])
 
 
-def _average(
-    positions: NDArray[np.float64], weights: NDArray[np.float64], new: int, old: int
-) -> None:
+def _average(positions: Floats, weights: Floats, new: int, old: int) -> None:
     """Average the position of one landmark, if it has one, into another's."""
     if weights[new] == 0:
         return
