@@ -35,7 +35,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     if not engine.association.has_ids:
         rows = rows_of_tracks(rows, engine.table)
     odometry = engine.motions.over(engine.store.n_iterations)
-    measured = measured_motions(rows)
+    measured = measured_motions(odometry, rows)
     noise, slipped = noise_of(odometry, measured, rows)
     use = OdometryUse.of(noise, slipped)
     if noise.is_wrong or not len(engine.kept):

@@ -7,13 +7,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.pose import trajectory
 from relmap.core.motion_noise import MotionNoise, motion_noise
-from relmap.core.refinement.condensing import NOWHERE, SegmentRows
+from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+UNSURE, STILL_M = 0.5, 0.01
+"""Standard deviation, as a share of the way, beyond which landmarks say nothing of odometry; and
+that of a robot that stands, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +39,10 @@ class Bridged:
     hanging: Indices
 
 
-def measured_motions(rows: SegmentRows) -> Array:
+def measured_motions(odometry: Array, rows: SegmentRows) -> Array:
     """Return the motion to each iteration (k, 4, 4) by landmarks alone; NaN if unknown.
 
-    Both iterations must be in one segment.
+    Both iterations must be in one segment, and fixed well enough to say whether odometry is right.
     """
     k, d = len(rows.iteration_segment), rows.points.shape[1]
     placed = np.tile(np.eye(4), (k, 1, 1))
@@ -45,8 +50,36 @@ def measured_motions(rows: SegmentRows) -> Array:
     found = np.full((k, 4, 4), np.nan)
     segment = rows.iteration_segment
     tied = 1 + np.flatnonzero((segment[1:] == segment[:-1]) & (segment[1:] != NOWHERE))
-    found[tied] = np.linalg.inv(placed[tied - 1]) @ placed[tied]
+    motions = np.linalg.inv(placed[tied - 1]) @ placed[tied]
+    variance = _variances(rows)
+    sure = _is_sure(odometry[tied], variance[tied - 1] + variance[tied])
+    found[tied[sure]] = motions[sure]
     return found
+
+
+def _is_sure(odometry: Array, variance: Array) -> NDArray[np.bool_]:
+    """Tell which odometry (k, 4, 4) can be judged by motions of variances (k,), square metres.
+
+    Those that are known well by their own way are not the right ones: noise makes ways long.
+    """
+    way = np.linalg.norm(odometry[:, :3, 3], axis=1)
+    return np.asarray(np.sqrt(variance) <= np.maximum(UNSURE * way, STILL_M))
+
+
+def _variances(rows: SegmentRows) -> Array:
+    """Return the variance (k,) of a coordinate of the robot in each iteration, square metres.
+
+    Of a fit to what was seen there: its mean, and its turn by the lever to the robot.
+    """
+    k = len(rows.iteration_segment)
+    noise = rows.squares.sum() / max(int(rows.freedoms.sum()), 1)
+    row, bit = np.nonzero((rows.visible[:, None] >> np.arange(LENGTH)) & 1)
+    at, points = rows.first_iteration[rows.segment[row]] + bit, rows.points[row]
+    counts = np.maximum(np.bincount(at, minlength=k), 1)
+    middle = sums_each(points, at, k) / counts[:, None]
+    spread = np.bincount(at, np.sum((points - middle[at]) ** 2, axis=1), minlength=k)
+    lever = np.sum((middle - rows.t) ** 2, axis=1)
+    return np.asarray(noise * (1 / counts + lever / np.maximum(spread, 1e-12)))
 
 
 def noise_of(
@@ -89,7 +122,9 @@ def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]
         composed = composed @ odometry[first + step]
     placed = np.tile(np.eye(4), (len(segment), 1, 1))
     placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
-    return composed, np.linalg.inv(placed[first]) @ placed[first + steps], max(steps, 1)
+    seen, variance = np.linalg.inv(placed[first]) @ placed[first + steps], _variances(rows)
+    sure = _is_sure(composed, variance[first] + variance[first + steps])
+    return composed[sure], seen[sure], max(steps, 1)
 
 
 def bridge(table: LandmarkState, rows: SegmentRows, motions: Array) -> Bridged:
