@@ -14,6 +14,7 @@ from relmap.core.errors import RelmapError
 from relmap.core.odometry import motion_from_velocity
 from relmap.core.sensor import range_bearing_covariances
 from relmap.planes import PlaneMapper
+from relmap.planes3d import Plane3dMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
@@ -21,6 +22,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "MapperConfig",
+    "Plane3dMapper",
     "PlaneMapper",
     "PlaneSegmenter",
     "PointMapper",

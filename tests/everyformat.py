@@ -38,6 +38,7 @@ WALLS = [
     ("carmen-log", "graph/a.log"),
     ("mrpt-laser2d", "laser/a.scans.csv.gz"),
     ("point-clouds", "clouds"),
+    ("kitti-bin", "kitti"),
 ]
 K, N, BEAMS = 30, 12, 181
 LASER_AHEAD_M = 0.4
@@ -248,12 +249,17 @@ def _write_mrpt_laser(
 
 def _write_clouds(folder: Path, scans: int) -> None:
     world = simulate_building(800, 0.01, iterations=scans)
+    kitti = folder.with_name("kitti")
     folder.mkdir()
+    kitti.mkdir()
     rows = []
     for number, (scan, T, t) in enumerate(
         zip(world.scans, world.trajectory, world.stamps_s, strict=True)
     ):
         (folder / f"{number}.ply").write_bytes(ply(scan.points))
+        reflectance = np.full(len(scan.points), 0.5)
+        points = np.column_stack([scan.points, reflectance]).astype("<f4")
+        (kitti / f"{number}.bin").write_bytes(points.tobytes())
         matrix = T.copy()
         matrix[3, 3] = t
         rows += [",".join(map(repr, row)) for row in matrix.tolist()]

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
 Odometry = Literal["auto", "none"]
+Mapped = Literal["points", "planes", "planes3d"]
+"""What `relmap map` maps; other verbs know the first two."""
 
 
 class Interval(NamedTuple):

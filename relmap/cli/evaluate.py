@@ -29,6 +29,7 @@ TRUTH is
   the folder of Victoria Park: trees mapped by another program, a reference rather than a truth
   the folder of DLR's circles: ids without places, so there is no RMSE
   walls only: a log of point scans with poses, or a .relations file of checked relations
+  planes in space only: a log of clouds with poses, or a folder as 'relmap simulate' writes it
 
 \b
 Example:
@@ -86,7 +87,7 @@ def evaluate_command(
     from relmap.planes.files import PLANES
 
     if (folder / PLANES).exists() and log is not None:
-        raise RelmapError("walls have no ids: --log is for a map of points")
+        raise RelmapError("walls and planes have no ids: --log is for a map of points")
     with busy("evaluating"):
         evaluation = evaluate_folder(folder, truth, log)
     print_table(f"{folder} against {truth}", ("figure", "value"), rows_of(evaluation))
@@ -128,7 +129,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
         If the result, the truth or the log cannot be used, or the file cannot be written.
     """
     from relmap.evaluation.evaluate import evaluate, match_walls
-    from relmap.evaluation.truth import read_truth
+    from relmap.evaluation.truth import read_path_truth, read_truth
     from relmap.io.files import atomic_write
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
     from relmap.planes.files import PlaneResult, read_any
@@ -136,8 +137,12 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
 
     result = read_any(folder)
     walls = isinstance(result, PlaneResult)
-    known = read_truth(truth, "planes" if walls else "points")
-    evaluation = evaluate(result, known, None if walls else find_log(result, truth, log))
+    in_space = result.summary.get("variant") == "planes3d"
+    known = (
+        read_path_truth(truth) if in_space else read_truth(truth, "planes" if walls else "points")
+    )
+    no_ids = walls or in_space
+    evaluation = evaluate(result, known, None if no_ids else find_log(result, truth, log))
     atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))
     if isinstance(result, PlaneResult) and (matched := match_walls(result, known)):
         write_planes_png(folder / MAP_PNG, result.planes, result.poses, (known, matched))

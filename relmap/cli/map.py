@@ -10,6 +10,7 @@ import typer
 from relmap.cli import arguments as args
 from relmap.cli.interrupt import stoppable
 from relmap.cli.job import Job
+from relmap.cli.mapping3d import report_space
 from relmap.cli.outcome import report
 
 if TYPE_CHECKING:
@@ -44,6 +45,11 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   point-clouds     a folder of .pcd or .ply files, one for each scan
   bag-scans        a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2
                    (pip install 'relmap[bags]')
+  kitti-bin        a folder of .bin files, float32 x, y, z and intensity, one for each scan
+  depth-images     a folder of 16-bit depth images *.depth.png, with camera-intrinsics.txt
+
+With --variant planes3d, too, but it maps planes of any direction, and the sensor may move in all
+directions and tilt: clouds of a lidar or a depth camera.
 
 It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (a page
 to look around in the map and to replay the run), submaps.csv, summary.json and mapper.npz, the
@@ -57,10 +63,23 @@ Examples:
   relmap map eight/observations.csv -o result --association known --scans 0:300
   relmap map building/scans.npz -o result --variant planes
   relmap map seen.csv -o result --columns x=px,y=py,iteration=frame,stamp=t,id=name
+  relmap map hall -o result --variant planes3d
 """
 
 _Variant = Annotated[
-    args.Variant, typer.Option(help="What the landmarks are: points, or walls in point scans.")
+    args.Mapped,
+    typer.Option(
+        help="What the landmarks are: points; walls in point scans; or planes of any direction in "
+        "clouds of a carried lidar or depth camera."
+    ),
+]
+_Voxel = Annotated[
+    float | None,
+    typer.Option(
+        "--voxel",
+        metavar="METRES",
+        help="Of planes3d, size of the voxels in which planes begin; by the clouds if not given.",
+    ),
 ]
 _Association = Annotated[
     args.Association,
@@ -183,15 +202,39 @@ def map_command(
     odometry: _Odometry = "auto",
     columns: _Columns = None,
     topic: _Topics = None,
+    voxel: _Voxel = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
+    args.refuse(voxel is not None and variant != "planes3d", "--voxel goes with --variant planes3d")
+    if variant == "planes3d":
+        sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
+        others = (known, registration, config, journal, onto, animate, columns, topic)
+        message = "--variant planes3d takes --scans, --format, --refine and --voxel alone"
+        args.refuse(any((*others, *sigmas_given)) or odometry != "auto", message)
+        low = voxel is not None and not 0 < voxel < float("inf")
+        args.refuse(low, f"--voxel is {voxel}; it must be above 0")
+        with stoppable() as stopped:
+            settings = args.read_config(None)
+            job = Job(
+                source=source,
+                out=out,
+                settings=settings,
+                interval=scans,
+                log_format=log_format,
+                refine=refine,
+                stopped=stopped,
+            )
+            report_space(job, voxel)
+        return
     args.refuse(columns and (planes or log_format), "--columns is for tables of landmarks alone")
     if onto is not None:
         args.refuse(planes, "--onto adds to a map of points; walls are mapped in one go")
         args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
-        others = config or registration
-        args.refuse(others, "--onto goes on with the settings of the earlier run: give no others")
+        args.refuse(
+            config or registration,
+            "--onto goes on with the settings of the earlier run: give no others",
+        )
     if planes:
         wrong = known or registration
         args.refuse(wrong, "walls have no ids: --association and --registration are for points")

@@ -10,6 +10,8 @@ import typer
 from relmap.cli import wheels
 from relmap.cli.arguments import Density, Dynamic, Noise, Out, Seed
 from relmap.cli.console import busy
+from relmap.cli.simulate_storey import HELP as STOREY
+from relmap.cli.simulate_storey import storey_command
 from relmap.cli.worldfiles import write_building, write_points
 
 if TYPE_CHECKING:
@@ -79,6 +81,9 @@ doors, in 250 to 310 scans per loop.  The sensor sees 8 m far, with a view of 90
 Example:
   relmap simulate building -o building --sigma 0.1
 """
+
+
+app.command("storey", help=STOREY)(storey_command)
 
 
 @app.command("figure-eight", help=_FIGURE_EIGHT)

@@ -16,10 +16,12 @@ from relmap.datasets.bag_detections import BagDetections
 from relmap.datasets.bag_scans import BagScans
 from relmap.datasets.base import Dataset, ObservationLog, Scan
 from relmap.datasets.carmen_log import CarmenLog
+from relmap.datasets.depth_images import DepthImages
 from relmap.datasets.dlr_circles import DlrCircles
 from relmap.datasets.foreign import foreign_at
 from relmap.datasets.frames import log_of_frame
 from relmap.datasets.headers import read_head
+from relmap.datasets.kitti_bin import KittiBin
 from relmap.datasets.mrclam import Mrclam
 from relmap.datasets.mrpt_landmarks import MrptLandmarks
 from relmap.datasets.mrpt_laser import MrptLaser
@@ -71,6 +73,8 @@ SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
     MrptLaser(),
     PointClouds(),
     BagScans(),
+    KittiBin(),
+    DepthImages(),
 )
 """Every format of point scans, likewise."""
 

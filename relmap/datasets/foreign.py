@@ -87,13 +87,14 @@ def foreign_at(path: Path) -> str | None:
 
 def _foreign_file(file: Path) -> str | None:
     head = _head(file)
-    if file.suffix.lower() == ".bin" and _is_kitti(file, head):
+    if file.suffix.lower() == ".bin" and is_kitti(file):
         return "a KITTI cloud (.bin)"
     return foreign_format(head)
 
 
-def _is_kitti(file: Path, head: bytes) -> bool:
+def is_kitti(file: Path) -> bool:
     """Return whether a file may hold points of KITTI's laser: that format has no magic number."""
+    head = _head(file)
     if len(head) < _KITTI.size or file.stat().st_size % 16:
         return False
     numbers = _KITTI.unpack_from(head)

@@ -10,12 +10,12 @@ from relmap.evaluation import metrics
 from relmap.evaluation.corners import MatchedCorners, judge_corners, match_corners
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import relation_errors
-from relmap.evaluation.truth import Truth, Variant
+from relmap.evaluation.truth import Judged, Truth
 from relmap.evaluation.walls import judge_walls
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
 
-ONLY: dict[Variant, tuple[str, ...]] = {
+ONLY: dict[Judged, tuple[str, ...]] = {
     "points": ("landmark_rmse_m",),
     "planes": (
         "corner_rmse_m",
@@ -56,7 +56,7 @@ class Evaluation:
         What the figures rest on: `false_corners` are mapped where no true corner is.
     notes : tuple of str
         Why figures are missing that this truth could give.
-    variant : "points" or "planes"
+    variant : "points", "planes" or "planes3d"
         What was mapped.
     """
 
@@ -74,11 +74,13 @@ class Evaluation:
     relation_rad: float | None = None
     counts: dict[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    variant: Variant = "points"
+    variant: Judged = "points"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures of the variant by name, ready for JSON."""
-        others = ONLY["points" if self.variant == "planes" else "planes"]
+        others = [name for kind in ONLY if kind != self.variant for name in ONLY[kind]]
+        if self.variant == "planes3d":
+            others += ["coverage", "landmarks_per_true", "purity"]
         left_out = (*others, "variant")
         return {name: value for name, value in asdict(self).items() if name not in left_out}
 
@@ -103,12 +105,17 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     """
     mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
     poses, true_poses = result.poses[mine], truth.poses[other]
+    in_space = result.summary.get("variant") == "planes3d"
+    figures: dict[str, Any] = {}
+    counts: dict[str, int] = {"poses": len(mine)}
+    notes: list[str] = []
+    walls = isinstance(result, PlaneResult)
     if isinstance(result, PlaneResult):
         figures, counts, notes = judge_corners(result.planes, truth, poses, true_poses)
         matched = match_corners(result.planes, truth, poses, true_poses)
         motion = (matched.R, matched.t) if matched else None
         figures |= judge_walls(result.planes, truth, poses, true_poses, motion)
-    else:
+    elif not in_space:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
     if len(truth.stamps_s) and not len(mine):
         notes.append(metrics.NO_COMMON_TIMES)
@@ -124,7 +131,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         relation_rad=relation_rad,
         counts=counts,
         notes=tuple(notes),
-        variant="planes" if isinstance(result, PlaneResult) else "points",
+        variant="planes3d" if in_space else "planes" if walls else "points",
     )
 
 

@@ -19,6 +19,7 @@ from relmap.io.results import SUMMARY
 from relmap.io.tables import Kind, csv_text, read_table
 
 Variant = Literal["points", "planes"]
+Judged = Literal["points", "planes", "planes3d"]
 
 TABLES: dict[Variant, str] = {"points": "landmarks.csv", "planes": "planes.csv"}
 """What the true landmarks stand in."""
@@ -130,6 +131,22 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
     if (counts > 1).any():
         raise RelmapError(f"{shown(path)}: landmark {ids[counts > 1][0]} occurs twice")
     return truth
+
+
+def read_path_truth(path: Path) -> Truth:
+    """Read a path to compare with, of a folder as `relmap simulate` writes it or a log of scans.
+
+    Raises
+    ------
+    RelmapError
+        Where there is none or it is damaged.
+    """
+    require_path(path)
+    for file in (path / "truth" / TRAJECTORY, path / TRAJECTORY):
+        if file.is_file() and not (file.parent / SUMMARY).exists():
+            stamps_s, poses = read_tum(file)
+            return Truth(stamps_s=stamps_s, poses=poses)
+    return _read_path(path)
 
 
 def write_truth(folder: Path, truth: Truth) -> None:

@@ -175,6 +175,7 @@ def read_any(folder: Path) -> Result:
         Where a file is missing or not what was written.
     """
     result = read_result(folder)
-    if not (folder / PLANES).exists():
+    # Planes in space stand in a file of that name, too.
+    if not (folder / PLANES).exists() or result.summary.get("variant") == "planes3d":
         return result
     return PlaneResult(**vars(result), planes=read_planes(folder))

@@ -37,8 +37,9 @@ def require_upright(xyz: Floats) -> None:
     if share > MOST_SHARE:
         raise RelmapError(
             f"{share:.0%} of a scan's points lie on surfaces that are not upright, as floors, "
-            "ceilings or what a tilted sensor sees; expected walls: level the scan and cut it to a "
-            "band between floor and ceiling"
+            "ceilings or what a tilted sensor sees; expected walls: map such clouds with --variant "
+            "planes3d (Plane3dMapper), or level the scan and cut it to a band between floor and "
+            "ceiling"
         )
 
 

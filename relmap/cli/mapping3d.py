@@ -1,0 +1,97 @@
+"""From a log of clouds to a result folder: ``relmap map --variant planes3d``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from relmap.cli.console import INTERRUPTED, busy
+from relmap.cli.job import Job
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from relmap.evaluation.space_run import SpaceResult
+
+
+def report_space(job: Job, voxel_m: float | None) -> None:
+    """Map a log of clouds, and tell what came out.
+
+    Raises
+    ------
+    RelmapError
+        Where the log cannot be used, or the folder cannot be written; an earlier result in it is
+        then as it was.
+    typer.Exit
+        Where the run was interrupted.
+    """
+    from relmap.cli.mapping import stale_files
+    from relmap.datasets.scans import ScanLog
+    from relmap.evaluation.sources import read_log, recognised_format
+    from relmap.evaluation.space_run import VARIANT, run_in_space
+    from relmap.io.files import staged_folder
+    from relmap.io.results import MAPPER
+    from relmap.planes3d import Plane3dMapper
+    from relmap.segmentation.space import PatchSegmenter
+
+    with busy("reading"):
+        log = read_log(job.source, "planes", job.log_format, job.interval)
+    assert isinstance(log, ScanLog)
+    about = {
+        "input": str(job.source),
+        "format": job.log_format or recognised_format(job.source, "planes"),
+        "variant": VARIANT,
+        "seed": None,
+    }
+    with staged_folder(job.out, [MAPPER, *stale_files(job.out)]) as staging:
+        mapper = Plane3dMapper(PatchSegmenter(voxel_m=voxel_m))
+        progress = lambda scans: job.scans(scans, len(log))  # noqa: E731
+        result = run_in_space(mapper, log, about, job.refine, progress)
+        with busy("writing"):
+            _write(staging, result)
+        n_files = len(list(staging.iterdir()))
+    typer.echo(_told(job, result, n_files))
+    if result.summary["interrupted"]:
+        raise typer.Exit(INTERRUPTED)
+
+
+def _write(folder: Path, result: SpaceResult) -> None:
+    from relmap.evaluation.space_run import LEAST_SCANS
+    from relmap.io.files import write_tum
+    from relmap.io.results import MAP_PNG, write_result
+    from relmap.planes3d.files import write_mesh, write_planes3d
+    from relmap.plots.planes3d import write_planes3d_png
+
+    write_result(folder, result)
+    table = result.planes
+    write_planes3d(folder, table)
+    write_mesh(folder, next(iter(result.parts), None), table.plane[table.status == "static"])
+    for number, (stamps_s, poses) in enumerate(result.paths[1:], start=1):
+        if len(poses) >= LEAST_SCANS:
+            write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
+    write_planes3d_png(folder / MAP_PNG, table, result.poses, result.weak)
+
+
+def _told(job: Job, result: SpaceResult, n_files: int) -> str:
+    from relmap.cli.outcome import each
+
+    summary = result.summary
+    counts, submaps = summary["counts"], summary["submaps"]
+    iterations = counts["iterations"]
+    begun = f"stopped after {iterations} of {summary['input_iterations']}: "
+    told = (
+        f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
+        f"{counts['planes_static']} planes mapped in {iterations} iterations, "
+        f"{each(summary['timing']['scan_median_ms'])}"
+    )
+    if not submaps:
+        return f"{told}; no plane was found: the clouds show none, or are not in metres"
+    if len(submaps) > 1:
+        told += (
+            f"; the run broke into {len(submaps)} submaps that nothing ties to one another: the "
+            f"largest, of {submaps[0]['scans']} scans and {submaps[0]['metres']:.1f} m, is the map"
+        )
+    if weak := len(summary["weak_links"]):
+        told += f"; scans that no plane tied in some direction, taken to go on as before: {weak}"
+    return told

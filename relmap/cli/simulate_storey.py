@@ -1,0 +1,67 @@
+"""``relmap simulate storey``: a lidar or depth camera carried through two rooms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from relmap.cli.arguments import Out, Seed
+from relmap.cli.console import busy
+
+if TYPE_CHECKING:
+    from relmap.simulation.storey import Storey
+
+HELP = """Simulate a lidar or depth camera carried through two rooms of a house.
+
+It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, and which
+plane it is of) and DIR/truth/trajectory.tum.  There are a floor, a ceiling, a sloped roof, tables
+and cupboards; the sensor sways and tilts.
+
+\b
+Example:
+  relmap simulate storey -o storey
+  relmap map storey -o result --variant planes3d
+"""
+
+
+def storey_command(
+    out: Out,
+    sensor: Annotated[
+        Literal["lidar", "depth"], typer.Option(help="Rings all around, or a depth camera.")
+    ] = "lidar",
+    sigma: Annotated[
+        float,
+        typer.Option(help="Noise of a range, metres; of the depth camera at a depth of 2 m."),
+    ] = 0.01,
+    iterations: Annotated[int, typer.Option(help="Scans.")] = 60,
+    seed: Seed = 0,
+) -> None:
+    """Write a simulated storey; the help text explains the arguments."""
+    from relmap.io.files import staged_folder
+    from relmap.simulation.storey import simulate_storey
+
+    with staged_folder(out) as staging, busy("simulating"):
+        storey = simulate_storey(sensor, sigma, iterations, seed)
+        _write(staging, storey)
+    count = sum(map(len, storey.scans))
+    typer.echo(f"wrote 3 files to {out}: {iterations} scans, {count} points")
+
+
+def _write(folder: Path, storey: Storey) -> None:
+    from relmap.datasets import write_scans_npz
+    from relmap.io.files import atomic_write, write_tum
+    from relmap.io.tables import csv_text
+
+    truth = folder / "truth"
+    truth.mkdir()
+    write_scans_npz(folder / "scans.npz", storey.scans, storey.stamps_s)
+    header = ["face", "plane", *(f"{axis}{corner}" for corner in range(4) for axis in "xyz")]
+    corners = storey.corners.reshape(len(storey.corners), 12).tolist()
+    rows = [
+        [face, plane, *corner]
+        for face, (plane, corner) in enumerate(zip(storey.plane_of.tolist(), corners, strict=True))
+    ]
+    atomic_write(truth / "faces.csv", csv_text(header, rows))
+    write_tum(truth / "trajectory.tum", storey.stamps_s, storey.trajectory)

@@ -1,0 +1,95 @@
+"""A folder of depth images: 16-bit PNG files and the intrinsics of the camera.
+
+As 7-Scenes (J. Shotton et al., CVPR 2013) has them: ``frame-000000.depth.png`` and so on, in
+millimetres, 0 and 65535 where there is no reading; ``camera-intrinsics.txt``, the 3x3 matrix K of
+the camera; and, for comparison, ``frame-000000.pose.txt``, the matrix T_reference_camera.  The
+camera looks along z, with x to the right and y down; the points come out with x ahead, y left and z
+up, one of each two by two pixels.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.kitti_bin import numbers_in
+from relmap.datasets.scans import ScanLog
+from relmap.datasets.textfile import require_path, shown, unreadable
+
+INTRINSICS, DEPTH, POSE = "camera-intrinsics.txt", ".depth.png", ".pose.txt"
+UNIT_M, NO_READING = 1e-3, (0, 65535)
+EVERY = 2
+"""Of so many rows and columns of pixels one is read: points enough for planes."""
+MOST_PIXELS = 1 << 24
+T_CAMERA_ROBOT = np.array(
+    [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+
+
+class DepthImages:
+    """Reads a folder of depth images."""
+
+    name = "depth-images"
+    description = f"a folder of *{DEPTH} with {INTRINSICS}"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether it is a folder of depth images."""
+        return os.path.isdir(path) and (path / INTRINSICS).is_file() and bool(_files(path))
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log; an image is read when its scan is asked for."""
+        require_path(path)
+        files = _files(path) if os.path.isdir(path) else []
+        if not files:
+            raise RelmapError(f"{shown(path)}: holds no *{DEPTH}, expected {self.description}")
+        K = _matrix(path / INTRINSICS, 3)
+        if not (K[0, 0] > 0 and K[1, 1] > 0):
+            raise RelmapError(f"{shown(path / INTRINSICS)}: expected focal lengths above 0")
+        stamps_s = np.arange(len(files), dtype=np.float64)
+        return ScanLog(3, stamps_s, lambda index: _points(files[index], K), _poses(files))
+
+
+def _files(folder: Path) -> list[Path]:
+    try:
+        return sorted(path for path in folder.iterdir() if path.name.endswith(DEPTH))
+    except OSError as error:
+        raise unreadable(folder, error) from error
+
+
+def _points(file: Path, K: Floats) -> Floats:
+    """Return the points (n, 3) of an image, metres."""
+    from PIL import Image  # comes with matplotlib
+
+    try:
+        with Image.open(file) as image:
+            if image.width * image.height > MOST_PIXELS:
+                raise RelmapError(f"{shown(file)}: more than {MOST_PIXELS} pixels")
+            depth = np.asarray(image)[::EVERY, ::EVERY]
+    except (OSError, ValueError, SyntaxError) as error:
+        raise unreadable(file, error) from error
+    if depth.ndim != 2 or depth.dtype == np.uint8:
+        raise RelmapError(f"{shown(file)}: is no depth image, expected one channel of 16 bits")
+    row, column = np.nonzero(~np.isin(depth, NO_READING))
+    z = depth[row, column] * UNIT_M
+    right = (EVERY * column - K[0, 2]) / K[0, 0] * z
+    down = (EVERY * row - K[1, 2]) / K[1, 1] * z
+    return np.column_stack([z, -right, -down])
+
+
+def _poses(files: list[Path]) -> Floats | None:
+    """Return T_reference_robot (k, 4, 4); None where an image has none."""
+    each = [file.with_name(file.name.removesuffix(DEPTH) + POSE) for file in files]
+    if not all(file.is_file() for file in each):
+        return None
+    return np.asarray(np.array([_matrix(file, 4) for file in each]) @ T_CAMERA_ROBOT)
+
+
+def _matrix(file: Path, size: int) -> Floats:
+    rows = numbers_in(file, size)
+    if len(rows) != size:
+        raise RelmapError(f"{shown(file)}: {len(rows)} rows, expected a {size} x {size} matrix")
+    return rows

@@ -1,0 +1,151 @@
+"""A folder of clouds as KITTI stores them: one .bin file per scan, four float32 a point.
+
+The four are x, y, z (metres) and the reflectance, 0 to 1 (A. Geiger et al., IJRR 2013).  The scans
+come in the order of the numbers in their names.  Poses to compare with are a file ``poses.txt``
+beside the clouds or one folder above, the upper three rows of T_reference_robot in each line; or a
+folder ``poses`` beside theirs with a text file of the same name for each scan, of position and
+quaternion: x, y, z, qx, qy, qz, qw (as PlaneSLAM, A. Dai et al., 2022, stores those of AirSim).
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.assembly import MAX_COORDINATE_M
+from relmap.datasets.cloud_file import MAX_BYTES
+from relmap.datasets.foreign import is_kitti
+from relmap.datasets.scans import ScanLog, poses_of
+from relmap.datasets.textfile import require_path, shown, unreadable
+
+POSES, POSES_FOLDER = "poses.txt", "poses"
+FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
+"""Where the clouds are in the folder given."""
+
+
+class KittiBin:
+    """Reads a folder of .bin files, or one that holds such a folder."""
+
+    name = "kitti-bin"
+    description = "a folder of .bin clouds"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether it is a folder whose first .bin file may be a cloud of KITTI's."""
+        files = _files(path) if os.path.isdir(path) else []
+        return bool(files) and is_kitti(files[0])
+
+    def load(self, path: Path) -> ScanLog:
+        """Read the log; a cloud is read when its scan is asked for."""
+        require_path(path)
+        files = _files(path) if os.path.isdir(path) else []
+        if not files:
+            raise RelmapError(f"{shown(path)}: holds no .bin file, expected {self.description}")
+        stamps_s = np.arange(len(files), dtype=np.float64)
+        return ScanLog(3, stamps_s, lambda index: _read_cloud(files[index]), _poses(files))
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the clouds in a folder, in the order of the numbers in their names."""
+    for inner in FOLDERS:
+        try:
+            found = [path for path in (folder / inner).glob("*.bin") if path.is_file()]
+        except OSError as error:
+            raise unreadable(folder, error) from error
+        if found:
+            return sorted(found, key=lambda path: (_numbers(path), path.name))
+    return []
+
+
+def _numbers(path: Path) -> list[int]:
+    return [int(digits) for digits in re.findall(r"\d+", path.stem)]
+
+
+def _read_cloud(file: Path) -> Floats:
+    """Return the points (n, 3) of a file, metres."""
+    try:
+        if file.stat().st_size > MAX_BYTES:
+            raise RelmapError(f"{shown(file)}: more than {MAX_BYTES} bytes, expected at most that")
+        data = file.read_bytes()
+    except OSError as error:
+        raise unreadable(file, error) from error
+    if not data or len(data) % 16:
+        problem = f"{len(data)} bytes, expected 16 for each point: x, y, z and intensity"
+        raise RelmapError(f"{shown(file)}: {problem}")
+    points = np.frombuffer(data, "<f4").reshape(-1, 4)[:, :3].astype(np.float64)
+    points = points[~np.isnan(points).any(axis=1)]
+    if not len(points) or not (np.abs(points) <= MAX_COORDINATE_M).all():
+        raise RelmapError(f"{shown(file)}: a point is out of range, expected metres")
+    return points
+
+
+def _poses(files: list[Path]) -> Floats | None:
+    """Return T_reference_robot (k, 4, 4) of each scan; None where the log has none."""
+    folder = files[0].parent
+    for file in (folder / POSES, folder.parent / POSES):
+        if file.is_file():
+            rows = numbers_in(file, 12)
+            if len(rows) < len(files):
+                problem = f"{len(rows)} poses, expected one for each of {len(files)} clouds"
+                raise RelmapError(f"{shown(file)}: {problem}")
+            poses = np.tile(np.eye(4), (len(files), 1, 1))
+            poses[:, :3] = rows[: len(files)].reshape(-1, 3, 4)
+            return poses
+    each = [folder.parent / POSES_FOLDER / f"{file.stem}.txt" for file in files]
+    if not each[0].is_file():
+        return None
+    rows = np.array([_seven(file) for file in each])
+    return poses_of(Rotation.from_quat(rows[:, 3:]), rows[:, :3])
+
+
+def _seven(file: Path) -> Floats:
+    """Return position and quaternion (7,); one of no turn may be left out."""
+    numbers = numbers_in(file)
+    if len(numbers) == 3:
+        numbers = np.append(numbers, [0.0, 0.0, 0.0, 1.0])
+    if len(numbers) != 7 or not numbers[3:].any():
+        problem = f"{len(numbers)} numbers, expected x, y, z, qx, qy, qz, qw"
+        raise RelmapError(f"{shown(file)}: {problem}")
+    return numbers
+
+
+def numbers_in(file: Path, width: int | None = None) -> Floats:
+    """Return the numbers of a small text file, between blanks or commas.
+
+    Parameters
+    ----------
+    file : Path
+    width : int, optional
+        How many stand in a line.
+
+    Returns
+    -------
+    (n, width) or, without a width, (n,) float64
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be read or holds something else.
+    """
+    try:
+        lines = file.read_text("ascii").splitlines()
+    except (OSError, ValueError) as error:
+        raise unreadable(file, error) from error
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            row = [float(cell) for cell in line.replace(",", " ").split()]
+        except ValueError:
+            row = [np.nan]
+        if not np.isfinite(row).all() or (row and len(row) != (width or len(row))):
+            what = f"{width} numbers" if width else "numbers"
+            raise RelmapError(f"{shown(file)}: line {number}: expected {what}")
+        rows += [row] if row else []
+    if width:
+        return np.array(rows).reshape(-1, width)
+    return np.array([value for row in rows for value in row])

@@ -1,0 +1,169 @@
+"""One run of a log of clouds through the mapper of planes in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.core.landmarks import LandmarkTable
+from relmap.datasets.scans import ScanLog
+from relmap.evaluation.feeding import Progress
+from relmap.evaluation.summary import timing, versions
+from relmap.io.results import Result, Tracks
+from relmap.planes3d import Plane3dMapper
+from relmap.planes3d.submap import Submap
+from relmap.planes3d.table import Plane3dTable
+
+VARIANT = "planes3d"
+LEAST_SCANS = 10
+"""Scans without which a submap beside the map has no file of its own."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpaceResult(Result):
+    """A result whose landmarks are planes in space, at the middle of their points.
+
+    Attributes
+    ----------
+    planes : Plane3dTable
+        Iterations are the log's own numbers.
+    parts : list of Submap
+    paths : list of (stamps (k,), poses (k, 4, 4))
+        Of each submap.
+    weak : (w,) int64
+        Places in `poses` of the scans that were taken to go on as before in a direction.
+    """
+
+    planes: Plane3dTable
+    parts: list[Submap]
+    paths: list[tuple[Floats, Floats]]
+    weak: np.ndarray
+
+
+def run_in_space(
+    mapper: Plane3dMapper,
+    log: ScanLog,
+    about: dict[str, Any],
+    refine: bool = True,
+    progress: Progress | None = None,
+) -> SpaceResult:
+    """Map a whole log of clouds.
+
+    Parameters
+    ----------
+    mapper : Plane3dMapper
+        A fresh one.
+    log : ScanLog
+    about : dict
+        What else the summary should tell.
+    refine : bool
+    progress : callable, optional
+        Wraps the iterable of scans; where it ends before them, the run does.
+
+    Raises
+    ------
+    RelmapError
+        Where the log is of a 2-D laser, or a scan of it is damaged.
+    """
+    if log.dimension != 3:
+        raise RelmapError("the log is of a 2-D laser; planes3d maps clouds, so give planes instead")
+    labels, durations_s = [], []
+    for scan in progress(log.scans()) if progress else log.scans():
+        began = perf_counter()
+        seen = mapper.segmenter.fit(scan.points_robot).patches_
+        between = perf_counter()
+        labels.append(mapper.update(seen))
+        durations_s.append([between - began, perf_counter() - between])
+    mapper.finish()
+    over = perf_counter()
+    if refine:
+        mapper.refine()
+    refine_s, n_input = perf_counter() - over, len(log)
+    log = log.between(log.first_iteration, log.first_iteration + len(labels))
+    told = {
+        **about,
+        "configuration": mapper.settings,
+        "interrupted": len(log) < n_input,
+        "input_iterations": n_input,
+        "refined": refine,
+        "timing": timing(np.array(durations_s).reshape(-1, 2), refine_s, True),
+    }
+    return _result(mapper, log, labels, told)
+
+
+def _result(
+    mapper: Plane3dMapper, log: ScanLog, labels: list[np.ndarray], told: dict[str, Any]
+) -> SpaceResult:
+    first, table = log.first_iteration, mapper.planes
+    table = replace(
+        table,
+        first_iteration=table.first_iteration + first,
+        last_iteration=table.last_iteration + first,
+    )
+    parts = mapper.submaps
+    paths = [(log.stamps_s[part.iteration], part.trajectory) for part in parts]
+    counts = np.array([len(each) for each in labels], dtype=np.int64)
+    rows = np.concatenate([*map(np.arange, counts), np.empty(0, np.int64)])
+    named = mapper.landmarks_of(np.concatenate([*labels, np.empty(0, np.int64)]))
+    tracks = Tracks(first + np.repeat(np.arange(len(counts)), counts), rows, named)
+    stamps_s, poses = paths[0] if paths else (np.empty(0), np.empty((0, 4, 4)))
+    weak = mapper.weak_links
+    own = parts[0].iteration if parts else []
+    summary = told | {
+        "dimensions": 3,
+        "scans": [first, first + len(log)],
+        "versions": versions(),
+        "counts": {
+            "iterations": len(log),
+            "observations": len(named),
+            "planes": len(table.plane),
+            "planes_static": int((table.status == "static").sum()),
+            "iterations_without_pose": len(log) - len(poses),
+        },
+        "submaps": [_submap_row(part, first) for part in parts],
+        "weak_links": [first + k for k in weak],
+        "weak_directions": [free.tolist() for free in weak.values()],
+    }
+    return SpaceResult(
+        _landmarks(table),
+        tracks,
+        stamps_s,
+        poses,
+        summary,
+        planes=table,
+        parts=parts,
+        paths=paths,
+        weak=np.flatnonzero(np.isin(own, list(weak))),
+    )
+
+
+def _landmarks(table: Plane3dTable) -> LandmarkTable:
+    mapped = table.status == "static"
+    return LandmarkTable(
+        landmark=table.plane,
+        position=np.where(mapped[:, None], table.centre, np.nan),
+        sd=np.where(mapped, table.sd, np.nan),
+        observations=table.observations,
+        first_iteration=table.first_iteration,
+        last_iteration=table.last_iteration,
+        level=np.zeros(len(table.plane), dtype=np.int64),
+        status=table.status,
+        submap=table.submap,
+        moving_bin=np.full(len(table.plane), -1),
+    )
+
+
+def _submap_row(part: Submap, first: int) -> dict[str, Any]:
+    steps = np.diff(part.trajectory[:, :3, 3], axis=0)
+    return {
+        "planes": len(part),
+        "iterations": [first + part.iteration[0], first + part.iteration[-1]],
+        "scans": len(part.iteration),
+        "metres": float(np.linalg.norm(steps, axis=1).sum()),
+        "systematic_share": part.share,
+    }

@@ -1,0 +1,227 @@
+"""Plane adjustment: planes and poses on which all observations agree best, poses eliminated.
+
+What a scan saw of a plane is condensed into the directions and spread of its points, which give the
+squares of their distances from any plane exactly but for a constant (as the point clusters of BALM,
+Z. Liu and F. Zhang, RA-L 2021, do; see `relmap.segmentation.space.Patches`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.linalg.cholesky import Pattern
+from relmap.core.refinement.gauss_newton import gauss_newton
+from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
+
+STRETCH = 8
+"""Scans whose equations are added up before they go to the sparse matrix; most see the same."""
+LOOSE_POSE, LOOSE, LEAST = 1e-10, 1e-12, 1e-9
+"""What holds a pose and a plane that hang by too little, as a share of what holds them otherwise,
+and in weights of an observation."""
+FARTHEST_RAD, FARTHEST = 0.5, 0.3
+"""No step turns anything by more, or moves a scan by a larger share of the size of the map."""
+ROUNDING = 1e-14
+"""Residuals below this share of the range are rounding."""
+DOUBTFUL = 4.0
+"""Standard deviations from which an observation counts less, but never nothing (Cauchy): it may be
+all that holds a scan."""
+USUAL = 2.0
+"""No observation is in doubt that is not so many times as far off as is usual, of all or in its
+scan."""
+ROUNDS = 30
+SHARES = np.append(0.0, np.geomspace(0.01, 3.0, 60))
+"""Errors in common that are tried, as shares of the noise."""
+NORMAL = 0.6745
+"""Median size of what is normally distributed, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What was seen of planes: n observations, robot frame.
+
+    Attributes
+    ----------
+    scan, plane : (n,) int64
+        From 0, none left out; scans ascend.
+    centre : (n, 3) float64
+    axes : (n, 3, 3) float64
+    information, spread : (n, 3) float64
+        As `relmap.segmentation.space.Patches` has them.
+    """
+
+    scan: Ints
+    plane: Ints
+    centre: Floats
+    axes: Floats
+    information: Floats
+    spread: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Poses and planes; what is solved for.
+
+    Attributes
+    ----------
+    R : (p, 3, 3) float64, t : (p, 3) float64
+        ``T_map_robot``.
+    normal : (l, 3) float64
+    base : (l, 3) float64
+        A point near each plane.
+    off : (l,) float64
+        Distance of each plane from its base, along the normal.
+    """
+
+    R: Floats
+    t: Floats
+    normal: Floats
+    base: Floats
+    off: Floats
+
+
+class PlaneAdjustment:
+    """Residuals of observed planes; a `Problem`.
+
+    Parameters
+    ----------
+    seen : Sightings
+    systematic : float
+        Error that the points of an observation have in common, as a share of their noise.
+    free : dict of int to (3,) float64, optional
+        The direction, robot frame, in which a scan is held, for no plane tells where it was.
+    """
+
+    def __init__(
+        self, seen: Sightings, systematic: float = 0.0, free: dict[int, Floats] | None = None
+    ) -> None:
+        self.seen, self._free = seen, free or {}
+        self._root = np.sqrt(information(seen, systematic))
+        self._latest: tuple[Scene, Linearised] | None = None
+        n_planes, stretch = int(seen.plane.max()) + 1, seen.scan // STRETCH
+        key = np.unique(stretch * n_planes + seen.plane)
+        clique, member = key // n_planes, key % n_planes
+        begin = np.searchsorted(clique, np.arange(clique[-1] + 2))
+        self.pattern = Pattern.of_cliques(np.full(n_planes, 3), begin, member)
+        kept = self.pattern.first[seen.plane][:, None] + np.arange(3)
+        poses = np.arange(int(seen.scan.max()) + 1)
+        starts = 3 * np.searchsorted(seen.scan, np.append(poses, len(poses)))
+        rows, moves = np.arange(3 * len(seen.scan)), (poses > 0).astype(np.float64)
+        self._poses = Elimination(
+            self.pattern, np.repeat(kept, 3, axis=0), starts, rows, poses // STRETCH, free=moves
+        )
+        self.freedoms = max(len(rows) - self.pattern.n_unknowns - 6 * (len(poses) - 1), 1)
+        least = ROUNDING * np.linalg.norm(seen.centre, axis=1)
+        self.rounding = float(((least * self._root[:, 2]) ** 2).sum())
+
+    def solve(self, scene: Scene) -> Scene:
+        """Return the scene on which all observations agree best; the first scan stays."""
+        return gauss_newton(self, scene, self.weights, ROUNDS, unsure=1e-6).state
+
+    def weights(self, residual: Floats) -> Floats:
+        """Return the weights (3 n,) of residuals, by the size of all three of an observation.
+
+        A scan that is off as a whole is taken for misplaced as yet, rather than wrong.
+        """
+        from relmap.core.linalg.order_kernels import medians
+
+        size = np.sqrt((residual.reshape(-1, 3) ** 2).sum(axis=1))
+        usual = np.maximum(np.median(size), medians(self.seen.scan, size))[self.seen.scan]
+        return np.repeat(1 / (1 + (size / np.maximum(DOUBTFUL, USUAL * usual)) ** 2), 3)
+
+    def residuals(self, state: Scene) -> Floats:
+        """Return how far each observation is off (3 n,): tilt along u, along v, and distance."""
+        return self._linearised(state).off
+
+    def equations(
+        self, state: Scene, weight: Floats, with_matrix: bool, damping: float
+    ) -> NormalEquations:
+        """Return the normal equations of the planes."""
+        along = np.zeros((len(state.R), 6))
+        for scan, direction in self._free.items():
+            along[scan, 3:] = state.R[scan] @ direction
+        linear, hold = self._linearised(state), LOOSE_POSE + damping
+        found = self._poses.equations(linear, weight, hold, with_matrix, along)
+        if with_matrix:
+            self.pattern.hold(found.matrix, LOOSE + damping, LEAST)
+        return found
+
+    def stepped(
+        self, state: Scene, equations: NormalEquations, step: Floats, weight: Floats
+    ) -> Scene | None:
+        """Return the scene after a step; None where that turns anything too far."""
+        poses = equations.eliminated_steps(step)
+        poses[0] = 0.0
+        planes = step[self.pattern.first[:, None] + np.arange(3)]
+        farthest_m = FARTHEST * float(np.ptp(np.concatenate([state.t, state.base]), axis=0).max())
+        turned = max(np.abs(poses[:, :3]).max(), np.abs(planes[:, :2]).max())
+        if turned > FARTHEST_RAD or np.abs(poses[:, 3:]).max() > farthest_m:
+            return None
+        e, f = across(state.normal)
+        normal = state.normal + planes[:, :1] * e + planes[:, 1:2] * f
+        return replace(
+            state,
+            R=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ state.R,
+            t=state.t + poses[:, 3:],
+            normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+            off=state.off + planes[:, 2],
+        )
+
+    def _linearised(self, state: Scene) -> Linearised:
+        """Return residuals and Jacobians; those of the last state are remembered."""
+        if self._latest is None or self._latest[0] is not state:
+            self._latest = state, _linearised(self.seen, state, self._root)
+        return self._latest[1]
+
+
+def information(seen: Sightings, systematic: float) -> Floats:
+    """Return the information (n, 3) of observations with an error in common."""
+    lever = np.column_stack([seen.spread[:, :2], np.ones(len(seen.scan))])
+    shared = systematic * seen.spread[:, 2:] / np.maximum(lever, 1e-9)
+    return np.asarray(1 / (1 / np.maximum(seen.information, 1e-12) + shared**2))
+
+
+def systematic_share(seen: Sightings, scene: Scene) -> float:
+    """Return the error that the points of an observation have in common, as a share of their noise.
+
+    With it half of the residuals are as large as their standard deviations make expect.
+    """
+    problem = PlaneAdjustment(seen)
+    spare = np.sqrt(problem.freedoms / (3 * len(seen.scan)))
+    off = problem.residuals(scene).reshape(-1, 3) / np.sqrt(information(seen, 0.0))
+    for share in SHARES:
+        size = np.abs(off * np.sqrt(information(seen, float(share))))
+        if np.median(size) <= NORMAL * spare:
+            return float(share)
+    return float(SHARES[-1])
+
+
+def across(normal: Floats) -> tuple[Floats, Floats]:
+    """Return two directions (l, 3) each, across normals and each other."""
+    axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
+    e = np.cross(normal, axis)
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    return e, np.cross(normal, e)
+
+
+def _linearised(seen: Sightings, state: Scene, root: Floats) -> Linearised:
+    R, n = state.R[seen.scan], state.normal[seen.plane]
+    u, v = (np.einsum("nij,nj->ni", R, seen.axes[:, k]) for k in (0, 1))
+    arm = np.einsum("nij,nj->ni", R, seen.centre)
+    x = arm + state.t[seen.scan] - state.base[seen.plane]
+    off = np.column_stack([(u * n).sum(1), (v * n).sum(1), (x * n).sum(1) - state.off[seen.plane]])
+    by_pose = np.zeros((len(n), 3, 6))
+    by_pose[:, :, :3] = np.cross(np.stack([u, v, arm], axis=1), n[:, None])
+    by_pose[:, 2, 3:] = n
+    e, f = (axis[seen.plane] for axis in across(state.normal))
+    by_plane = np.zeros((len(n), 3, 3))
+    lever = np.stack([u, v, x], axis=1)
+    by_plane[:, :, 0], by_plane[:, :, 1] = (np.einsum("nki,ni->nk", lever, g) for g in (e, f))
+    by_plane[:, 2, 2] = -1.0
+    scale = root[..., None]
+    return Linearised(
+        (off * root).ravel(), (by_pose * scale).reshape(-1, 6), (by_plane * scale).reshape(-1, 3)
+    )

@@ -1,0 +1,106 @@
+"""``planes.csv`` and ``map.ply`` of planes in space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.io.files import atomic_write
+from relmap.io.results import MAP_PLY
+from relmap.io.tables import csv_text
+from relmap.planes3d.submap import Submap
+from relmap.planes3d.table import Plane3dTable, raster
+
+PLANES = "planes.csv"
+COLUMNS = (
+    *("plane", "nx", "ny", "nz", "offset", "x", "y", "z", "sd", "area_m2", "observations"),
+    *("first_iteration", "last_iteration", "status", "submap", "outline"),
+)
+COLOURS = np.array(
+    [
+        [78, 121, 167],
+        [242, 142, 43],
+        [225, 87, 89],
+        [118, 183, 178],
+        [89, 161, 79],
+        [237, 201, 72],
+        [176, 122, 161],
+        [255, 157, 167],
+        [156, 117, 95],
+        [186, 176, 172],
+    ]
+)
+"""Of planes, by number."""
+
+
+def write_planes3d(folder: Path, table: Plane3dTable) -> None:
+    """Write ``planes.csv`` into an existing folder; the corners of an outline are x y z;x y z;...
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    columns = [
+        table.plane.tolist(),
+        *table.normal.T.tolist(),
+        table.offset.tolist(),
+        *table.centre.T.tolist(),
+        table.sd.tolist(),
+        table.area_m2.tolist(),
+        table.observations.tolist(),
+        table.first_iteration.tolist(),
+        table.last_iteration.tolist(),
+        table.status.tolist(),
+        table.submap.tolist(),
+        [_text(outline) for outline in table.outline],
+    ]
+    atomic_write(folder / PLANES, csv_text(COLUMNS, zip(*columns, strict=True)))
+
+
+def _text(outline: Floats) -> str:
+    return ";".join(" ".join(f"{value:.4f}" for value in corner) for corner in outline.tolist())
+
+
+def write_mesh(folder: Path, part: Submap | None, chosen: Ints) -> None:
+    """Write planes of a submap, by number, as a coloured mesh: ``map.ply``.
+
+    Raises
+    ------
+    RelmapError
+        Where the file cannot be written.
+    """
+    corners, colours = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
+    if part is not None:
+        planes = part.all_planes()
+        for k in np.flatnonzero(np.isin(part.number, chosen)):
+            surface = raster(planes, int(k))
+            corners.append(surface.in_space(_quads(surface.filled)))
+            shade = COLOURS[part.number[k] % len(COLOURS)]
+            colours.append(np.tile(shade, (len(corners[-1]), 1)))
+    points, shades = np.concatenate(corners), np.concatenate(colours)
+    faces = len(points) // 4
+    header = (
+        "ply\nformat ascii 1.0\ncomment map frame, metres\n"
+        f"element vertex {len(points)}\nproperty double x\nproperty double y\nproperty double z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+        f"element face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    vertices = [
+        f"{x:.5f} {y:.5f} {z:.5f} {r} {g} {b}\n"
+        for (x, y, z), (r, g, b) in zip(points.tolist(), shades.tolist(), strict=True)
+    ]
+    quads = [f"4 {4 * k} {4 * k + 1} {4 * k + 2} {4 * k + 3}\n" for k in range(faces)]
+    atomic_write(folder / MAP_PLY, header + "".join(vertices) + "".join(quads))
+
+
+def _quads(filled: Bools) -> Floats:
+    """Return the corners (4 f, 2) of rectangles that cover the squares, one for each run."""
+    edges = np.diff(np.pad(filled, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, begin = np.nonzero(edges == 1)
+    end = np.nonzero(edges == -1)[1]
+    corners = [(row, begin), (row + 1, begin), (row + 1, end), (row, end)]
+    quads = np.stack([np.column_stack(corner) for corner in corners], axis=1)
+    return np.asarray(quads.reshape(-1, 2), dtype=np.float64)

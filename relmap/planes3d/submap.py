@@ -1,0 +1,176 @@
+"""A part of the run with a frame of its own: who was seen from where, and planes so far."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.segmentation.space import Patches
+
+Pose = tuple[Floats, Floats]
+
+
+class Submap:
+    """Planes, their observations and the scans that nothing ties to others.
+
+    Attributes
+    ----------
+    iteration : list of int
+    poses : list of R (3, 3) and t (3,)
+        ``T_submap_robot`` of each of its scans.
+    weak : dict of int to (3,) float64
+        Iterations whose place along a direction, robot frame, no plane told.
+    seen : list of Patches
+        What each scan saw, untransformed.
+    match : list of (m,) int64
+        The landmark of each patch of a scan.
+    number : (l,) int64
+        What each landmark is called outside.
+    scatter : (l, 4, 4) float64
+        Condensed points of each landmark, submap frame.
+    last : (l,) int64
+        When each landmark was seen last.
+    share : float or None
+        Error that the points of an observation have in common, as a share of their noise; as the
+        refinement found it, None before.
+    """
+
+    def __init__(self) -> None:
+        self.iteration: list[int] = []
+        self.poses: list[Pose] = []
+        self.weak: dict[int, Floats] = {}
+        self.seen: list[Patches] = []
+        self.match: list[Ints] = []
+        self.number = np.empty(0, dtype=np.int64)
+        self.scatter = np.empty((0, 4, 4))
+        self.last = np.empty(0, dtype=np.int64)
+        self.share: float | None = None
+        self._row: dict[int, int] = {}
+        self._normal = np.empty((0, 3))
+        self._cells = np.empty((0, 3))
+        self._cell_of = np.empty(0, dtype=np.int64)
+        self._known: set[tuple[int, ...]] = set()
+
+    def __len__(self) -> int:
+        """Return the number of landmarks."""
+        return len(self.last)
+
+    def add(self, iteration: int, seen: Patches, pose: Pose, number: Ints) -> None:
+        """Take in a scan.
+
+        Parameters
+        ----------
+        iteration : int
+        seen : Patches
+        pose : R (3, 3) and t (3,)
+        number : (m,) int64
+            What the landmark of each patch is called outside.
+        """
+        R, t = pose
+        match = np.array([self._row.setdefault(k, len(self._row)) for k in number.tolist()], int)
+        rows, first = np.unique(match, return_index=True)
+        new = first[rows >= len(self)]
+        self.number = np.append(self.number, number[new])
+        self.scatter = np.concatenate([self.scatter, np.zeros((len(new), 4, 4))])
+        self._normal = np.concatenate([self._normal, seen.normal[new] @ R.T])
+        self.last = np.append(self.last, np.full(len(new), iteration))
+        np.add.at(self.scatter, match, moved(seen.scatter, R, t))
+        self.last[match] = iteration
+        self._add_cells(seen.cells @ R.T + t, match[seen.cell_patch], seen.cell_m)
+        self.iteration.append(iteration)
+        self.poses.append(pose)
+        self.seen.append(seen)
+        self.match.append(match)
+
+    def _add_cells(self, cells: Floats, of: Ints, cell_m: float) -> None:
+        keys = np.column_stack([of, np.floor(cells / cell_m).astype(np.int64)])
+        fresh = []
+        for row, key in enumerate(map(tuple, keys.tolist())):
+            if key not in self._known:
+                self._known.add(key)
+                fresh.append(row)
+        self._cells = np.concatenate([self._cells, cells[fresh]])
+        self._cell_of = np.append(self._cell_of, of[fresh])
+
+    @property
+    def trajectory(self) -> Floats:
+        """``T_submap_robot`` of each of its scans, (p, 4, 4)."""
+        found = np.tile(np.eye(4), (len(self.poses), 1, 1))
+        for T, (R, t) in zip(found, self.poses, strict=True):
+            T[:3, :3], T[:3, 3] = R, t
+        return found
+
+    def planes(self, chosen: Ints) -> Patches:
+        """Return landmarks (k,), ascending, as patches in the frame of the submap."""
+        weight = self.scatter[chosen, 3, 3]
+        centre = self.scatter[chosen, :3, 3] / weight[:, None]
+        second = self.scatter[chosen, :3, :3] / weight[:, None, None]
+        variance, axes = np.linalg.eigh(second - centre[:, :, None] * centre[:, None])
+        variance = np.maximum(variance[:, ::-1], 0.0)
+        axes = axes.transpose(0, 2, 1)[:, ::-1].copy()
+        facing = np.einsum("ij,ij->i", axes[:, 2], self._normal[chosen])
+        axes[:, 2] *= np.where(facing < 0, -1.0, 1.0)[:, None]
+        axes[:, 0] = np.cross(axes[:, 1], axes[:, 2])
+        tilt = weight[:, None] * (variance[:, :2] - variance[:, 2:])
+        information = np.column_stack([tilt, weight])
+        place = np.full(len(self), -1)
+        place[chosen] = np.arange(len(chosen))
+        of = place[self._cell_of]
+        order = np.argsort(of, kind="stable")
+        order = order[of[order] >= 0]
+        count = np.bincount(of[order], minlength=len(chosen))
+        cells, cell_m = self._cells[order], max((seen.cell_m for seen in self.seen), default=1.0)
+        spread = np.sqrt(variance)
+        return Patches(centre, axes, information, spread, count, cells, of[order], cell_m)
+
+    def all_planes(self) -> Patches:
+        """Return all landmarks as patches in the frame of the submap."""
+        return self.planes(np.arange(len(self)))
+
+    def recent(self, iteration: int, max_missed: int) -> Bools:
+        """Tell which landmarks (l,) were seen not more than so many scans ago."""
+        return np.asarray(self.last >= iteration - 1 - max_missed)
+
+    def again(self, poses: list[Pose], name: dict[int, int]) -> Submap:
+        """Return the submap with other poses, and landmarks that turned out to be others."""
+        part = Submap()
+        for k, iteration in enumerate(self.iteration):
+            numbers = self.number[self.match[k]].tolist()
+            renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
+            part.add(iteration, self.seen[k], poses[k], renamed)
+        part.weak, part.share = dict(self.weak), self.share
+        return part
+
+    def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
+        """Return the submap and another as one, in the frame of the first scan of both.
+
+        Parameters
+        ----------
+        other : Submap
+        pose : R (3, 3) and t (3,)
+            Where the frame of the other lies.
+        name : dict of int to int
+            The landmarks of the other that are known here.
+        """
+        R, t = pose
+        placed = other.again([(R @ S, R @ s + t) for S, s in other.poses], name)
+        scans = [
+            (part.iteration[k], part, k) for part in (self, placed) for k in range(len(part.poses))
+        ]
+        scans.sort(key=lambda scan: scan[0])
+        _, first, k = scans[0]
+        begin, origin = first.poses[k]
+        both = Submap()
+        for iteration, part, k in scans:
+            S, s = part.poses[k]
+            there = begin.T @ S, begin.T @ (s - origin)
+            both.add(iteration, part.seen[k], there, part.number[part.match[k]])
+        both.weak = self.weak | other.weak
+        return both
+
+
+def moved(scatter: Floats, R: Floats, t: Floats) -> Floats:
+    """Return scatters (m, 4, 4) of points after a rigid motion."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return np.asarray(T @ scatter @ T.T)

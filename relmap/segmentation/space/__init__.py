@@ -1,0 +1,8 @@
+"""Points in space -> planes of any direction, as seen by a carried lidar or depth camera."""
+
+from __future__ import annotations
+
+from relmap.segmentation.space.patches import Patches
+from relmap.segmentation.space.segmenter import PatchSegmenter
+
+__all__ = ["PatchSegmenter", "Patches"]

@@ -1,0 +1,115 @@
+"""Loops over points and voxels, compiled; see `relmap.segmentation.space`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.linalg.compiling import compiled
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@compiled
+def add_moments(points: Array, of: Index, weight: Array, moments: Array) -> None:
+    """Add the moments of points (n, 3) to those of their groups (v, 10); negative: of none."""
+    for i in range(len(points)):
+        g = of[i]
+        if g < 0:
+            continue
+        w, x, y, z = weight[i], points[i, 0], points[i, 1], points[i, 2]
+        moments[g, 0] += w
+        moments[g, 1] += w * x
+        moments[g, 2] += w * y
+        moments[g, 3] += w * z
+        moments[g, 4] += w * x * x
+        moments[g, 5] += w * x * y
+        moments[g, 6] += w * x * z
+        moments[g, 7] += w * y * y
+        moments[g, 8] += w * y * z
+        moments[g, 9] += w * z * z
+
+
+@compiled
+def grow(
+    seed: int,
+    region: int,
+    plane: Array,
+    reach: Array,
+    around: Index,
+    centre: Array,
+    normal: Array,
+    open_: NDArray[np.bool_],
+    label: Index,
+    queue: Index,
+) -> int:
+    """Label the voxels connected to a seed that lie on a plane; return how many.
+
+    Parameters
+    ----------
+    plane : (5,) float64
+        Normal, offset, and the least cosine between it and the normal of a voxel.
+    reach : (v,) float64
+        How far from the plane the centre of each voxel may be.
+    open_ : (v,) bool
+        Voxels that may belong.
+    label : (v,) int64
+        Of each voxel; those of `region` before are taken off first.
+    queue : (v,) int64
+        Room; the voxels found stand at its begin.
+    """
+    n, found = len(label), 1
+    label[seed] = region
+    queue[0] = seed
+    head = 0
+    while head < found:
+        v = queue[head]
+        head += 1
+        for k in range(around.shape[1]):
+            w = around[v, k]
+            if w < 0 or w >= n or label[w] >= 0 or not open_[w]:
+                continue
+            turn, off = 0.0, -plane[3]
+            for a in range(3):
+                turn += normal[w, a] * plane[a]
+                off += centre[w, a] * plane[a]
+            if turn < plane[4] or abs(off) > reach[w]:
+                continue
+            label[w] = region
+            queue[found] = w
+            found += 1
+    return found
+
+
+@compiled
+def label_points(
+    points: Array,
+    of: Index,
+    sigma: Array,
+    gate: float,
+    around: Index,
+    voxel_label: Index,
+    planes: Array,
+    label: Index,
+) -> None:
+    """Give each point the nearest of the planes (m, 4) in its voxel and, if none, in those around.
+
+    It is -1 where it is farther than `gate` of its standard deviations from each.
+    """
+    for i in range(len(points)):
+        v, best, nearest = of[i], -1, gate * sigma[i]
+        for k in range(-1, around.shape[1]):
+            w = v if k < 0 else around[v, k]
+            if w < 0 or voxel_label[w] < 0:
+                continue
+            g = voxel_label[w]
+            if g != best:
+                off = -planes[g, 3]
+                for a in range(3):
+                    off += planes[g, a] * points[i, a]
+                if abs(off) < nearest:
+                    best, nearest = g, abs(off)
+            if k < 0:
+                break
+        label[i] = best

@@ -1,0 +1,90 @@
+"""What a segmenter in space hands out: the planes of one scan, condensed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats, Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Planes of any direction seen in one scan, without their points: m planes, robot frame.
+
+    The weighted squares of the distances of a patch's points from any plane are known from
+    `centre`, `axes` and `information` alone: of a plane with the unit normal n whose distance from
+    the centre is d they are, but for a constant,
+    ``information @ [(n @ u) ** 2, (n @ v) ** 2, d ** 2]``.  This is the 4x4 scatter of the points
+    in the patch's own frame (as in BALM, Z. Liu and F. Zhang, RA-L 2021).
+
+    Attributes
+    ----------
+    centre : (m, 3) float64, metres
+        Weighted mean of the points.
+    axes : (m, 3, 3) float64
+        Rows u, v, n: the directions of most, of middle and of least spread; right-handed.  n is
+        the normal and points to the sensor.
+    information : (m, 3) float64
+        1 / rad^2 of the tilt along u and along v, 1 / m^2 of the distance across.
+    spread : (m, 3) float64, metres
+        Standard deviation of the points along u, v and n.
+    n_points : (m,) int64
+    cells : (c, 3) float64, metres
+        Where on their planes the points lie, about one for each voxel.
+    cell_patch : (c,) int64, ascending
+        The patch of each cell.
+    cell_m : float
+        Size of the voxels.
+    """
+
+    centre: Floats
+    axes: Floats
+    information: Floats
+    spread: Floats
+    n_points: Ints
+    cells: Floats
+    cell_patch: Ints
+    cell_m: float
+
+    def __len__(self) -> int:
+        """Return the number of patches."""
+        return len(self.n_points)
+
+    @property
+    def normal(self) -> Floats:
+        """Unit normals (m, 3), pointing to the sensor."""
+        return np.asarray(self.axes[:, 2])
+
+    @property
+    def offset(self) -> Floats:
+        """Where the planes are (m,): ``normal @ x == offset``; metres, never above 0."""
+        return np.asarray(np.einsum("ij,ij->i", self.normal, self.centre))
+
+    @property
+    def scatter(self) -> Floats:
+        """Condensed 4x4 scatters (m, 4, 4): ``[n, -d] @ S @ [n, -d]`` is a plane's squares."""
+        weight = self.information[:, 2]
+        moment = (self.axes.transpose(0, 2, 1) * self.spread[:, None] ** 2) @ self.axes
+        scatter = np.empty((len(self), 4, 4))
+        c = self.centre
+        scatter[:, :3, :3] = moment + c[:, :, None] * c[:, None]
+        scatter[:, :3, 3] = scatter[:, 3, :3] = c
+        scatter[:, 3, 3] = 1.0
+        return np.asarray(weight[:, None, None] * scatter)
+
+    def outline(self, patch: int) -> Floats:
+        """Return the convex outline (k, 3) of a patch, anticlockwise as seen from the sensor."""
+        from scipy.spatial import ConvexHull
+
+        cells = self.cells[self.cell_patch == patch]
+        return np.asarray(cells[ConvexHull(cells @ self.axes[patch, :2].T).vertices])
+
+
+def no_patches(cell_m: float) -> Patches:
+    """Return what is handed out where no plane was found."""
+    none = np.empty((0, 3))
+    number: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+    return Patches(none, np.empty((0, 3, 3)), none, none, number, none, number, cell_m)

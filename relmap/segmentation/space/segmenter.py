@@ -1,0 +1,305 @@
+"""Planes of any direction out of the points of one scan: grown from flat voxels, then refitted.
+
+Voxels whose points are flat are seeds; a plane grows over those connected to it that lie on it, and
+is fitted anew as it grows (Poppinga et al., IROS 2008; Feng et al., ICRA 2014).  Planes that
+are one within the noise are joined.  Every point then goes to the nearest plane in its voxel or
+those around, and planes are fitted to their points, weighed by a noise that grows with range.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.errors import RelmapError
+from relmap.core.scan import checked_points
+from relmap.segmentation.space.patches import Patches, no_patches
+from relmap.segmentation.space.voxels import Voxels, moments_of, principal, voxels_of
+
+VOXEL = 0.04
+"""Size of a voxel, as a share of the median range."""
+PARALLEL = np.cos(np.deg2rad(5.0))
+"""Planes that are one have normals no farther apart (cosine)."""
+TURN = np.cos(np.deg2rad(25.0))
+"""How far the normal of a voxel may be off (cosine): that of few points is unsure."""
+REACH, GATE = 3.0, 3.0
+"""How far from a plane its voxels' centres, and its points, may be, in standard deviations."""
+FEWEST_VOXELS = 4
+"""Voxels of a plane."""
+REGROWN, REFITS = 6, 2
+"""How often at most a plane is fitted anew while it grows, and how often to its points."""
+SCALES = (1.0, 2.5)
+"""Voxels of twice and a half the size find what is noisy or sparse in what is left."""
+ALIKE = 1.5
+"""Two planes are one if the points of each are off the common one by at most so many times the
+noise."""
+SPARSE, COARSER, COARSEST = 30, 1.5, 0.2
+"""Voxels with so few points in the middle are taken larger, so many times, but not beyond a share
+of the median range."""
+
+
+class PatchSegmenter:
+    """Finds planes of any direction in the points of a lidar or depth camera.
+
+    Parameters
+    ----------
+    voxel_m : float, optional
+        Size of the voxels; a twentieth of the median range where left out.
+    min_points : int
+        Points of a plane at least.
+    most : int
+        Planes of a scan at most, those of most points.
+
+    Raises
+    ------
+    RelmapError
+        Where a setting makes no sense.
+
+    Attributes
+    ----------
+    patches_ : Patches
+        Planes of the scan that was fitted last.
+    labels_ : (n,) int64
+        The plane of each of its points, -1 for none.
+    noise_m_ : (n,) float64
+        Standard deviation of each point across planes, as estimated.
+    """
+
+    patches_: Patches
+    labels_: Ints
+    noise_m_: Floats
+
+    def __init__(self, voxel_m: float | None = None, min_points: int = 60, most: int = 60) -> None:
+        if voxel_m is not None and not 0 < voxel_m < np.inf:
+            raise RelmapError(f"voxel_m is {voxel_m}; it must be above 0")
+        if min_points < 10 or most < 1:
+            given = f"min_points is {min_points} and most is {most}"
+            raise RelmapError(f"{given}; they must be at least 10 and 1")
+        self.voxel_m = voxel_m
+        self.min_points = min_points
+        self.most = most
+
+    def fit(self, points: ArrayLike) -> PatchSegmenter:
+        """Find the planes of one scan.
+
+        Parameters
+        ----------
+        points : (n, 3) array, sensor frame, metres
+
+        Returns
+        -------
+        PatchSegmenter
+            Itself.
+
+        Raises
+        ------
+        RelmapError
+            Where the points are planar, or a coordinate is not finite.
+        """
+        points = checked_points(points, 0)
+        if points.shape[1] != 3:
+            raise RelmapError("points has 2 columns; planes in space need x, y and z")
+        range_m = np.linalg.norm(points, axis=1)
+        self.labels_, self.noise_m_ = np.full(len(points), -1), np.ones(len(points))
+        self.patches_ = no_patches(1.0)
+        left, middle_m = (
+            np.flatnonzero(range_m > 0),
+            float(np.median(range_m) if len(range_m) else 0.0),
+        )
+        if len(left) < self.min_points:
+            return self
+        cells, of = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
+        size_m = self.voxel_m or self._size(points[left], range_m[left], middle_m)
+        for scale in SCALES:
+            voxels = voxels_of(points[left], range_m[left], scale * size_m, middle_m)
+            found, noise_m, labels = self._planes_in(points[left], range_m[left], voxels)
+            first = int(self.labels_.max(initial=-1)) + 1
+            self.noise_m_[left] = noise_m
+            self.labels_[left] = np.where(found >= 0, first + found, -1)
+            mine = labels >= 0
+            cells.append(voxels.centre[mine])
+            of.append(first + labels[mine])
+            left = left[found < 0]
+            if len(left) < self.min_points:
+                break
+        self._condense(points, np.concatenate(cells), np.concatenate(of), size_m)
+        return self
+
+    def _size(self, points: Floats, range_m: Floats, middle_m: float) -> float:
+        """Return a size of voxels that hold enough points, but for a few, metres."""
+        size_m = VOXEL * middle_m
+        while size_m * COARSER < COARSEST * middle_m:
+            voxels = voxels_of(points, range_m, size_m, middle_m)
+            if np.median(voxels.moments[voxels.of, 0]) >= SPARSE:
+                break
+            size_m *= COARSER
+        return size_m
+
+    def _planes_in(
+        self, points: Floats, range_m: Floats, voxels: Voxels
+    ) -> tuple[Ints, Floats, Ints]:
+        """Return the plane (n,) of each point, its noise (n,), and the plane (v,) of each voxel."""
+        from relmap.segmentation.space.growing_kernels import label_points
+
+        flat = voxels.flat
+        noise = voxels.noise(flat)
+        noise_m, sigma = np.interp(range_m, *noise), np.interp(voxels.range_m, *noise)
+        label = _grown(voxels, flat, sigma)
+        mine, number = label >= 0, voxels.moments[:, 0]
+        sums = _sums(voxels.moments, label)
+        square = np.bincount(label[mine], (sigma**2 * number)[mine], len(sums))
+        label = _joined(sums, square / np.maximum(sums[:, 0], 1))[label]
+        planes = _planes(_sums(voxels.moments, label))
+        found = np.full(len(points), -1)
+        for _ in range(REFITS):
+            if not len(planes):
+                break
+            around = voxels.of, noise_m, GATE, voxels.around
+            label_points(points, *around, label, planes, found)
+            keep = np.bincount(found + 1, minlength=len(planes) + 1)[1:] >= self.min_points
+            name = np.append(np.where(keep, np.cumsum(keep) - 1, -1), -1)
+            label, found = name[label], name[found]
+            planes = _planes(moments_of(points, found, int(keep.sum()), noise_m**-2))
+        return found, noise_m, label
+
+    def _condense(self, points: Floats, cells: Floats, cell_of: Ints, size_m: float) -> None:
+        """Join what is one, and set `labels_` and `patches_`, those of most points first."""
+        count = int(self.labels_.max(initial=-1)) + 1
+        mine = self.labels_ >= 0
+        sums = moments_of(points, self.labels_, count)
+        square = np.bincount(self.labels_[mine], self.noise_m_[mine] ** 2, count)
+        own = _joined(sums, square / np.maximum(sums[:, 0], 1))
+        number = np.bincount(own[self.labels_[mine]], minlength=count)
+        order = np.argsort(-number, kind="stable")
+        order = order[number[order] > 0][: self.most]
+        name = np.full(count + 1, -1)
+        name[order] = np.arange(len(order))
+        name = np.append(name[own[:-1]], -1)
+        self.labels_, cell_of, number = name[self.labels_], name[cell_of], number[order]
+        middle = _means(points, self.labels_, number)
+        # About their own middle, so that rounding does not grow with the range.
+        near = points - middle[self.labels_] if len(order) else points
+        sums = moments_of(near, self.labels_, len(order), self.noise_m_**-2)
+        shift, variance, axes = principal(sums)
+        weight, centre = sums[:, 0], middle + shift
+        axes = axes[:, ::-1]
+        axes[:, 2] *= np.where((axes[:, 2] * centre).sum(axis=1) > 0, -1.0, 1.0)[:, None]
+        axes[:, 0] = np.cross(axes[:, 1], axes[:, 2])
+        variance = variance[:, ::-1]
+        # How thick a plane is tells its noise better than its range does.
+        expected = number / weight
+        weight = weight * expected / np.maximum(variance[:, 2], 1e-2 * expected)
+        tilt = weight[:, None] * (variance[:, :2] - variance[:, 2:])
+        cells, cell_of = _cells(cells, cell_of, centre, axes[:, 2])
+        information, spread = np.column_stack([tilt, weight]), np.sqrt(variance)
+        self.patches_ = Patches(centre, axes, information, spread, number, cells, cell_of, size_m)
+
+
+def _sums(moments: Floats, label: Ints) -> Floats:
+    """Return the moments (m, 10) of planes, of those of their voxels."""
+    sums = np.zeros((int(label.max(initial=-1)) + 1, moments.shape[1]))
+    np.add.at(sums, label[label >= 0], moments[label >= 0])
+    return sums
+
+
+def _planes(moments: Floats) -> Floats:
+    """Return normals that point to the sensor, and offsets: (m, 4)."""
+    centre, _, axes = principal(moments)
+    normal = axes[:, 0]
+    offset = (normal * centre).sum(axis=1)
+    sign = np.where(offset > 0, -1.0, 1.0)
+    return np.column_stack([normal * sign[:, None], offset * sign])
+
+
+def _means(points: Floats, label: Ints, number: Ints) -> Floats:
+    mine = label >= 0
+    sums = [np.bincount(label[mine], column[mine], len(number)) for column in points.T]
+    return np.column_stack(sums) / number[:, None]
+
+
+def _grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
+    """Return the plane (v,) that each voxel was found to lie on, -1 for none."""
+    from relmap.segmentation.space.growing_kernels import grow
+
+    n = len(flat)
+    label, queue = np.full(n, -1), np.empty(n, dtype=np.int64)
+    toward = -np.sign((voxels.normal * voxels.centre).sum(axis=1))
+    normal = voxels.normal * toward[:, None]
+    may = flat & (voxels.thickness < REACH * sigma)
+    points = np.maximum(voxels.moments[:, 0], 1)
+    reach = REACH * sigma * np.sqrt(1 / points + 0.25)
+    region = 0
+    # The flattest first, compared with what noise brings; many points tell best.
+    for seed in np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]:
+        if label[seed] >= 0:
+            continue
+        plane = np.append(normal[seed], [normal[seed] @ voxels.centre[seed], TURN])
+        size, mine = 0, queue[:0]
+        for _ in range(REGROWN):
+            label[mine] = -1
+            rest = voxels.around, voxels.centre, normal, may, label, queue
+            found = grow(int(seed), region, plane, reach, *rest)
+            mine = queue[:found].copy()
+            if found <= 1.1 * size or found < FEWEST_VOXELS:
+                break
+            size = found
+            plane[:4] = _planes(voxels.moments[mine].sum(axis=0)[None])[0]
+        if found < FEWEST_VOXELS:
+            label[mine] = -1
+            may[seed] = False
+        else:
+            region += 1
+    return label
+
+
+def _joined(sums: Floats, noise: Floats) -> Ints:
+    """Return the number (m + 1,) of each plane after those that are one were joined; -1 at last.
+
+    Parameters
+    ----------
+    sums : (m, 10) float64
+        Moments of their points; changed.
+    noise : (m,) float64
+        Mean square of it; changed.
+    """
+    own = np.arange(len(sums))
+    for a, b in _alike(sums, noise).tolist():
+        a, b = own[a], own[b]
+        if a == b:
+            continue
+        pair = sums[[a, b]]
+        plane = _planes(pair.sum(axis=0)[None])[0]
+        thin = np.maximum(noise[[a, b]], ALIKE**-2 * principal(pair)[1][:, 0])
+        if (_square_off(pair, plane) < ALIKE**2 * thin).all():
+            a, b = min(a, b), max(a, b)
+            own[own == b] = a
+            noise[a] = (noise[[a, b]] * sums[[a, b], 0]).sum() / sums[[a, b], 0].sum()
+            sums[a] += sums[b]
+    return np.append(np.unique(own, return_inverse=True)[1], -1)
+
+
+def _square_off(moments: Floats, plane: Floats) -> Floats:
+    """Return the mean square distance (m,) of points, known by their moments, from a plane."""
+    x, y, z, d = plane
+    products = np.array([x * x, 2 * x * y, 2 * x * z, y * y, 2 * y * z, z * z])
+    ahead = moments[:, 1:4] @ plane[:3]
+    return np.asarray((moments[:, 4:] @ products - 2 * d * ahead) / moments[:, 0] + d * d)
+
+
+def _alike(sums: Floats, noise: Floats) -> Ints:
+    """Return the pairs (p, 2) of planes that may be one, those with most points first."""
+    planes, centre = _planes(sums), sums[:, 1:4] / sums[:, :1]
+    off = np.abs(centre @ planes[:, :3].T - planes[:, 3])
+    near = off < REACH * np.sqrt(noise[:, None] + noise)
+    pairs = np.argwhere(np.triu((planes[:, :3] @ planes[:, :3].T > PARALLEL) & near & near.T, 1))
+    return pairs[np.argsort(-sums[pairs, 0].sum(axis=1), kind="stable")]
+
+
+def _cells(cells: Floats, of: Ints, centre: Floats, normal: Floats) -> tuple[Floats, Ints]:
+    """Return centres of voxels (c, 3), brought onto their planes, and these (c,), ascending."""
+    order = np.argsort(of, kind="stable")
+    order = order[of[order] >= 0]
+    at, of = cells[order], of[order]
+    off = ((at - centre[of]) * normal[of]).sum(axis=1)
+    return at - off[:, None] * normal[of], of

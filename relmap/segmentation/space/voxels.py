@@ -1,0 +1,118 @@
+"""Points in cubes: what each cube's points say of a plane, and how noisy they are."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.arrays import Bools, Floats, Ints
+
+FEWEST = 6
+"""Points of a voxel that tell of a plane."""
+FLAT, WIDE = 0.08, 0.1
+"""Largest thickness of a voxel's points as a share of their width, from which noise is estimated
+and planes begin; and least width as a share of the voxel."""
+QUANTILE = 0.7
+"""Of the thickness of flat voxels at a range: surfaces are rough, and ranges come in steps."""
+BINS = 8
+"""Ranges at which the noise is estimated."""
+ROUNDING = 1e-6
+"""Noise below this share of the range cannot be told from rounding, as of float32."""
+NEAR = 0.1
+"""Voxels do not shrink any more below this share of the range in the middle."""
+AROUND = np.array([a for a in itertools.product((-1, 0, 1), repeat=3) if any(a)])
+_BITS = 21
+
+
+@dataclass(frozen=True, eq=False)
+class Voxels:
+    """Voxels of one scan: v of them.
+
+    Attributes
+    ----------
+    of : (n,) int64
+        The voxel of each point.
+    around : (v, 26) int64
+        The voxels around each; -1 where there is none.
+    moments : (v, 10) float64
+        Number, sum and sums of products (xx, xy, xz, yy, yz, zz) of its points.
+    centre, normal : (v, 3) float64
+    thickness, width : (v,) float64, metres
+        Standard deviation of its points in the directions of least and of middle spread.
+    range_m : (v,) float64
+    size_m : (v,) float64
+    """
+
+    of: Ints
+    around: Ints
+    moments: Floats
+    centre: Floats
+    normal: Floats
+    thickness: Floats
+    width: Floats
+    range_m: Floats
+    size_m: Floats
+
+    @property
+    def flat(self) -> Bools:
+        """Which voxels (v,) hold points of one plane, by all appearance."""
+        enough = (self.moments[:, 0] >= FEWEST) & (self.width > WIDE * self.size_m)
+        return np.asarray(enough & (self.thickness < FLAT * 4 * self.width))
+
+    def noise(self, flat: Bools) -> tuple[Floats, Floats]:
+        """Return ranges and the noise across planes there, which grows; both (b,), metres."""
+        range_m, thick = self.range_m[flat], self.thickness[flat]
+        if not len(range_m):
+            return np.ones(1), np.ones(1)
+        order = np.argsort(range_m)
+        parts = np.array_split(order, min(BINS, max(len(order) // 20, 1)))
+        at = np.array([np.median(range_m[part]) for part in parts])
+        sigma = np.array([np.quantile(thick[part], QUANTILE) for part in parts])
+        return at, np.maximum.accumulate(np.maximum(sigma, ROUNDING * at))
+
+
+def voxels_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -> Voxels:
+    """Return the voxels of points (n, 3), robot frame, metres.
+
+    They grow with the root of the range, as points lie farther apart and noise grows, and have
+    their size at the range in the middle.
+    """
+    scale = np.sqrt(middle_m / np.maximum(range_m, NEAR * middle_m)) / size_m
+    cell = np.floor(points * scale[:, None]).astype(np.int64) + (1 << (_BITS - 1))
+    key = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
+    keys, of = np.unique(key, return_inverse=True)
+    step = AROUND @ np.array([1 << (2 * _BITS), 1 << _BITS, 1])
+    there = keys[:, None] + step
+    place = np.minimum(np.searchsorted(keys, there), len(keys) - 1)
+    around = np.where(keys[place] == there, place, -1)
+    moments = moments_of(points, of, len(keys))
+    centre, spread, axes = principal(moments)
+    n = moments[:, 0]
+    # A plane takes three degrees of freedom off its points.
+    scale = np.sqrt(n / np.maximum(n - 3, 1))
+    thickness, width = np.sqrt(spread[:, 0]) * scale, np.sqrt(spread[:, 1])
+    away = np.linalg.norm(centre, axis=1)
+    size = size_m * np.sqrt(np.maximum(away / middle_m, NEAR))
+    return Voxels(of, around, moments, centre, axes[:, 0], thickness, width, away, size)
+
+
+def moments_of(
+    points: Floats, of: Ints, count: int, weight: Floats | None = None
+) -> NDArray[np.float64]:
+    """Return the moments (count, 10) of points (n, 3) by group, as `Voxels` has them."""
+    from relmap.segmentation.space.growing_kernels import add_moments
+
+    moments = np.zeros((count, 10))
+    add_moments(points, of, np.ones(len(points)) if weight is None else weight, moments)
+    return moments
+
+
+def principal(moments: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return centres (v, 3), variances (v, 3), ascending, and their axes (v, 3, 3), as rows."""
+    centre = moments[:, 1:4] / moments[:, :1]
+    second = moments[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3) / moments[:, :1, None]
+    spread, axes = np.linalg.eigh(second - centre[:, :, None] * centre[:, None])
+    return centre, np.maximum(spread, 0.0), axes.transpose(0, 2, 1)

@@ -1,0 +1,127 @@
+"""KITTI's clouds and depth images: read, and refused where they are damaged."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from relmap.datasets import open_scans
+from tests.logs import put
+from tests.scanlogs import failure, points_of
+
+CLOUD = np.array([[1.0, 2, 3], [4, 5, 6], [0, 1, 0], [7, 8, 9], [np.nan, 0, 0]])
+SEEN = [0, 1, 2, 3]
+
+DEPTH = np.zeros((8, 12), dtype=np.uint16)
+DEPTH[2, 4], DEPTH[4, 10], DEPTH[6, 0] = 2000, 1000, 65535
+K = "10 0 4\n0 20 2\n0 0 1\n"
+
+
+def kitti(points: NDArray[np.float64]) -> bytes:
+    return np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tobytes()
+
+
+def png(image: NDArray[np.uint16]) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def images(folder: Path) -> Path:
+    for number in (1, 10, 9):
+        put(folder, png(DEPTH * np.uint16(number == 1)), f"frame-{number:06d}.depth.png")
+    put(folder, png(DEPTH), "frame-000009.depth.png")
+    return put(folder, K, "camera-intrinsics.txt").parent
+
+
+@pytest.mark.parametrize("inner", ["", "velodyne", "lidar"])
+def test_clouds_of_kitti_in_the_order_of_their_numbers(tmp_path: Path, inner: str) -> None:
+    (tmp_path / inner).mkdir(exist_ok=True)
+    for number in (2, 10, 9):
+        put(tmp_path / inner, kitti(CLOUD * number), f"{number}.bin")
+    log = open_scans(tmp_path)
+    assert log.dimension == 3
+    assert log.poses is None
+    assert points_of(log) == [(CLOUD[SEEN] * k).tolist() for k in (2, 9, 10)]
+
+
+def test_poses_of_kitti(tmp_path: Path) -> None:
+    for number in range(2):
+        put(tmp_path, kitti(CLOUD), f"{number}.bin")
+    put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n0 -1 0 1 1 0 0 2 0 0 1 3\n", "poses.txt")
+    poses = open_scans(tmp_path).poses
+    assert poses is not None
+    assert poses[:, :3, 3].tolist() == [[5, 6, 7], [1, 2, 3]]
+    assert poses[1, :2, :2].tolist() == [[0, -1], [1, 0]]
+    put(tmp_path, "1 0 0 5 0 1 0 6 0 0 1 7\n", "poses.txt")
+    assert "1 poses, expected one for each of 2 clouds" in failure(tmp_path)
+
+
+def test_a_file_of_position_and_quaternion_for_each_cloud(tmp_path: Path) -> None:
+    for folder in ("lidar", "poses"):
+        (tmp_path / folder).mkdir()
+    put(tmp_path / "lidar", kitti(CLOUD), "000001.bin")
+    put(tmp_path / "poses", "1.0, 2.0, 3.0\n0.0, 0.0, 1.0, 0.0", "000001.txt")
+    poses = open_scans(tmp_path).poses
+    assert poses is not None
+    assert np.abs(poses[0, :3] - [[-1, 0, 0, 1], [0, -1, 0, 2], [0, 0, 1, 3]]).max() < 1e-12
+    put(tmp_path / "poses", "1.0, 2.0", "000001.txt")
+    assert "2 numbers, expected x, y, z, qx, qy, qz, qw" in failure(tmp_path)
+
+
+def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
+    log = open_scans(images(tmp_path))
+    # Pixel (2, 4) looks straight ahead at 2 m; (4, 10) at 1 m, 0.6 m to the right, 0.1 m down.
+    expected = [[2.0, 0.0, 0.0], [1.0, -0.6, -0.1]]
+    assert points_of(log) == [expected, expected, []]
+    assert log.poses is None
+    for number in (1, 9, 10):
+        put(tmp_path, "1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n", f"frame-{number:06d}.pose.txt")
+    poses = open_scans(tmp_path).poses
+    assert poses is not None
+    ahead = poses[0] @ [2.0, 0.0, 0.0, 1.0]
+    assert ahead.tolist() == [5, 6, 9, 1]  # the camera's z
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "wrong"),
+    [
+        ("camera-intrinsics.txt", "1 2\n", "line 1: expected 3 numbers"),
+        ("camera-intrinsics.txt", "1 2 x\n", "line 1: expected 3 numbers"),
+        ("camera-intrinsics.txt", "1 2 3\n", "1 rows, expected a 3 x 3 matrix"),
+        ("camera-intrinsics.txt", K.replace("10", "-10"), "focal lengths above 0"),
+        ("frame-000001.depth.png", b"no image", "frame-000001.depth.png"),
+        ("frame-000001.depth.png", png(DEPTH)[:60], "frame-000001.depth.png"),
+        ("frame-000001.depth.png", png(DEPTH.astype(np.uint8)), "one channel of 16 bits"),
+    ],
+)
+def test_damaged_depth_images_are_refused(
+    tmp_path: Path, name: str, data: bytes | str, wrong: str
+) -> None:
+    put(images(tmp_path), data, name)
+    assert wrong in failure(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("data", "wrong"),
+    [
+        (b"", "0 bytes"),
+        (kitti(CLOUD)[:-3], "77 bytes, expected 16 for each point"),
+        (kitti(CLOUD[[4]]), "out of range"),
+        (kitti(CLOUD + np.inf), "out of range"),
+    ],
+)
+def test_damaged_clouds_of_kitti_are_refused(tmp_path: Path, data: bytes, wrong: str) -> None:
+    put(tmp_path, kitti(CLOUD * 1.5), "0.bin")
+    put(tmp_path, data, "1.bin")
+    assert wrong in failure(tmp_path, "kitti-bin")
+
+
+def test_a_folder_without_clouds_is_refused(tmp_path: Path) -> None:
+    assert "holds no .bin file" in failure(tmp_path, "kitti-bin")
+    assert "holds no *.depth.png" in failure(tmp_path, "depth-images")

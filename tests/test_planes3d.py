@@ -1,0 +1,211 @@
+"""`Plane3dMapper`: scans placed by their planes alone, submaps, names, refinement."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import Plane3dMapper, RelmapError
+from relmap.evaluation import metrics
+from relmap.planes3d.adjustment import PlaneAdjustment, Scene
+from relmap.planes3d.refining import sightings
+from relmap.planes3d.submap import Submap
+from relmap.segmentation.space import PatchSegmenter
+from relmap.simulation.storey import Storey, cast_rays, simulate_storey
+
+N = 12
+
+
+def mapped(scans: list[NDArray[np.float64]], refine: bool = False) -> Plane3dMapper:
+    mapper = Plane3dMapper()
+    for scan in scans:
+        mapper.update(scan)
+    mapper.finish()
+    if refine:
+        mapper.refine()
+    return mapper
+
+
+def from_first(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.inv(poses[0]) @ poses
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[Storey, Plane3dMapper]:
+    world = simulate_storey("lidar", 0.02, N)
+    return world, mapped(world.scans, refine=True)
+
+
+def test_poses_without_noise_are_exact() -> None:
+    world = simulate_storey("lidar", 0.0, N)
+    mapper = mapped(world.scans)
+    assert len(mapper.submaps) == 1
+    assert not mapper.weak_links
+    # A patch may hold points of another plane that lie within rounding of its own.
+    assert np.abs(mapper.trajectory - from_first(world.trajectory)).max() < 1e-5
+    mapper.refine()
+    assert np.abs(mapper.trajectory - from_first(world.trajectory)).max() < 1e-9
+
+
+def test_poses_are_as_good_as_plane_adjustment_with_true_associations(
+    noisy: tuple[Storey, Plane3dMapper],
+) -> None:
+    world, mapper = noisy
+    truth = from_first(world.trajectory)
+    part, segmenter = Submap(), PatchSegmenter()
+    for k, scan in enumerate(world.scans):
+        seen = segmenter.fit(scan).patches_
+        plane = world.plane_of[world.faces[k]]
+        # A board has two sides, which are two planes of the mapper's; they are one of the truth's.
+        true = [np.bincount(plane[segmenter.labels_ == p]).argmax() for p in range(len(seen))]
+        part.add(k, seen, (truth[k, :3, :3], truth[k, :3, 3]), np.array(true))
+    planes = part.all_planes()
+    begin = Scene(
+        truth[:, :3, :3], truth[:, :3, 3], planes.normal, planes.centre, np.zeros(len(part))
+    )
+    best = PlaneAdjustment(sightings(part)).solve(begin)
+    poses = truth.copy()
+    poses[:, :3, :3], poses[:, :3, 3] = best.R, best.t
+    limit, mine = (metrics.ate(each, truth, False) for each in (poses, mapper.trajectory))
+    assert limit is not None
+    assert mine is not None
+    assert 0 < limit < 0.003
+    assert mine < 1.1 * limit
+
+
+def test_planes_stand_once_where_they_are(noisy: tuple[Storey, Plane3dMapper]) -> None:
+    world, mapper = noisy
+    table = mapper.planes
+    R, t = world.trajectory[0, :3, :3], world.trajectory[0, :3, 3]
+    sides = world.corners[:, [1, 3]] - world.corners[:, :1]
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = (world.corners[:, 0] * normal).sum(axis=1)
+    found = []
+    for k in np.flatnonzero((table.status == "static") & (table.area_m2 > 1.0)):
+        n, c = R @ table.normal[k], R @ table.centre[k] + t
+        on = np.abs(normal @ c - offset) < 0.02
+        on &= np.abs(normal @ n) > np.cos(np.deg2rad(1.0))
+        assert on.any()
+        found.append((world.plane_of[on.argmax()], bool(n @ normal[on.argmax()] > 0)))
+    assert len(found) >= 8
+    assert len(set(found)) == len(found)
+    floor = int(np.argmax(table.area_m2))
+    assert len(table.outline[floor]) > 10
+    assert np.abs(table.outline[floor] @ table.normal[floor] - table.offset[floor]).max() < 1e-9
+
+
+def test_runs_again_to_the_last_bit(noisy: tuple[Storey, Plane3dMapper]) -> None:
+    world, mapper = noisy
+    again = mapped(world.scans, refine=True)
+    assert np.array_equal(again.trajectory, mapper.trajectory)
+    assert np.array_equal(again.planes.offset, mapper.planes.offset)
+
+
+def hall(x: float, yaw: float = 0.0, ends: bool = False) -> NDArray[np.float64]:
+    """Return a noisy scan of a corridor along x, from one place in it."""
+    origin = [[-40.0, -1.5, 0.0], [-40.0, 1.5, 0.0], [-40.0, -1.5, 0.0]]
+    sides = [[[80.0, 0, 0], [0, 0, 3.0]], [[80.0, 0, 0], [0, 0, 3.0]], [[80.0, 0, 0], [0, 3.0, 0]]]
+    if ends:
+        origin.append([4.0, -1.5, 0.0])
+        sides.append([[0, 3.0, 0], [0, 0, 3.0]])
+    azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 180), np.linspace(-0.7, 0.4, 30))
+    rays = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    start = np.array([x, 0.2, 1.4])
+    range_m, _ = cast_rays(start, rays @ R.T, np.array(origin), np.array(sides))
+    seen = range_m < 15
+    noise = 0.003 * np.random.default_rng(int(1000 * x)).standard_normal(seen.sum())
+    return np.asarray(rays[seen] * (range_m[seen] + noise)[:, None])
+
+
+def test_a_stretch_of_two_directions_is_named_and_its_free_direction() -> None:
+    mapper = mapped([hall(0.2 * k, 0.05 * k) for k in range(8)], refine=True)
+    assert len(mapper.submaps) == 1
+    assert sorted(mapper.weak_links) == list(range(1, 8))
+    for k, free in mapper.weak_links.items():
+        along = [np.cos(0.05 * k), -np.sin(0.05 * k), 0]
+        assert abs(free @ along) > 0.999
+    # Nothing tells how far it went: it is taken to stand, and all else is as it was.
+    assert np.abs(mapper.trajectory[:, :3, 3]).max() < 0.02
+    yaw = np.arctan2(mapper.trajectory[:, 1, 0], mapper.trajectory[:, 0, 0])
+    assert np.abs(yaw - 0.05 * np.arange(8)).max() < 0.002
+
+
+def test_a_wall_at_the_end_ties_the_free_direction() -> None:
+    mapper = mapped([hall(0.2 * k, ends=True) for k in range(8)])
+    assert not mapper.weak_links
+    assert np.abs(mapper.trajectory[:, 0, 3] - 0.2 * np.arange(8)).max() < 0.01
+
+
+def test_what_shows_nothing_known_begins_a_submap_and_is_tied_when_seen_again() -> None:
+    world = simulate_storey("lidar", 0.005, 18)
+    elsewhere = [np.random.default_rng(4).uniform(-3, 3, (3000, 3)) for _ in range(2)]
+    tilted = simulate_storey("lidar", 0.005, 2, seed=1).scans
+    other = [scan @ np.diag([1.0, 0.4, 2.2]) for scan in tilted]
+    mapper = Plane3dMapper()
+    for scan in [*world.scans[:6], *elsewhere, *other, *world.scans[6:12]]:
+        mapper.update(scan)
+    before = len(mapper.submaps)
+    assert before >= 3
+    mapper.finish()
+    assert len(mapper.submaps) < before
+    poses, known = mapper.trajectory, np.r_[:6, 10:16]
+    assert np.abs(poses[known] - from_first(world.trajectory)[:12]).max() < 0.02
+    assert np.isnan(poses[6:10]).all()
+    # The next scan goes on with what was tied.
+    mapper.update(world.scans[12])
+    assert np.abs(mapper.trajectory[16] - from_first(world.trajectory)[12]).max() < 0.02
+
+
+def test_labels_of_joined_planes_lead_to_those_that_are_left() -> None:
+    world = simulate_storey("lidar", 0.02, 8)
+    mapper = Plane3dMapper()
+    labels = np.concatenate([mapper.update(scan) for scan in world.scans])
+    mapper.finish()
+    mapper.refine()
+    assert set(mapper.landmarks_of(labels).tolist()) == set(mapper.planes.plane.tolist())
+    with pytest.raises(RelmapError):
+        mapper.landmarks_of([10**6])
+
+
+def test_scans_without_planes_have_no_pose() -> None:
+    mapper = Plane3dMapper()
+    assert mapper.update(np.empty((0, 3))).tolist() == []
+    mapper.finish()
+    mapper.refine()
+    assert np.isnan(mapper.trajectory).all()
+    assert mapper.submaps == []
+    assert len(mapper.planes.plane) == 0
+
+
+def test_a_scan_that_cannot_be_used_leaves_the_mapper_as_it_was() -> None:
+    mapper = Plane3dMapper()
+    mapper.update(simulate_storey("lidar", 0.0, 1).scans[0])
+    with pytest.raises(RelmapError):
+        mapper.update(np.full((100, 3), np.inf))
+    assert mapper.n_iterations == 1
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(RelmapError, match="max_missed is 0"):
+        Plane3dMapper(max_missed=0)
+    settings: list[dict[str, Any]] = [{"voxel_m": 0.0}, {"min_points": 2}, {"most": 0}]
+    for setting in settings:
+        with pytest.raises(RelmapError, match=next(iter(setting))):
+            PatchSegmenter(**setting)
+    worlds: list[dict[str, Any]] = [{"sensor": "sonar"}, {"sigma": -1.0}, {"iterations": 0}]
+    for world in worlds:
+        with pytest.raises(RelmapError):
+            simulate_storey(**world)

@@ -1,0 +1,148 @@
+"""``relmap map --variant planes3d``, ``relmap simulate storey`` and ``relmap evaluate``."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.cli import main
+from relmap.datasets import open_scans
+from relmap.io.files import read_tum
+from relmap.planes3d.files import COLUMNS
+from tests.commands import names
+
+FILES = [
+    "landmarks.csv",
+    "map.ply",
+    "map.png",
+    "planes.csv",
+    "submaps.csv",
+    "summary.json",
+    "tracks.csv.gz",
+    "trajectory.tum",
+]
+
+
+def run_relmap(*arguments: object) -> None:
+    assert main([str(argument) for argument in arguments]) == 0
+
+
+@pytest.fixture(scope="module")
+def storey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lidar carried through a storey, and its map."""
+    folder = tmp_path_factory.mktemp("storey")
+    run_relmap("simulate", "storey", "-o", folder / "world", "--iterations", "10")
+    run_relmap("map", folder / "world", "-o", folder / "result", "--variant", "planes3d")
+    return folder
+
+
+def test_result_folder_is_complete(storey: Path) -> None:
+    result = storey / "result"
+    assert names(result) == FILES
+    with (result / "planes.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert list(rows[0]) == list(COLUMNS)
+    static = [row for row in rows if row["status"] == "static"]
+    assert len(static) >= 8
+    for row in static:
+        normal = np.array([float(row[name]) for name in ("nx", "ny", "nz")])
+        corners = np.array([corner.split() for corner in row["outline"].split(";")], dtype=float)
+        assert np.linalg.norm(normal) == pytest.approx(1)
+        assert np.abs(corners @ normal - float(row["offset"])).max() < 1e-3
+    summary = json.loads((result / "summary.json").read_text())
+    assert summary["variant"] == "planes3d"
+    assert summary["counts"]["planes_static"] == len(static)
+    assert summary["counts"]["iterations_without_pose"] == 0
+    assert [part["scans"] for part in summary["submaps"]] == [10]
+    assert summary["weak_links"] == []
+
+
+def test_mesh_holds_rectangles_on_the_planes(storey: Path) -> None:
+    lines = (storey / "result" / "map.ply").read_text().splitlines()
+    begin = lines.index("end_header") + 1
+    points = int(next(line for line in lines if line.startswith("element vertex")).split()[2])
+    faces = [line.split() for line in lines[begin + points :]]
+    assert len(faces) > 20
+    vertices = np.array([line.split()[:3] for line in lines[begin : begin + points]], dtype=float)
+    quads = vertices[np.array(faces, dtype=np.int64)[:, 1:]]
+    sides = quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]
+    assert np.abs(quads[:, 2] - quads[:, 0] - sides[0] - sides[1]).max() < 1e-3
+    assert np.abs((sides[0] * sides[1]).sum(axis=1)).max() < 1e-3
+
+
+def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run_relmap("evaluate", storey / "result", "--truth", storey / "world")
+    evaluation = json.loads((storey / "result" / "evaluation.json").read_text())
+    (storey / "result" / "evaluation.json").unlink()
+    assert evaluation["ate_m"] < 0.003
+    assert evaluation["counts"] == {"poses": 10}
+    assert set(evaluation) == {"ate_m", "rpe_m", "counts", "notes"}
+    assert "ATE" in capsys.readouterr().out
+
+
+def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:
+    arguments = ["--variant", "planes3d", "--scans", "3:6", "--voxel", "0.3", "--no-refine"]
+    run_relmap("map", storey / "world", "-o", tmp_path / "part", *arguments)
+    summary = json.loads((tmp_path / "part" / "summary.json").read_text())
+    assert summary["configuration"]["voxel_m"] == 0.3
+    assert summary["scans"] == [3, 6]
+    assert read_tum(tmp_path / "part" / "trajectory.tum")[0].tolist() == [3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--variant", "planes3d", "--association", "known"],
+        ["--variant", "planes3d", "--journal", "journal.db"],
+        ["--variant", "planes3d", "--animate"],
+        ["--variant", "planes3d", "--voxel", "0"],
+        ["--variant", "planes", "--voxel", "0.1"],
+    ],
+)
+def test_options_of_other_variants_are_refused(
+    storey: Path, tmp_path: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["map", str(storey / "world"), "-o", str(tmp_path / "no"), *arguments]) == 2
+    assert "planes3d" in capsys.readouterr().err or "--voxel" in arguments
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_planar_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    world = ["--sampling", "laser", "--points", "181", "--iterations", "3"]
+    run_relmap("simulate", "building", "-o", tmp_path / "world", *world)
+    arguments = ["map", tmp_path / "world", "-o", tmp_path / "no", "--variant", "planes3d"]
+    assert main([str(argument) for argument in arguments]) == 2
+    assert "2-D laser" in capsys.readouterr().err
+
+
+def test_clouds_without_planes_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "clouds").mkdir()
+    points = np.random.default_rng(2).uniform(-3, 3, (500, 4)).astype("<f4")
+    (tmp_path / "clouds" / "0.bin").write_bytes(points.tobytes())
+    arguments = ["--variant", "planes3d", "--format", "kitti-bin"]
+    run_relmap("map", tmp_path / "clouds", "-o", tmp_path / "result", *arguments)
+    assert "no plane was found" in capsys.readouterr().out
+    assert names(tmp_path / "result") == FILES
+
+
+@pytest.mark.parametrize(
+    ("name", "scans", "limit_m"),
+    [("lidar3d-hall", "0:8", 0.03), ("rgbd-7scenes-redkitchen", "0:12", 0.03)],
+)
+def test_real_clouds(
+    shared_data: Path, tmp_path: Path, name: str, scans: str, limit_m: float
+) -> None:
+    if not (shared_data / name).is_dir():
+        pytest.skip(f"{name} is not there")
+    out = tmp_path / "result"
+    run_relmap("map", shared_data / name, "-o", out, "--variant", "planes3d", "--scans", scans)
+    run_relmap("evaluate", out, "--truth", shared_data / name)
+    evaluation = json.loads((out / "evaluation.json").read_text())
+    assert evaluation["counts"]["poses"] == len(
+        open_scans(shared_data / name).between(*map(int, scans.split(":")))
+    )
+    assert evaluation["ate_m"] < limit_m

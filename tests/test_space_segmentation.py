@@ -1,0 +1,153 @@
+"""Planes of any direction out of clouds: found, measured and condensed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import RelmapError
+from relmap.segmentation.space import Patches, PatchSegmenter
+from relmap.simulation.storey import Storey, simulate_storey
+
+LARGE_M2, MANY = 0.25, 150
+
+
+def board(
+    centre: list[float], u: list[float], v: list[float], sigma: float = 0.0, n: int = 40
+) -> NDArray[np.float64]:
+    """Return points (n * n, 3) on a parallelogram, noisy across it."""
+    rng = np.random.default_rng(5)
+    a, b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.5, 0.5, n)] * 2))
+    across = np.cross(u, v) / np.linalg.norm(np.cross(u, v))
+    off = sigma * rng.standard_normal((n * n, 1)) * across
+    return np.array(centre) + a[:, None] * u + b[:, None] * v + off
+
+
+def true_planes(world: Storey, k: int) -> NDArray[np.float64]:
+    """Return normals to the sensor and offsets (f, 4) of the faces, in the frame of a scan."""
+    R, t = world.trajectory[k, :3, :3], world.trajectory[k, :3, 3]
+    sides = world.corners[:, [1, 3]] - world.corners[:, :1]
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    offset = ((world.corners[:, 0] - t) * normal).sum(axis=1)
+    sign = np.where(offset > 0, -1.0, 1.0)
+    return np.column_stack([(normal @ R) * sign[:, None], offset * sign])
+
+
+def squares(points: NDArray[np.float64], normal: NDArray[np.float64], offset: float) -> float:
+    return float(((points @ normal - offset) ** 2).sum())
+
+
+def condensed_squares(
+    patches: Patches, k: int, normal: NDArray[np.float64], offset: float
+) -> float:
+    turned = patches.axes[k, :2] @ normal
+    across = patches.centre[k] @ normal - offset
+    return float(patches.information[k] @ np.append(turned, across) ** 2)
+
+
+@pytest.mark.parametrize("sensor", ["lidar", "depth"])
+def test_planes_without_noise_are_exact(sensor: str) -> None:
+    world = simulate_storey(sensor, 0.0, 3)  # type: ignore[arg-type]
+    for k, scan in enumerate(world.scans):
+        segmenter = PatchSegmenter().fit(scan)
+        found, truth = segmenter.patches_, true_planes(world, k)
+        assert len(found) >= (4 if sensor == "lidar" else 1)
+        for patch in range(len(found)):
+            mine = world.faces[k][segmenter.labels_ == patch]
+            face = np.bincount(mine).argmax()
+            assert np.abs(found.normal[patch] - truth[face, :3]).max() < 1e-9
+            assert abs(found.offset[patch] - truth[face, 3]) < 1e-9
+
+
+def test_large_planes_are_found_once_under_noise() -> None:
+    world = simulate_storey("lidar", 0.01, 12)
+    hits = large = right = wrong = 0
+    for k, scan in enumerate(world.scans):
+        segmenter = PatchSegmenter().fit(scan)
+        labels, truth = segmenter.labels_, world.plane_of[world.faces[k]]
+        for patch in range(len(segmenter.patches_)):
+            share = np.bincount(truth[labels == patch]).max() / (labels == patch).sum()
+            if 12 * segmenter.patches_.spread[patch, :2].prod() >= LARGE_M2:
+                right, wrong = right + (share >= 0.9), wrong + (share < 0.9)
+        for plane in np.unique(truth):
+            mine = truth == plane
+            if mine.sum() < MANY:
+                continue
+            extent = np.sqrt(np.linalg.eigvalsh(np.cov(scan[mine].T))[1:])
+            if 12 * extent.prod() < LARGE_M2 or extent[0] < 0.1:
+                continue
+            large += 1
+            hits += np.bincount(labels[mine] + 1, minlength=2)[1:].max() > 0.5 * mine.sum()
+    assert large > 60
+    assert hits >= 0.95 * large
+    assert right >= 0.95 * (right + wrong)
+
+
+def test_condensed_scatter_gives_the_squares_of_the_points() -> None:
+    points = board([2.0, 0.5, 1.0], [0.0, 2.0, 0.0], [0.3, 0.0, 1.5], sigma=0.02)
+    segmenter = PatchSegmenter(min_points=30).fit(points)
+    patches = segmenter.patches_
+    assert len(patches) == 1
+    mine = points[segmenter.labels_ == 0]
+    noise = np.full(len(mine), squares(mine, patches.normal[0], patches.offset[0]) / len(mine))
+    # Points at one range have one weight, but for what their ranges differ.
+    best = squares(mine, patches.normal[0], patches.offset[0]) / noise[0]
+    for tilt in ([0.02, 0.0, 0.0], [0.0, 0.0, -0.03]):
+        normal = patches.normal[0] + tilt
+        normal /= np.linalg.norm(normal)
+        offset = patches.offset[0] + 0.004
+        direct = squares(mine, normal, offset) / noise[0]
+        assert condensed_squares(patches, 0, normal, offset) == pytest.approx(
+            direct - best, rel=0.1
+        )
+        plane = np.append(normal, -offset)
+        whole = float(plane @ patches.scatter[0] @ plane)
+        assert whole == pytest.approx(direct, rel=0.1)
+
+
+def test_coplanar_boards_are_one_and_a_step_makes_two() -> None:
+    def two(step_m: float) -> NDArray[np.float64]:
+        far = board([3.0 + step_m, 1.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0], 0.005)
+        return np.concatenate(
+            [board([3.0, -1.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0], 0.005), far]
+        )
+
+    assert len(PatchSegmenter().fit(two(0.0)).patches_) == 1
+    assert len(PatchSegmenter().fit(two(0.08)).patches_) == 2
+
+
+def test_outline_goes_round_what_was_seen() -> None:
+    patches = PatchSegmenter().fit(board([3, 0, 0], [0, 2, 0], [0, 0, 2])).patches_
+    outline = patches.outline(0)
+    v, w = outline[:, 1], outline[:, 2]
+    area = (v @ np.roll(w, -1) - w @ np.roll(v, -1)) / 2
+    # The sensor looks along x: anticlockwise to it is the other way round in y and z.
+    assert 2.5 < -area < 4.01
+    assert np.allclose(outline[:, 0], 3)
+
+
+@pytest.mark.parametrize("n", [0, 1, 59])
+def test_few_points_show_nothing(n: int) -> None:
+    segmenter = PatchSegmenter().fit(np.ones((n, 3)))
+    assert len(segmenter.patches_) == 0
+    assert segmenter.labels_.tolist() == [-1] * n
+
+
+def test_points_all_at_the_sensor_show_nothing() -> None:
+    assert len(PatchSegmenter().fit(np.zeros((500, 3))).patches_) == 0
+
+
+def test_clutter_shows_no_plane() -> None:
+    points = np.random.default_rng(1).uniform(-3, 3, (4000, 3))
+    assert len(PatchSegmenter().fit(points).patches_) == 0
+
+
+@pytest.mark.parametrize(
+    ("points", "wrong"),
+    [(np.ones((9, 2)), "2 columns"), (np.full((9, 3), np.nan), "finite"), ("abc", "array")],
+)
+def test_what_is_no_cloud_is_refused(points: object, wrong: str) -> None:
+    with pytest.raises(RelmapError, match=wrong):
+        PatchSegmenter().fit(points)  # type: ignore[arg-type]
