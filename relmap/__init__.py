@@ -1,7 +1,7 @@
 """Maps of landmarks from their relative locations; odometry is optional.
 
-No motion or pose estimate enters the map: scans are registered by matching landmarks, and
-probability is used only in weights and in the optional refinement.
+Unless odometry is given, no motion or pose estimate enters the map: scans are registered by
+matching landmarks, and probability is used only in weights and in the optional refinement.
 """
 
 from __future__ import annotations

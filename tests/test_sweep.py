@@ -192,7 +192,7 @@ def test_grid() -> None:
         ({"method": "ekf", "seed": [-1]}, "seed is -1"),
         ({"method": "ekf", "noise": "flat"}, "noise is 'flat'; it must be gaussian or uniform"),
         ({"method": "ekf", "world": "moon"}, "figure-eight or building"),
-        ({"method": "ekf", "association": "nearest"}, "which landmark is which"),
+        ({"method": "ekf", "association": "nearest"}, "needs known ids"),
         ({"method": "relmap-planes", "world": "building"}, "association = 'nearest'"),
         ({"method": "relmap-planes", "world": "building", "density": 5}, "of the figure eight"),
         ({"method": "relmap-planes"}, "cannot map a log of landmarks"),
