@@ -160,7 +160,7 @@ def fitted(
 def _held(
     t: Floats, H: Floats, n: Floats, held: Floats, open_m: float
 ) -> tuple[Floats, Floats | None]:
-    """Hold a place in the direction in which nothing tells of it; return both.
+    """Hold a place in the direction in which nothing measures it; return both.
 
     Planes that are parallel but for their noise would invent a constraint there, so the directions
     of the normals count, not how sure they are.

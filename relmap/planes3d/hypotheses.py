@@ -56,7 +56,7 @@ def motions(seen: Patches, there: Patches, held: Floats) -> Motions:
     seen, there : Patches
         Planes of the scan, and of the map.
     held : (3,) float64, map frame, metres
-        Where it was taken in directions that no plane tells of.
+        Where it was taken in directions that no plane measures.
     """
     weight = importance(seen)
     mine, others = leaders(seen), leaders(there, 2 * LEADERS)

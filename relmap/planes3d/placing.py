@@ -81,7 +81,7 @@ def place(
         Where the scan before was taken: of placements that explain as much, as in a room that looks
         the same from two sides, the next one is taken if the others are far; none without it.
     held : (3,) float64, map frame, metres
-        Where the scan was taken in directions that no plane tells of.
+        Where the scan was taken in directions that no plane measures.
     """
     best: list[Placed] = []
     tried = _promising(motions(seen, there.planes, held), seen, there)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats, Ints
 
 FEWEST = 6
-"""Points of a voxel that tell of a plane."""
+"""Points of a voxel that define a plane."""
 FLAT, WIDE = 0.08, 0.1
 """Largest thickness of a voxel's points as a share of their width, from which noise is estimated
 and planes begin; and least width as a share of the voxel."""
