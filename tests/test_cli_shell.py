@@ -26,7 +26,9 @@ def test_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, child_env: dict[s
         check=False,
         env=child_env,
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    # On a busy machine it tells how far it is.
+    said = [line for line in done.stderr.splitlines() if not line.endswith(("so far", "left"))]
+    assert (done.returncode, said) == (0, [])
     assert done.stdout.splitlines()[-1] == "wrote index.html and the files behind it to relmap-demo"
     folder = tmp_path / "relmap-demo"
     result_files = sorted([*RESULT_FILES, "evaluation.json"])
