@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -18,6 +19,7 @@ from relmap.evaluation.truth import Truth, write_truth
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.tables import csv_text
 from relmap.simulation import simulate_building
+from tests import bagfiles
 from tests.scanlogs import ply
 
 Mapped = Callable[[str], Path]
@@ -31,6 +33,8 @@ POINTS = [
     ("dlr-circles", "circles"),
     ("slsjf-sim", "beacons"),
     ("mrclam", "robots"),
+    ("own-table", "table/seen.parquet"),
+    ("bag-detections", "detections/a.bag"),
 ]
 WALLS = [
     ("scans-npz", "npz"),
@@ -39,6 +43,7 @@ WALLS = [
     ("mrpt-laser2d", "laser/a.scans.csv.gz"),
     ("point-clouds", "clouds"),
     ("kitti-bin", "kitti"),
+    ("bag-scans", "scans/a.bag"),
 ]
 K, N, BEAMS = 30, 12, 181
 LASER_AHEAD_M = 0.4
@@ -80,6 +85,8 @@ def write_points(folder: Path) -> None:
     _write_circles(folder / "circles", log, truth)
     _write_beacons(folder / "beacons", log, truth)
     _write_robots(folder / "robots", log, truth)
+    _write_table(folder / "table", log)
+    _write_detections(folder / "detections", log, truth)
 
 
 def _write_mrpt(folder: Path, log: ObservationLog, truth: Truth) -> None:
@@ -157,6 +164,25 @@ def _write_robots(folder: Path, log: ObservationLog, truth: Truth) -> None:
     text(folder / "Landmark_Groundtruth.dat", [f"{i} {x} {y} 1e-4 1e-4" for i, (x, y, _) in places])
 
 
+def _write_table(folder: Path, log: ObservationLog) -> None:
+    folder.mkdir()
+    cells = {"iteration": log.iteration, "id": _ids(log), "note": [""] * len(log.iteration)}
+    cells |= dict(zip("xyz", log.points_robot.T, strict=True))
+    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pytest.importorskip("pyarrow").table(cells), folder / "seen.parquet")
+
+
+def _write_detections(folder: Path, log: ObservationLog, truth: Truth) -> None:
+    folder.mkdir()
+    types, messages = bagfiles.Types("ros1"), []
+    for scan, T in zip(log.scans(), truth.poses, strict=True):
+        t = 1.0 + scan.iteration
+        assert scan.ids is not None
+        seen = zip(map(str, scan.ids.tolist()), scan.points_robot.tolist(), strict=True)
+        messages += [("/odom", t, types.odometry(t, T)), ("/seen", t, types.boxes(t, seen))]
+    bagfiles.write_bag(folder, "ros1", types, messages)
+
+
 def _motion(poses: NDArray[np.float64], k: int) -> list[float]:
     """Return x, y, yaw of the motion to pose k from the one before; none beyond the ends."""
     if not 0 < k < len(poses):
@@ -195,6 +221,13 @@ def write_walls(folder: Path, scans: int = 16) -> None:
     robot[:, :3, 3] -= LASER_AHEAD_M * poses[:, :3, 0]
     _write_mrpt_laser(folder / "laser" / "a.scans.csv.gz", ranges, robot, stamps_s)
     _write_clouds(folder / "clouds", scans)
+    (folder / "scans").mkdir()
+    types, first, beam = bagfiles.Types("ros1"), -np.pi / 2, np.pi / (BEAMS - 1)
+    messages = []
+    for r, T, t in zip(ranges, poses, 1 + stamps_s, strict=True):
+        messages.append(("/odom", t, types.odometry(t, T)))
+        messages.append(("/scan", t, types.scan(t, r.tolist(), first, beam)))
+    bagfiles.write_bag(folder / "scans", "ros1", types, messages)
 
 
 def _cells(values: Iterable[float], nothing: float) -> str:

@@ -51,7 +51,8 @@ TRUTHS = [
     ("laser/a.scans.csv.gz", "laser/a.scans.csv.gz", PATH),
     ("clouds", "clouds", PATH),
 ]
-IN_SPACE = ("csv/observations.csv", "gz", "mrpt/a.observations.csv.gz")
+IN_SPACE = {"csv/observations.csv", "gz", "mrpt/a.observations.csv.gz"}
+IN_SPACE |= {"table/seen.parquet", "detections/a.bag"}
 DRAWN = ("circles", "npz", "graph/a.relations", "clouds")
 MORE_OF_WALLS = ["bench.png", "planes.csv"]
 
