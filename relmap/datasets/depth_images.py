@@ -34,7 +34,7 @@ class DepthImages:
     """Reads a folder of depth images."""
 
     name = "depth-images"
-    description = f"a folder of *{DEPTH} with {INTRINSICS}"
+    description = f"a folder of *{DEPTH}"
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a folder of depth images."""

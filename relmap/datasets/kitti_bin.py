@@ -33,7 +33,7 @@ class KittiBin:
     """Reads a folder of .bin files, or one that holds such a folder."""
 
     name = "kitti-bin"
-    description = "a folder of .bin clouds"
+    description = "a folder of .bin files"
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a folder whose first .bin file may be a cloud of KITTI's."""

@@ -36,7 +36,7 @@ class PointClouds:
     """Reads a folder of PCD or PLY files, or one such file."""
 
     name = "point-clouds"
-    description = "a folder of .pcd or .ply files, which may be packed as .xz"
+    description = "a folder of .pcd or .ply files (or .xz)"
 
     def recognises(self, path: Path) -> bool:
         """Return whether it is such a file, or a folder of them that is not a result of relmap."""
