@@ -22,7 +22,7 @@ from relmap.core.refinement.settling import size_of
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-CONSTANT = 0.1
+CONSTANT = 0.03
 """Standard deviation of odometry's errors of scale, and of the turn it misses on each metre, before
 anything is known of them."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import sums_each
-from relmap.core.geometry.robust import lenient, limit_of, strict
+from relmap.core.geometry.robust import OUTLIER, lenient, limit_of, strict
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.bridging import Bridged
 from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
@@ -160,7 +160,7 @@ def _settled(
     known = sigmas is not None
     problem = ChainProblem(chain, odds, sigmas or Sigmas(), state.positions, anchor)
     for _ in range(TIMES):
-        found = gauss_newton(problem, state, _weighing(chain, lenient), FEW_ROUNDS, unsure=ROUGH)
+        found = gauss_newton(problem, state, _weighing(problem, lenient), FEW_ROUNDS, unsure=ROUGH)
         state = found.state
         if known and (found.converged or not to_the_last):
             break
@@ -168,14 +168,26 @@ def _settled(
         known = max(abs(np.log(a / b)) for a, b in zip(sigmas, before, strict=True)) < SETTLED
         problem = ChainProblem(chain, odds, sigmas, state.positions, anchor, problem.pattern)
     if to_the_last:
-        found = gauss_newton(problem, state, _weighing(chain, strict), ROUNDS, unsure=FINE)
+        found = gauss_newton(problem, state, _weighing(problem, strict), ROUNDS, unsure=FINE)
     converged = found.converged or found.gain <= WORTH_SAYING
     return Settled(found.state, found.weight, converged or not to_the_last), problem
 
 
-def _weighing(chain: Chain, function: Callable[[Array, float], Array]) -> Weigh:
-    d, size = chain.points.shape[1], 0.0
-    return lambda residual: function(residual, limit_of(residual, d, size))
+def _weighing(problem: ChainProblem, function: Callable[[Array, float], Array]) -> Weigh:
+    """Return weights by what noise explains of observations, and of odometry: each by itself."""
+    d = problem.chain.points.shape[1]
+
+    def weigh(residual: Array) -> Array:
+        seen, *odometry = (residual[part] for part in problem.parts)
+        return np.concatenate(
+            [
+                function(seen, limit_of(seen, d, 0.0)),
+                # Where it is all there is, nothing is left of it.
+                *(function(part, max(limit_of(part, d, 0.0), OUTLIER)) for part in odometry),
+            ]
+        )
+
+    return weigh
 
 
 def _start(chain: Chain, poses: Array, m: int) -> Chained:
