@@ -48,9 +48,9 @@ class MotionNoise:
 
     scale: float = 1.0
     turn_per_m: Array = field(default_factory=lambda: np.zeros(3))
-    sigma_way: float = 0.1
+    sigma_way: float = 0.05
     sigma_m: float = 0.002
-    sigma_rad: float = 0.01
+    sigma_rad: float = 0.005
 
     @property
     def is_wrong(self) -> bool:

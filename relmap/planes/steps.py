@@ -93,7 +93,7 @@ def steps_of(
         steps = _again(found, steps)
     # The constant errors are as unsure on each metre, and that adds up.
     variance += (way * _together(way, hanging))[:, None] * (sd / length) ** 2 / n
-    beside = np.convolve(hanging, np.ones(2 * BESIDE + 1), "same") > 0
+    beside = np.convolve(hanging, np.ones(2 * BESIDE + 1))[BESIDE : BESIDE + len(hanging)] > 0
     return Steps(steps, variance, beside & known)
 
 

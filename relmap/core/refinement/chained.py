@@ -211,7 +211,8 @@ class ChainProblem:
             for kind, of in kinds:
                 sums[kind] += squares[:, of].sum(), free[:, of].sum()
         factors = [np.sqrt(squares / free) if free > FREE else 1.0 for squares, free in sums]
-        return Sigmas(*(float(old * new) for old, new in zip(self.sigmas, factors, strict=True)))
+        seen, way, turn = (float(old * new) for old, new in zip(self.sigmas, factors, strict=True))
+        return Sigmas(seen, min(way, WORST), min(turn, WORST))
 
     def _linearised(
         self, state: Chained, weight: Array
@@ -264,6 +265,9 @@ class ChainProblem:
         return off_way / way, off_turn / angle, jacobian
 
 
+WORST = 2.0
+"""How much noisier odometry may be than it was found, or is usual.  Where a scan shows one or two
+landmarks, poses that fit them exactly and noisy odometry explain everything."""
 FREE = 4.0
 """Freedoms below which what is left does not tell how noisy something is."""
 
