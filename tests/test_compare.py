@@ -117,7 +117,7 @@ def test_a_log_without_truth(place: Path) -> None:
         ([], "either INPUT, a log, or --simulate"),
         (["log.csv", "--simulate", "building"], "either INPUT, a log, or --simulate"),
         (["log.csv", "--methods", "ekv"], "unknown method 'ekv'; did you mean ekf?"),
-        (["log.csv", "--methods", "ekf"], "which landmark is which: --association known"),
+        (["log.csv", "--methods", "ekf"], "needs known ids: --association known"),
         (["log.csv", "--association", "known"], "needs a log with ids"),
         (["log.csv", "--methods", "relmap-planes"], "cannot map a log of landmarks"),
         (["log.csv", "--methods", "relmap-points,relmap-points"], "is named twice"),

@@ -179,7 +179,8 @@ def test_where_walls_fix_the_motion_the_map_is_the_same() -> None:
         mapper.refine()
         assert len(mapper.submaps) == 1
         found.append(ate(mapper.trajectory, poses, planar=True))
-        assert len(use_of(mapper).hanging) == 0
+        if odometry is not None:
+            assert len(use_of(mapper).hanging) == 0
     assert found[1] == pytest.approx(found[0], abs=0.003)
 
 
