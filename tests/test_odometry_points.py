@@ -149,3 +149,21 @@ def test_a_resumed_run_with_odometry_is_the_same(tmp_path: Path, known: bool) ->
     assert loaded.odometry is not None
     assert loaded.odometry.is_used
     again.close()
+
+
+def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> None:
+    run = world(SPARSE, 400)
+    motions = odometry_of(run, 0)
+    mapper = PointMapper()
+    for turn in range(2):
+        for k, scan in enumerate(run.log.scans()):
+            first = k == 0
+            motion = np.full((4, 4), np.nan) if first else motions[k]
+            mapper.update(scan.points_robot, ids=scan.ids, odometry=motion)
+        assert mapper.n_iterations == 400 * (turn + 1)
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.submaps) == 1
+    assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.3
+    # A single scan between two gaps may be tied to neither.
+    assert np.isfinite(mapper.trajectory[:, 0, 0]).mean() > 0.99

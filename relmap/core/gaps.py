@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.association.sightings import rows_of_tracks
 from relmap.core.mapper import RelativeMapper
+from relmap.core.motion_noise import MotionNoise
 from relmap.core.odometry import OdometryUse
-from relmap.core.refinement.bridging import bridge, measured_motions, noise_of
+from relmap.core.refinement.bridging import Bridged, bridge, measured_motions, noise_of
 from relmap.core.refinement.chained import Sigmas
-from relmap.core.refinement.chaining import Solved, solve_part
+from relmap.core.refinement.chaining import Solved, join_parts, solve_part
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.extending import AGREEING
+from relmap.core.refinement.joint import STEADY
 from relmap.core.state.table import NONE
 
 AGAIN = 2
@@ -51,36 +57,90 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     if not len(hanging):
         engine.odometry = use
         return False
-    mature = to_the_last and not engine.association.has_ids
-    fewest = engine.config.group_after if mature else AGAIN
-    roots = None
-    if len(engine.weighed):
-        roots = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance))
-    found = [
-        solve_part(
-            engine.table,
-            rows,
-            engine.kept,
-            roots,
-            bridged,
-            part,
-            believed,
-            noise,
-            engine.averaging.noise.sigma_m,
-            sigmas,
-            to_the_last,
-            fewest,
-        )
-        for part in range(int(bridged.part.max()) + 1)
-    ]
-    solved = [part for part in found if part is not None]
+    solve = _solver(engine, rows, believed, noise, sigmas, to_the_last)
+    solved = solve(bridged)
+    while engine.association.has_ids and (joined := join_parts(bridged, solved)) is not None:
+        bridged, solved = joined, solve(joined)
+    cleared = _at_rest(engine, solved)
+    if len(cleared):
+        engine.table.dynamic[cleared] = False
+        solved = solve(bridged)
     _place(engine, solved)
     engine.odometry = _told(use, solved, hanging, engine.store.n_iterations)
     return True
 
 
+def _solver(
+    engine: RelativeMapper,
+    rows: SegmentRows,
+    believed: Floats,
+    noise: MotionNoise,
+    sigmas: Sigmas | None,
+    to_the_last: bool,
+) -> Callable[[Bridged], list[Solved]]:
+    """Return what solves each part of a run that is bridged, the smallest first; see `solve_part`.
+
+    Parameters
+    ----------
+    believed : (k, 4, 4) float64
+        Odometry without constant errors; NaN where it is not known or not believed.
+    """
+    mature = to_the_last and not engine.association.has_ids
+    fewest = engine.config.group_after if mature else AGAIN
+    roots, noise_m = None, engine.averaging.noise.sigma_m
+    if len(engine.weighed):
+        roots = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance))
+
+    def solve(bridged: Bridged) -> list[Solved]:
+        found = (
+            solve_part(
+                engine.table,
+                rows,
+                engine.kept,
+                roots,
+                bridged,
+                part,
+                believed,
+                noise,
+                noise_m,
+                sigmas,
+                to_the_last,
+                fewest,
+            )
+            for part in np.unique(bridged.part).tolist()
+        )
+        solved = [part for part in found if part is not None]
+        return sorted(solved, key=lambda part: len(part.refined.landmarks))
+
+    return solve
+
+
+def _at_rest(engine: RelativeMapper, solved: list[Solved]) -> NDArray[np.int64]:
+    """Return the landmarks (k,) taken for moving that keep their place as well as others do.
+
+    Groups of two or three landmarks make more of noise than it is.
+    """
+    table, kept = engine.table, engine.kept
+    poses = np.full((engine.store.n_iterations, 4, 4), np.nan)
+    for part in solved[-1:]:
+        poses[part.iterations] = part.poses
+    d, landmark = kept.location.shape[1], table.now(kept.landmark)
+    own = poses[kept.iteration]
+    placed = np.einsum("nij,nj->ni", own[:, :d, :d], kept.location) + own[:, :d, 3]
+    seen = np.isfinite(placed[:, 0])
+    apart = np.full(len(table), np.nan)
+    for one in np.unique(landmark[seen]):
+        places = placed[seen & (landmark == one)]
+        if len(places) >= engine.config.group_after:
+            off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+            apart[one] = np.quantile(off, AGREEING)
+    still = apart[~table.dynamic & np.isfinite(apart)]
+    usual = STEADY * float(np.median(still)) if len(still) else 0.0
+    return np.flatnonzero(table.dynamic & (apart <= usual))
+
+
 def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
-    """Put the landmarks of each part in a submap of its own."""
+    """Put the landmarks of each part in a submap of its own; those of several go to the largest."""
     table = engine.table
     seen = np.bincount(table.now(engine.kept.landmark), minlength=len(table)).astype(np.float64)
     table.take_off_map(np.flatnonzero(table.submap != NONE))
@@ -96,8 +156,8 @@ def _told(
     use: OdometryUse, solved: list[Solved], hanging: NDArray[np.int64], n_iterations: int
 ) -> OdometryUse:
     poses, sigmas = np.full((n_iterations, 4, 4), np.nan), np.ones(3)
-    largest = max(solved, key=lambda part: len(part.refined.landmarks), default=None)
-    if largest is not None:
+    if solved:
+        largest = solved[-1]
         poses[largest.iterations] = largest.poses
         sigmas = np.array(largest.sigmas)
     doubted = np.concatenate([use.left_out, *(part.doubted for part in solved)])

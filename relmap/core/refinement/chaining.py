@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.geometry.alignment import sums_each
+from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
 from relmap.core.geometry.robust import OUTLIER, lenient, limit_of, strict
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.bridging import Bridged
@@ -22,7 +22,7 @@ from relmap.core.refinement.residuals import (
     merge_residuals,
     segment_residuals,
 )
-from relmap.core.refinement.settling import WORTH_SAYING, Settled
+from relmap.core.refinement.settling import WORTH_SAYING, Settled, size_of
 from relmap.core.state.kept import KeptObservations
 from relmap.core.state.table import LandmarkState
 
@@ -34,6 +34,8 @@ TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
 in the end."""
 ROUGH, FINE = 1e-2, 1e-4
 """Gain that no further step is taken for, in squared standard deviations of the whole map."""
+ALIKE = 0.1
+"""How far apart landmarks of two parts may lie, in sizes of what they share, to be joined."""
 GUESS_M = 0.1
 """Noise of an observed coordinate where nothing is known of it yet."""
 SETTLED = 0.02
@@ -146,6 +148,43 @@ def solve_part(
 
 DOUBT = 0.25
 """Weight below which a step of odometry is not believed."""
+
+
+def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
+    """Return all scans with a part joined to the largest that shares landmarks with it.
+
+    Parts of one log, between which no odometry came, may show the same landmarks; ids say so.
+
+    Parameters
+    ----------
+    bridged : Bridged
+    solved : sequence of Solved
+        Its parts, the smallest first.
+
+    Returns
+    -------
+    Bridged or None
+        None where no part shares enough, or what it shares lies otherwise.
+    """
+    for k, other in enumerate(solved):
+        for base in reversed(solved[k + 1 :]):
+            one, another = other.refined, base.refined
+            _, mine, its = np.intersect1d(one.landmarks, another.landmarks, return_indices=True)
+            here, there = one.positions[mine], another.positions[its]
+            if len(mine) <= here.shape[1] or not fixes_rotation(there):
+                continue
+            R, t = fit_rigid(here, there)
+            apart = np.linalg.norm(here @ R.T + t - there, axis=1)
+            if np.median(apart) > ALIKE * size_of(there):
+                continue
+            d, move = len(t), np.eye(4)
+            move[:d, :d], move[:d, 3] = R, t
+            poses, part = bridged.poses.copy(), bridged.part.copy()
+            poses[base.iterations] = base.poses
+            poses[other.iterations] = move @ other.poses
+            part[other.iterations] = part[base.iterations[0]]
+            return replace(bridged, poses=poses, part=part)
+    return None
 
 
 def _settled(
