@@ -165,5 +165,4 @@ def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> Non
     mapper.refine()
     assert len(mapper.submaps) == 1
     assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.3
-    # A single scan between two gaps may be tied to neither.
-    assert np.isfinite(mapper.trajectory[:, 0, 0]).mean() > 0.99
+    assert np.isfinite(mapper.trajectory).all()

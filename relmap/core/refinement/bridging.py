@@ -146,6 +146,15 @@ def bridge(table: LandmarkState, rows: SegmentRows, motions: Array) -> Bridged:
         if submap in frames:
             part[i], frame = frames[submap]
             poses[i] = frame @ own[i]
+            if i and part[i - 1] != part[i] and np.isfinite(motions[i, 0, 0]):
+                before = np.flatnonzero(part[:i] == part[i - 1])
+                move = poses[i] @ np.linalg.inv(poses[i - 1] @ motions[i])
+                frames |= {
+                    other: (int(part[i]), move @ lies)
+                    for other, (of, lies) in frames.items()
+                    if of == part[i - 1]
+                }
+                poses[before], part[before] = move @ poses[before], part[i]
             continue
         if i and np.isfinite(motions[i, 0, 0]):
             part[i], poses[i] = part[i - 1], poses[i - 1] @ motions[i]
