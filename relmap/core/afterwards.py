@@ -87,14 +87,21 @@ def tie(engine: RelativeMapper) -> None:
     merger.sightings = None
 
 
-def _merge_in_place(engine: RelativeMapper) -> None:
-    """Merge landmarks of a map that odometry ties and that lie in one place, seen apart."""
-    merger, found = engine.merger, is_bridged(engine)
-    while found and merger.sightings is not None:
+def _merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
+    """Merge landmarks of a map that odometry ties and that lie in one place, seen apart.
+
+    At last also those that were parted on the way, and lie together all the same.
+    """
+    if not is_bridged(engine):
+        return
+    merger, found = engine.merger, True
+    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    while found:
         noise_m = max(refined.noise_m for refined in engine.refined)
         pairs = lying_together(engine.table, noise_m)
-        pairs = pairs[merger.allowed(pairs)]
-        apart = [not merger.sightings.together(new, old) for new, old in pairs.tolist()]
+        if not at_last:
+            pairs = pairs[merger.allowed(pairs)]
+        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
         pairs = pairs[np.array(apart, dtype=bool)]
         landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
         both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
@@ -163,7 +170,11 @@ def _repair(engine: RelativeMapper) -> None:
         found, (after, mapped) = _look_over(engine), _extent(engine)
         if not found or (k > 1 and before - after <= FEW * mapped):
             break
-    undone, rare = undo(engine), _rare(engine) & ~grouped
+    undone = undo(engine)
+    if is_bridged(engine):
+        _refine(engine, to_the_last=False)
+        _merge_in_place(engine, at_last=True)
+    rare = _rare(engine) & ~grouped
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
         _refine(engine)

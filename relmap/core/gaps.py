@@ -86,7 +86,7 @@ def _solver(
         Odometry without constant errors; NaN where it is not known or not believed.
     """
     mature = to_the_last and not engine.association.has_ids
-    fewest = engine.config.group_after if mature else AGAIN
+    fewest = engine.config.group_after // 2 if mature else AGAIN
     roots, noise_m = None, engine.averaging.noise.sigma_m
     if len(engine.weighed):
         roots = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance))
