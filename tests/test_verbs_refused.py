@@ -35,7 +35,7 @@ KINDS = ["csv", "npz", "of-points", "of-walls", "csv/truth", "npz/truth", "csv/o
 KINDS += ["empty", "gone", "pictures", "pictures/map.png"]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def wrong(logs: Path, mapped: Mapped) -> Path:
     """Return a folder with what people give by mistake."""
     (logs / "empty").mkdir()
