@@ -166,3 +166,22 @@ def test_two_runs_in_one_log_are_one_map_where_ids_say_what_is_the_same() -> Non
     assert len(mapper.submaps) == 1
     assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.3
     assert np.isfinite(mapper.trajectory).all()
+
+
+def test_covariances_weigh_the_observations_that_they_came_with() -> None:
+    run, rng = world(SPARSE, 250), np.random.default_rng(0)
+    motions, mapper = odometry_of(run, 0), PointMapper()
+    for k, scan in enumerate(run.log.scans()):
+        n = len(scan.points_robot)
+        sigma = np.where(rng.random(n) < 0.3, 3.0, 0.05)
+        noise = sigma[:, None] * rng.normal(size=(n, 3)) * (sigma[:, None] > 1)
+        mapper.update(
+            scan.points_robot + noise,
+            ids=scan.ids,
+            covariances=sigma[:, None, None] ** 2 * np.eye(3),
+            odometry=motions[k] if k else None,
+        )
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.submaps) == 1
+    assert rmse_m(run, mapper.map.positions, mapper.map.landmark_ids) < 0.5

@@ -89,7 +89,9 @@ def _solver(
     fewest = engine.config.group_after // 2 if mature else AGAIN
     roots, noise_m = None, engine.averaging.noise.sigma_m
     if len(engine.weighed):
-        roots = np.linalg.inv(np.linalg.cholesky(engine.weighed.covariance))
+        # Observations before the first odometry are not kept.
+        covariance = engine.weighed.covariance[len(engine.weighed) - len(engine.kept) :]
+        roots = np.linalg.inv(np.linalg.cholesky(covariance))
 
     def solve(bridged: Bridged) -> list[Solved]:
         found = (
