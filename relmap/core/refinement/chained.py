@@ -29,6 +29,11 @@ anything is known of them."""
 LOOSE, STIFF = 1e-14, 1e3
 """What holds everything a little, and the pose that makes the frame, as shares of what holds most.
 """
+WORST = 2.0
+"""How much noisier odometry may be than it was found, or is usual.  Where a scan shows one or two
+landmarks, poses that fit them exactly and noisy odometry explain everything."""
+FREE = 4.0
+"""Freedoms below which what is left does not tell how noisy something is."""
 
 
 class Chain(NamedTuple):
@@ -263,13 +268,6 @@ class ChainProblem:
         jacobian[:, :d] /= way[:, None]
         jacobian[:, d:] /= angle[:, None]
         return off_way / way, off_turn / angle, jacobian
-
-
-WORST = 2.0
-"""How much noisier odometry may be than it was found, or is usual.  Where a scan shows one or two
-landmarks, poses that fit them exactly and noisy odometry explain everything."""
-FREE = 4.0
-"""Freedoms below which what is left does not tell how noisy something is."""
 
 
 def _angles(R: Array) -> Array:

@@ -40,6 +40,8 @@ GUESS_M = 0.1
 """Noise of an observed coordinate where nothing is known of it yet."""
 SETTLED = 0.02
 """Change of the noise, as a share, that makes no difference."""
+DOUBT = 0.25
+"""Weight below which a step of odometry is not believed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,10 +146,6 @@ def solve_part(
     weight = np.minimum(settled.weight[way], settled.weight[turn])
     doubted = iterations[problem.moved[weight < DOUBT] + 1]
     return Solved(refined, placed, iterations, doubted, problem.sigmas)
-
-
-DOUBT = 0.25
-"""Weight below which a step of odometry is not believed."""
 
 
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
