@@ -77,3 +77,16 @@ def test_a_damaged_file_is_refused(here: Path, capsys: pytest.CaptureFixture[str
     assert main(["map", "observations.csv", "-o", "out"]) == 2
     assert "odometry.csv: line 9, field x: 'far' is not a number" in capsys.readouterr().err
     assert not (here / "out").exists()
+
+
+def test_the_closing_line_says_what_rests_on_odometry(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    eight, out = tmp_path / "eight", str(tmp_path / "out")
+    simulate = ["simulate", "figure-eight", "-o", str(eight), "--iterations", "200"]
+    assert main([*simulate, "--density", "3", "--odometry", "0.01:0.1"]) == 0
+    capsys.readouterr()
+    assert main(["map", str(eight), "-o", out]) == 0
+    assert "scans are tied by odometry alone" in capsys.readouterr().out
+    assert main(["map", str(eight), "-o", out, "--odometry", "none"]) == 0
+    assert "odometry alone" not in capsys.readouterr().out

@@ -31,18 +31,20 @@ def report(job: Job) -> None:
     iterations = counts["iterations"]
     begun = f"stopped after {iterations} of {summary['input_iterations']}: "
     told = f"{begun if summary['interrupted'] else ''}wrote {n_files} files to {job.out}: "
+    hanging = on_odometry(summary.get("odometry"))
     if job.variant == "planes":
         told += (
             f"{counts['planes_static']} walls with {counts['corners_static']} corners mapped in "
-            f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{torn(summary)}"
+            f"{iterations} iterations, {each(timing['scan_median_ms'])}{took}{hanging}"
+            f"{torn(summary)}"
         )
     else:
         told += (
             f"{counts['mapped']} of {counts['landmarks']} landmarks mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
+            f"{doubted(summary['association_trust'])}{hanging}"
             f"{unconverged(summary['refinement'])}"
-            f"{doubted(summary['association_trust'])}"
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
@@ -105,6 +107,17 @@ def doubted(trust: dict[str, Any]) -> str:
             f"by more matches than chance explains"
         )
     return told + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
+
+
+def on_odometry(odometry: dict[str, Any] | None) -> str:
+    """Return what rests on odometry alone, or that it is wrong, as the end of a message."""
+    if odometry is None:
+        return ""
+    if odometry["wrong_throughout"]:
+        return "; odometry contradicts what was seen and was left out"
+    alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
+    told = f"; {alone} scans are tied by odometry alone, as good as it is" if alone else ""
+    return told + (f"; odometry was left out at {left_out} scans" if left_out else "")
 
 
 def untied(submaps: int) -> str:
