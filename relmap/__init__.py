@@ -32,7 +32,7 @@ __all__ = [
     "range_bearing_covariances",
 ]
 ROOMS = ("datasets", "evaluation", "exports", "io", "merging", "plots", "simulation")
-"""Packages that are imported when they are asked for."""
+"""Packages imported on first access."""
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""The public face of all variants: what a mapper hands out, and what makes it last."""
+"""The public interface of all mappers: results, journal, saved state."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
 
 class Mapper(Shown, ABC):
-    """An engine with a journal, a saved state, and tables of what it has found.
+    """An engine with a journal, a saved state and tables of its results.
 
     Parameters
     ----------
     config : MapperConfig, optional
     journal : path, optional
-        An SQLite file that is begun, see `relmap.io.journal.layout`.  Every scan is in it with the
-        first update after a second, and after `flush`; whatever happens then, `resume` goes on.
+        A new SQLite file, see `relmap.io.journal.layout`. Scans are committed about once a second
+        and by `flush`; `resume` continues from it after a crash.
     run : dict, optional
-        What the journal should tell about the run, fit for JSON.
+        Description of the run to store in the journal; must be JSON serialisable.
 
     Attributes
     ----------
     engine : RelativeMapper
-        What maps: its landmark table, store, schedule and groups, for experiments that look at
-        them.  What is changed there is neither checked nor kept in a journal.
+        The mapping engine: landmark table, store, schedule and groups, for experiments. Changes
+        made there are neither checked nor recorded in the journal.
 
     Raises
     ------
@@ -55,7 +55,7 @@ class Mapper(Shown, ABC):
 
     _variant: ClassVar[str]
     _unused: ClassVar[dict[str, str]] = WITH_POINTS
-    """Settings that the variant ignores, and why."""
+    """Settings that the variant ignores, with the reason."""
 
     def __init__(
         self,
@@ -82,18 +82,18 @@ class Mapper(Shown, ABC):
 
     @property
     def engine(self) -> RelativeMapper:
-        """What maps, see above.
+        """The mapping engine, see above.
 
         Raises
         ------
         RelmapError
-            If an update was interrupted half way, or another thread is in one.
+            If an update was interrupted, or another thread is running one.
         """
         self._guard.check()
         return self._engine
 
     def finish(self) -> None:
-        """Group what is still in view and not mapped yet, and what has left for the last time."""
+        """Group unmapped landmarks in view, and run the last pass of those that left."""
         with self._guard.change():
             self._note_call("finish")
             self._finish()
@@ -102,10 +102,10 @@ class Mapper(Shown, ABC):
         afterwards.finish(self.engine)
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
-        """Return what landmarks (n,), labelled by earlier updates, are called now.
+        """Return the current labels of landmarks (n,), given labels from earlier updates.
 
-        A landmark lost and seen again has a label of its own until it is recognised; -1 stays.
-        A label that no update has returned raises `RelmapError`.
+        A landmark that is lost and seen again gets a new label, until it is recognised; -1 is
+        returned as -1. A label that no update has returned raises `RelmapError`.
         """
         labels = checked_labels(labels, np.append(readout.labels(self.engine), -1))
         if self.engine.association.has_ids:
@@ -114,13 +114,13 @@ class Mapper(Shown, ABC):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """The settings that the mapper makes use of, by name."""
+        """The settings in effect, by name."""
         is_known = self.engine.association.is_known
         return self.config.in_use(WITH_IDS if is_known else self._unused)
 
     @property
     def n_iterations(self) -> int:
-        """How many scans were taken in, empty ones included."""
+        """Number of scans processed, empty ones included."""
         return self.engine.store.n_iterations
 
     @property
@@ -135,7 +135,7 @@ class Mapper(Shown, ABC):
 
     @property
     def submaps(self) -> Sequence[Submap]:
-        """The submaps, the largest first; more than one where nothing ties parts of the run."""
+        """The submaps, the largest first; more than one if parts of the run are not connected."""
         return readout.map_submaps(self.engine)
 
     @property
@@ -147,75 +147,74 @@ class Mapper(Shown, ABC):
     def refined(self) -> list[Refined]:
         """The submaps as refined, in ascending order; none after a later update.
 
-        They tell how well each segment of the run, and each merge, fits the map.  Landmarks go by
-        their numbers there, in order of first sight.
+        They include the residuals of each segment of the run and of each merge. Landmarks are
+        identified by their index, in order of first observation.
         """
         return list(self.engine.refined)
 
     @property
     def rejected(self) -> NDArray[np.int64]:
-        """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
+        """Iterations (r,), ascending, whose scans match no other scan and do not enter the map."""
         return self.engine.association.rejected
 
     @property
     def tied_share(self) -> float | None:
-        """Share of the scans that were tied to those before at once, of points without ids.
+        """Fraction of scans, of points without ids, that were matched to the tracks at once.
 
-        The others began tracks, and perhaps submaps, of their own.  Rivals are looked for only
-        where nearest neighbours do not agree at once, so it does not tell that ties are right.
-        None if nothing was matched
-        so: with ids, of walls, by another registration.
+        The others began new tracks, and possibly new submaps. Rival placements are searched for
+        only where nearest neighbours do not agree, so this does not show that the matches are
+        correct. None with known association, for walls, and for other registrations.
         """
         return self.engine.association.tied_share
 
     @property
     def unique_share(self) -> float | None:
-        """Share of the scans whose matches are more than chance brings in any placement.
+        """Fraction of scans whose matches exceed what chance produces in any placement.
 
-        Of points without ids, else None.  It does not reveal places that look alike.
+        None unless points are mapped without ids. It does not reveal perceptual aliasing.
         """
         return self.engine.association.unique_share
 
     @property
     def n_undone(self) -> int:
-        """How many merges were undone because the refined map contradicted them."""
+        """Number of merges undone because the refined map contradicted them."""
         return self.engine.merger.n_undone
 
     @property
     def odometry(self) -> OdometryUse | None:
-        """What was made of odometry at the last `finish` or `refine`; None where none came."""
+        """How odometry was used by the last `finish` or `refine`; None if there was none."""
         return self.engine.odometry
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where it is not fixed."""
+        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where undetermined."""
         return readout.path(self.engine)
 
     @property
     def noise_m(self) -> float:
-        """Estimated standard deviation of an observed coordinate, metres; NaN if not known yet."""
+        """Estimated standard deviation of an observed coordinate, metres; NaN if unknown."""
         return float(self.engine.averaging.noise.sigma_m)
 
     @classmethod
     def resume(
         cls, journal: PathLike[str] | str, after: Callable[[Self], object] | None = None
     ) -> Self:
-        """Return the mapper that kept a journal, as it was after the last scan in it.
+        """Restore a mapper from its journal, in the state after the last recorded scan.
 
-        It is made by mapping the scans of the journal again, which gives the same to the last bit,
-        and goes on to keep the journal.
+        The scans of the journal are mapped again, which gives bit-identical results. The mapper
+        then continues to write the journal.
 
         Parameters
         ----------
         journal : path
         after : callable, optional
-            Is given the mapper after each scan, to look at it.
+            Called with the mapper after each scan.
 
         Raises
         ------
         RelmapError
-            If there is no journal, it is of another variant or a newer relmap, or damaged, or
-            where mapping the scans again gives something else than was noted.
+            If there is no journal, it belongs to another variant or a newer relmap, is damaged, or
+            mapping the scans again gives other results than those recorded.
         """
         from relmap.io.journal import Journal, JournalReader
 
@@ -233,14 +232,14 @@ class Mapper(Shown, ABC):
         return mapper
 
     def save(self, path: PathLike[str] | str) -> None:
-        """Save the whole state: a mapper loaded from it goes on as this one would, to the last bit.
+        """Save the whole state; a mapper loaded from it continues with bit-identical results.
 
-        The journal is not part of it, nor is a segmenter.
+        Neither the journal nor a segmenter is saved.
 
         Parameters
         ----------
         path : path
-            A file, ``.npz`` by custom; one of that name is replaced.
+            The file, usually ``.npz``; an existing file is replaced.
 
         Raises
         ------
@@ -257,7 +256,7 @@ class Mapper(Shown, ABC):
     def load(cls, path: PathLike[str] | str) -> Self:
         """Load a mapper that `save` saved.
 
-        What the file says is not run, but its numbers are believed: load what you trust.
+        No code in the file is executed, but its values are not verified: load only trusted files.
 
         Parameters
         ----------
@@ -266,8 +265,8 @@ class Mapper(Shown, ABC):
         Raises
         ------
         RelmapError
-            If there is no such file, it is damaged, or holds a mapper of another variant or of
-            a relmap with other parts.
+            If there is no such file, it is damaged, or it was saved by another variant or an
+            incompatible version.
         """
         from relmap.io.saving import load_state
 
@@ -284,7 +283,7 @@ class Mapper(Shown, ABC):
         return made[0]
 
     def flush(self) -> None:
-        """Make sure that the journal holds every scan; where none is kept, do nothing.
+        """Commit all scans to the journal; do nothing if there is none.
 
         Raises
         ------
@@ -296,7 +295,7 @@ class Mapper(Shown, ABC):
                 self._journal.flush()
 
     def close(self) -> None:
-        """Flush and end the journal; where none is kept, do nothing.
+        """Flush and close the journal; do nothing if there is none.
 
         Raises
         ------
@@ -308,7 +307,7 @@ class Mapper(Shown, ABC):
             self._journal = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the journal: a copy keeps none."""
+        """Leave out the journal: a copy has none."""
         return self.__dict__ | {"_journal": None}
 
     def _note_call(self, name: str) -> None:
@@ -316,21 +315,21 @@ class Mapper(Shown, ABC):
             self._journal.call(name)
 
     def _replayed(self, reader: JournalReader) -> Iterator[None]:
-        """Take in the scans of a journal, one at a time."""
+        """Map the scans of a journal, one at a time."""
         for k, scan in enumerate(reader.scans()):
             for call in reader.calls.get(k, []):
                 getattr(self, call)()
             if not np.array_equal(self._again(scan), scan.labels):
                 raise RelmapError(
-                    f"journal {reader.path}: iteration {k} mapped again gives other landmarks than "
-                    f"were noted; it was written by {_told(reader.meta.get('versions'))}, "
+                    f"journal {reader.path}: iteration {k} mapped again gives landmarks other than "
+                    f"were recorded; it was written by {_told(reader.meta.get('versions'))}, "
                     f"and this is {_told(_versions())}"
                 )
             yield
 
     @property
     def _parts(self) -> list[Any]:
-        """What has state, see `relmap.core.state.saved`."""
+        """The parts with state, see `relmap.core.state.saved`."""
         return [self.engine]
 
     @abstractmethod
@@ -339,7 +338,7 @@ class Mapper(Shown, ABC):
 
     @abstractmethod
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
-        """Take in a scan of the journal."""
+        """Map one scan of the journal."""
 
 
 def _versions() -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What a mapper shows and saves for people: as a text, a picture, a folder."""
+"""How a mapper is displayed and saved: as text, as a picture, as a folder."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import numpy as np
 if TYPE_CHECKING:
     from relmap.core.landmarks import LandmarkMap
 
-# Pictures and results stand above mappers and are found by name: nothing here needs them.
+# Plots and results are layers above the mappers and are imported by name only when used.
 RESULTS, PICTURES = "relmap.evaluation.saved", "relmap.plots.of_mapper"
 
 
 class Shown:
-    """A mapper that can be looked at."""
+    """A mapper that can be displayed."""
 
     @property
     def n_iterations(self) -> int:
-        """How many scans were taken in."""
+        """Number of scans processed."""
         raise NotImplementedError
 
     @property
@@ -31,7 +31,7 @@ class Shown:
         raise NotImplementedError
 
     def plot(self) -> Any:
-        """Draw the map as it is: of points the landmarks, of walls the floor plan by submaps.
+        """Draw the current map: landmarks of points, or the floor plan of walls by submap.
 
         Returns
         -------
@@ -40,19 +40,19 @@ class Shown:
         return import_module(PICTURES).plot_mapper(self)
 
     def save_results(self, folder: PathLike[str] | str) -> None:
-        """Write what `relmap map` writes of a map, but the tracks, into a folder.
+        """Write the files that `relmap map` writes of a map, except the tracks, into a folder.
 
         Times are iteration numbers, and ``tracks.csv.gz`` is empty: the log is not known here.
 
         Parameters
         ----------
         folder : path
-            It is made where it is not there.
+            Created if missing.
 
         Raises
         ------
         RelmapError
-            Where it cannot be written; an earlier result in it is then as it was.
+            If it cannot be written; an earlier result in it is then left unchanged.
         """
         import_module(RESULTS).save_results(self, Path(folder), import_module(PICTURES))
 

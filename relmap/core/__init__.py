@@ -1,1 +1,1 @@
-"""What both variants share; knows neither points nor planes."""
+"""The engine shared by all variants; independent of the kind of landmark."""

@@ -1,4 +1,4 @@
-"""What is done with the whole map, when no scan is to come for now."""
+"""Operations on the whole map, run when no scan follows for now."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from relmap.core.turns import group_or_found, last_pass, placed_first
 logger = logging.getLogger(__name__)
 
 SEEDS = 20
-"""Landmarks about which a late group is looked for, those seen most often first."""
+"""Number of landmarks for which a late group is tried, most observed first."""
 ROUNDS = 8
-"""How often what is refined is looked over, and refined again."""
+"""Maximum number of rounds of repairing and refining the map again."""
 FEW = 0.01
-"""Share of the landmarks that a round must find to be others, after the second, to be followed by
-another: what is undone and found in turn cannot be known."""
+"""Fraction of the landmarks that must change in a round, after the second, for another round to
+follow: rounds that undo and repeat the same merges need not terminate."""
 
 
 def finish(engine: RelativeMapper) -> None:
-    """Group what is still in view and not mapped yet, and what has left for the last time."""
+    """Group unmapped landmarks in view, and run the last pass of those that left."""
     for seed in engine.schedule.in_view.tolist():
         if engine.table.weight[seed] == 0:
             group_or_found(engine, seed, 1)
@@ -51,9 +51,9 @@ def finish(engine: RelativeMapper) -> None:
 
 
 def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
-    """Found a submap in iterations that are still stored and of which no group placed any.
+    """Start a submap from iterations that are still stored and of which no group placed any.
 
-    Where landmarks stay in view briefly, none is due before it has left.
+    If landmarks stay in view only briefly, none is due before it leaves.
     """
     landmarks = engine.table.now(engine.store.seen(begin, end)[0])
     if not len(landmarks) or (engine.table.weight[landmarks] > 0).any():
@@ -69,7 +69,7 @@ def found_late(engine: RelativeMapper, begin: int, end: int) -> None:
 
 
 def tie(engine: RelativeMapper) -> None:
-    """Tie submaps that show the same place, close loops, and merge what was seen again."""
+    """Join submaps that show the same place, close loops, and merge re-observed landmarks."""
     noise_m, merger = engine.averaging.noise.sigma_m, engine.merger
     rows = rows_of_tracks(engine.rows, engine.table)
     merger.sightings = Sightings(rows, engine.table)
@@ -82,15 +82,15 @@ def tie(engine: RelativeMapper) -> None:
             engine.merge_pairs(pairs)
             merge_doubles(engine.table, merger, engine.merge)
     _merge_in_place(engine)
-    if engine.refined:  # Before that what lies together may not be one.
+    if engine.refined:  # Until then, landmarks at the same position need not be the same landmark.
         merge_doubles(engine.table, merger, engine.merge)
     merger.sightings = None
 
 
 def _merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
-    """Merge landmarks of a map that odometry ties and that lie in one place, seen apart.
+    """Merge coinciding landmarks, never seen together, of a map that odometry connects.
 
-    At last also those that were parted on the way, and lie together all the same.
+    Finally this includes landmarks whose merges were undone earlier but which still coincide.
     """
     if not is_bridged(engine):
         return
@@ -109,7 +109,7 @@ def _merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
 
 
 def _loops(engine: RelativeMapper, noise_m: float) -> Iterator[Loop]:
-    """Yield places that the map shows twice, each to be merged before the next is looked for."""
+    """Yield places that the map shows twice; merge each before the search for the next."""
     finder: LoopFinder | RevisitFinder = LoopFinder(engine.table, noise_m)
     use = engine.odometry
     if use is not None and use.is_used:
@@ -122,7 +122,7 @@ def _loops(engine: RelativeMapper, noise_m: float) -> Iterator[Loop]:
 
 
 def find_again(engine: RelativeMapper) -> None:
-    """Tie scans that nothing was tied to to the map, and to what they themselves add to it."""
+    """Match unmatched scans to the map, and to what these scans themselves add to it."""
     table, merger = engine.table, engine.merger
     rows = rows_of_tracks(engine.rows, table)
     found = True
@@ -134,14 +134,14 @@ def find_again(engine: RelativeMapper) -> None:
 
 
 def refine(engine: RelativeMapper) -> None:
-    """Bring all landmarks to where all observations agree best, by joint least squares.
+    """Move all landmarks to the joint least-squares solution over all observations.
 
-    Without ids, merges that the refined map contradicts are undone, loops that are still open are
-    closed, and landmarks that lie where older ones do that they may be are merged; then again.
-    Where scans are matched as in the paper, the last of these alone, once.
+    Without ids, merges that the refined map contradicts are undone, remaining loops are closed,
+    landmarks that coincide with compatible older ones are merged, and the map is refined again.
+    With the paper's registration only coinciding landmarks are merged, once.
     """
     engine.refined, association = [], engine.association
-    may_repair = association.unique_share is not None  # else many tracks are of several landmarks
+    may_repair = association.unique_share is not None  # else many tracks mix several landmarks
     _refine(engine, to_the_last=not may_repair)
     more = False
     if may_repair:
@@ -156,14 +156,14 @@ def refine(engine: RelativeMapper) -> None:
         if not refined.converged:
             logger.warning(
                 "refinement of %d landmarks did not converge: the map is the best that was "
-                "found, and what its sd says may be wrong",
+                "found, and its standard deviations may be wrong",
                 len(refined.landmarks),
             )
     engine.merger.look_again()
 
 
 def _repair(engine: RelativeMapper) -> None:
-    """Look a refined map over, and refine it again, as long as that gains."""
+    """Repair a refined map and refine it again, as long as this changes enough."""
     grouped = engine.table.weight > 0
     for k in range(ROUNDS):
         before = _extent(engine)[0]
@@ -181,8 +181,8 @@ def _repair(engine: RelativeMapper) -> None:
 
 
 def _look_over(engine: RelativeMapper) -> bool:
-    """Undo what a refined map contradicts, and find what it shows; tell whether it showed more."""
-    if undo(engine):  # Else what was wrong looks right on the map that it has bent.
+    """Undo merges that a refined map contradicts and find new ones; return whether any are new."""
+    if undo(engine):  # Otherwise wrong merges look right on the map that they have distorted.
         _refine(engine, to_the_last=False)
     before = _extent(engine)
     tie(engine)
@@ -194,27 +194,27 @@ def _look_over(engine: RelativeMapper) -> bool:
 
 
 def _extent(engine: RelativeMapper) -> tuple[int, int]:
-    """Return how many landmarks there are, and how many of them are mapped."""
+    """Return the number of landmarks, and how many of them are mapped."""
     return int(engine.table.is_own.sum()), int((engine.table.weight > 0).sum())
 
 
 def leave_out_rare(engine: RelativeMapper) -> None:
-    """Take off the map what odometry tied to it, and was seen less often than a group needs."""
+    """Unmap landmarks that odometry placed but that have fewer observations than a group needs."""
     if is_bridged(engine):
         engine.table.take_off_map(np.flatnonzero(_rare(engine)))
 
 
 def _rare(engine: RelativeMapper) -> NDArray[np.bool_]:
-    """Tell which landmarks (m,) are mapped though they were seen less often than a group needs."""
+    """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
     table, rows = engine.table, engine.rows
     seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))
     return np.asarray((table.weight > 0) & (seen < engine.config.group_after))
 
 
 def undo(engine: RelativeMapper) -> int:
-    """Undo the merges that the refined map contradicts; return how many things changed.
+    """Undo the merges that the refined map contradicts; return the number of changes.
 
-    A submap that nothing else holds together becomes several.
+    A submap that is no longer connected is split.
     """
     table = engine.table
     rows = rows_of_tracks(engine.rows, table)
@@ -232,7 +232,7 @@ def undo(engine: RelativeMapper) -> int:
 
 
 def _part(engine: RelativeMapper, rows: SegmentRows, tracks: NDArray[np.int64]) -> None:
-    """Let merged tracks (k,) be landmarks of their own again, mapped where they were seen."""
+    """Make merged tracks (k,) landmarks of their own again, mapped where they were seen."""
     table = engine.table
     places, seen = places_of(table, rows, tracks)
     for track, place, weight in zip(tracks.tolist(), places, seen.tolist(), strict=True):
@@ -249,7 +249,7 @@ def _part(engine: RelativeMapper, rows: SegmentRows, tracks: NDArray[np.int64]) 
 
 
 def _refine(engine: RelativeMapper, to_the_last: bool = True) -> None:
-    """Refine what is mapped, to the last by what bounded noise tells, if that is asked for."""
+    """Refine the map, exploiting bounded noise if requested."""
     if bridge_gaps(engine, to_the_last):
         return
     kept = engine.store if to_the_last and engine.config.keep_observations else None

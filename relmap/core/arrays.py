@@ -1,4 +1,4 @@
-"""Short names for the types of arrays; shapes and units stand in the docstrings."""
+"""Short names for array types; docstrings give shapes and units."""
 
 from __future__ import annotations
 

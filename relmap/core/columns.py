@@ -1,4 +1,4 @@
-"""Tables of columns, as a person and as pandas see them."""
+"""Tables of columns, displayed as text and HTML and converted to pandas."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ NAMES: dict[str, tuple[str, ...]] = {
     "corner": ("corner0", "corner1"),
     "end_type": ("end0", "end1"),
 }
-"""What the columns of a field are called, as in the files of a result; others as the field."""
+"""Column names of some fields in the files of a result; the others use the field name."""
 SHOWN = 10
-"""Rows that a notebook shows."""
+"""Rows shown in a notebook."""
 
 
 class Table:
-    """A dataclass of arrays with a row for each of n things."""
+    """A dataclass of arrays with one row for each of n items."""
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self._arrays()))[1])
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the columns (n,) by the names that they have in the files of a result."""
+        """Return the columns (n,) under their names in the files of a result."""
         found: dict[str, NDArray[Any]] = {}
         for name, values in self._arrays():
-            if len(values) == len(self):  # covariances may be unknown, and then have no rows
+            if len(values) == len(self):  # covariances may be unknown; they then have no rows
                 names = NAMES.get(name, (name,))
                 flat = values.reshape(len(self), int(np.prod(values.shape[1:], dtype=int)))
                 found |= dict(zip(names, flat.T, strict=False))
@@ -53,7 +53,7 @@ class Table:
         Raises
         ------
         RelmapError
-            Where pandas is not installed.
+            If pandas is not installed.
         """
         try:
             import pandas as pd

@@ -9,15 +9,15 @@ from typing import Any
 from relmap.core.errors import RelmapError, known_name, told
 
 MOST = 10**9
-"""Whole numbers and lengths beyond this are a mistake; products of two are no problem below."""
+"""Largest accepted integer or length; products of two such values cannot overflow."""
 REGISTRATIONS = ("constellation", "nearest-previous")
-WITH_POINTS = {"bridge_m": "only walls can leave a way along themselves open"}
-WITH_IDS = WITH_POINTS | dict.fromkeys(("registration", "gate_m"), "with ids nothing is matched")
+WITH_POINTS = {"bridge_m": "it applies only to walls"}
+WITH_IDS = WITH_POINTS | dict.fromkeys(("registration", "gate_m"), "ids are given")
 WITH_WALLS = dict.fromkeys(
     ("registration", "gate_m", "keep_observations"),
-    "walls are matched and refined in a way of their own",
+    "walls have their own registration and refinement",
 )
-"""Settings that would be ignored, and why."""
+"""Settings that would be ignored, with the reason."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,36 +27,34 @@ class MapperConfig:
     Attributes
     ----------
     group_after : int
-        Observations after which a landmark is grouped first: the "few iterations" of section III.
-        The second and the third pass are due after multiples of it.  Grouped early, nearly
-        everything in view is on the map when a new landmark is aligned to it, and groups that
-        share many landmarks drift least.
+        Observations after which a landmark is first grouped: the "few iterations" of section III.
+        The second and third passes are due after multiples of it. With early grouping most
+        landmarks in view are mapped when a new one is aligned, and groups that share many landmarks
+        drift least.
     second_pass, third_pass : int
-        Observations after which the second pass is due, and the third where a landmark stays in
-        view, in units of `group_after` (section III).  The second needs enough of them to tell who
-        moves.
+        Observations, in units of `group_after`, after which the second pass is due, and the third
+        for landmarks that stay in view (section III). The second needs enough observations to
+        detect moving landmarks.
     max_missed : int
-        A landmark unseen for more iterations than this has left the view.
+        A landmark that is missed for more iterations than this has left the view.
     registration : "constellation" or "nearest-previous"
-        How observations without ids find their landmarks: by relative locations that agree, or the
-        paper's own way, by the nearest of the previous iteration.
+        Data association without ids: by consistent relative locations, or as in the paper by the
+        nearest observation of the previous iteration.
     gate_m : float or None
         Only for "nearest-previous": largest displacement, metres, between two iterations; None
         takes half the median distance between neighbours in the scan.
     keep_observations : bool
-        Keep every single observation, 32 bytes each, so that `refine` can make use of noise that is
-        bounded.
+        Keep every observation, 32 bytes each, so that `refine` can exploit bounded noise.
     refine_live : bool
-        Refine the map while it is being built, when landmarks came back into view.
+        Refine the map while it is being built, after landmarks come back into view.
     bridge_m : float
-        Only for walls, metres: along walls where nothing measures the way, nor odometry tells it,
-        the robot is taken to go on as before until that may be so far off; there the submap ends.
+        Walls only, metres. Where neither walls nor odometry measure the motion in one direction,
+        constant motion is assumed until its error may exceed this length; the submap then ends.
 
     Notes
     -----
-    A setting that would be ignored is refused: `gate_m` with another registration, `registration`
-    where ids are given, both and `keep_observations` where walls are mapped, and `bridge_m` where
-    points are.
+    A setting that would be ignored is an error: `gate_m` with another registration, `registration`
+    with ids, both and `keep_observations` for walls, and `bridge_m` for points.
     """
 
     group_after: int = 10
@@ -113,28 +111,28 @@ class MapperConfig:
             )
 
     def refuse(self, unused: Mapping[str, str]) -> None:
-        """Make sure that settings that would be ignored are as they are by default.
+        """Check that settings that would be ignored have their default values.
 
         Parameters
         ----------
         unused : mapping
-            Their names, and why they would.
+            Their names, with the reason.
 
         Raises
         ------
         RelmapError
-            Names the first that is not.
+            Names the first that does not.
         """
         default = {field.name: field.default for field in fields(self)}
         refuse([name for name in default if getattr(self, name) != default[name]], unused)
 
     def in_use(self, unused: Mapping[str, str]) -> dict[str, Any]:
-        """Return the settings by name, but for those that are ignored.
+        """Return the settings by name, without those that are ignored.
 
         Parameters
         ----------
         unused : mapping
-            Their names, and why they are.
+            Names of ignored settings, with the reason.
         """
         used = {key: value for key, value in asdict(self).items() if key not in unused}
         if used.get("registration") != "nearest-previous":
@@ -148,7 +146,7 @@ class MapperConfig:
         Raises
         ------
         RelmapError
-            Where a key is unknown or a value cannot be used.
+            If a key is unknown or a value is invalid.
         """
         known = [field.name for field in fields(cls)]
         for key in settings:
@@ -157,7 +155,7 @@ class MapperConfig:
 
 
 def refuse(given: Iterable[str], unused: Mapping[str, str]) -> None:
-    """Make sure that no setting that is given would be ignored.
+    """Check that no given setting would be ignored.
 
     Raises
     ------

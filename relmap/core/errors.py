@@ -1,4 +1,4 @@
-"""The one exception root of relmap."""
+"""The single exception root of relmap."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ class RelmapError(Exception):
 
 
 def reason(error: Exception) -> str:
-    """Return what an error of a library says as part of a line: printable, and not too long."""
+    """Return the message of a library's error for use in a line: printable and not too long."""
     line = " ".join(str(error).split()) or type(error).__name__
     plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
     return plain if len(plain) <= 200 else f"{plain[:200]}..."
 
 
 def told(value: object) -> str:
-    """Return a value as part of a line: not too long, whatever it is."""
+    """Return a value for use in a line: never too long."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):
-        return "a number of thousands of digits, or nested deep"
+        return "a number with thousands of digits, or deeply nested"
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
@@ -36,7 +36,7 @@ def known_name(name: str, known: Collection[str], what: str) -> str:
     Raises
     ------
     RelmapError
-        Where it is not: tells which name comes near it, or all of them.
+        If it is unknown; suggests the closest name, or lists all.
     """
     if name in known:
         return name

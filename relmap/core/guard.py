@@ -1,4 +1,4 @@
-"""One change at a time, and none half done: what a mapper that was interrupted says."""
+"""Detection of concurrent and interrupted updates of a mapper."""
 
 from __future__ import annotations
 
@@ -7,55 +7,55 @@ from threading import get_ident
 from relmap.core.errors import RelmapError
 
 HALF_DONE = (
-    "an update of this mapper was interrupted half way, so what it holds is not whole: "
-    "go on with resume from its journal or load from a saved state, or map again"
+    "an update of this mapper was interrupted, so its state is incomplete: "
+    "resume from its journal, load a saved state, or map again"
 )
-BUSY = "another thread is in the middle of an update of this mapper: give each thread its own"
+BUSY = "another thread is updating this mapper: use one mapper per thread"
 NOBODY = -1
-"""Stands for the thread that left a change half done; no thread has this number."""
+"""Marks a change left incomplete by some thread; no thread has this number."""
 
 
 class ChangeGuard:
-    """Lets one thread at a time change something, and refuses it once a change was cut off.
+    """Allows one thread at a time to change an object, and refuses changes after an incomplete one.
 
-    Whatever stops a change at whatever moment, Ctrl-C above all, either leaves no trace or is
-    reported by `check` and the next `change`.
+    A change interrupted at any moment, for example by Ctrl-C, either has no effect or is reported
+    by `check` and the next `change`.
     """
 
     def __init__(self) -> None:
-        # One entry at most, as `setdefault` is atomic; a list, for it is recognised by identity.
+        # At most one entry, as `setdefault` is atomic; a list, because it is compared by identity.
         self._holder: dict[str, list[int]] = {}
 
     def check(self) -> None:
-        """Make sure that what is guarded is whole; in a change its own thread may look at it.
+        """Check that the guarded object is complete; during a change its own thread may read it.
 
         Raises
         ------
         RelmapError
-            Where another thread changes it, or a change was cut off.
+            If another thread is changing it, or a change was interrupted.
         """
         holder = self._holder.get("thread")
         if holder is not None and holder[0] != get_ident():
             raise RelmapError(HALF_DONE if holder[0] == NOBODY else BUSY)
 
     def change(self, spoils: bool = True) -> Change:
-        """Return what encloses a change, for `with`; a `RelmapError` means that it did not begin.
+        """Return a context manager for a change; on `RelmapError` the change did not begin.
 
         Parameters
         ----------
         spoils : bool
-            Whether any other exception leaves something half done.
+            Whether any other exception leaves the object incomplete.
 
         Raises
         ------
         RelmapError
-            On entering, where a change is going on, or was cut off.
+            On entry, if a change is in progress or was interrupted.
         """
         return Change(self._holder, spoils)
 
 
 class Change:
-    """A change that goes on between entering and leaving; see `ChangeGuard.change`."""
+    """A change in progress; see `ChangeGuard.change`."""
 
     __slots__ = ("_holder", "_mine", "_spoils")
 

@@ -1,4 +1,4 @@
-"""What a mapper hands out: the map, the table of all landmarks, and the groups behind it."""
+"""The results of a mapper: the map, the table of all landmarks, and the groups behind it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from relmap.core.columns import Table
 
 
 def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions (n, d) as (n, 3), with z = 0 where the world is planar."""
+    """Return positions (n, d) as (n, 3), with z = 0 in a planar world."""
     spatial = np.zeros((len(positions), 3))
     spatial[:, : positions.shape[1]] = positions
     spatial[np.isnan(positions).any(axis=1)] = np.nan
@@ -25,14 +25,14 @@ class LandmarkMap(Table):
     Attributes
     ----------
     landmark_ids : (m,) int64
-        The given id, or the number of the track where none was given.
+        The given id, or the track number if there are no ids.
     positions : (m, 3) float64, map frame, metres
         z is 0 in a planar world.
     covariances : (m, 3, 3) float64, map frame, square metres
-        Of the errors of the positions, after refinement.  The map frame is that of the robot in
-        the first iteration that its landmarks fix, as it was: that this iteration is known no
-        better than by what was seen in it is part of the errors, the more the farther away.
-        Before refinement those of the averages alone.  (0, 3, 3) where nothing is known.
+        Covariances of the position errors, after refinement. The map frame is the true robot frame
+        in the first iteration that the landmarks determine. The uncertainty of that iteration's
+        pose is included and grows with the distance from it. Before refinement: those of the
+        averages only. (0, 3, 3) if unknown.
     """
 
     landmark_ids: NDArray[np.int64]
@@ -42,14 +42,14 @@ class LandmarkMap(Table):
 
 @dataclass(frozen=True, eq=False)
 class Submap:
-    """A part of the map with a frame of its own, which nothing ties to the rest.
+    """A part of the map with its own frame, not connected to the rest.
 
     Attributes
     ----------
     landmark_ids : (m,) int64
     positions : (m, 3) float64, frame of the submap, metres
     first_iteration, last_iteration : int
-        When its landmarks were seen first and last, counted from the mapper's first update.
+        First and last iteration that saw its landmarks, counted from the mapper's first update.
     """
 
     landmark_ids: NDArray[np.int64]
@@ -60,31 +60,31 @@ class Submap:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LandmarkTable(Table):
-    """Every landmark ever seen, one row each, in ascending order of its label.
+    """Every landmark ever seen, one row each, in ascending order of labels.
 
     Attributes
     ----------
     landmark : (n,) int64
-        The given id, or the number of the track where none was given.
+        The given id, or the track number if there are no ids.
     position : (n, 3) float64, map frame, metres
-        NaN where the landmark is not mapped.
+        NaN for unmapped landmarks.
     sd : (n,) float64, metres
-        One standard deviation of the position, root mean over the axes, in the frame of the map;
-        see `LandmarkMap.covariances`.  Before refinement that of the average behind the position:
-        what the chain of groups adds on the way is not in it.  NaN where it is not mapped.
+        Standard deviation of the position, root mean square over the axes, in the map frame; see
+        `LandmarkMap.covariances`. Before refinement: that of the average behind the position,
+        without the drift along the chain of groups. NaN for unmapped landmarks.
     observations : (n,) int64
     first_iteration, last_iteration : (n,) int64
         Counted from the mapper's first update.
     level : (n,) int64
-        Grouping level of the position; 0 where the landmark is not mapped.
+        Grouping level of the position; 0 for unmapped landmarks.
     status : (n,) str
         "static", "dynamic" or "unmapped".
     submap : (n,) int64
-        Place of the landmark's submap in the order of their sizes: 0 for the map itself, above 0
-        for submaps that nothing ties to it (those landmarks count as not mapped here), -1 for none.
+        Index of the landmark's submap in descending order of size: 0 for the map itself, positive
+        for submaps not connected to it (whose landmarks count as unmapped here), -1 for none.
     moving_bin : (n,) int64
-        Of a dynamic landmark that keeps its distances from others, as the parts of a vehicle do,
-        the label of one of them, the same for all; -1 for every other landmark.
+        For dynamic landmarks that keep their mutual distances, such as parts of a vehicle, the
+        label of one of them, the same for all; -1 otherwise.
     """
 
     landmark: NDArray[np.int64]
@@ -100,18 +100,18 @@ class LandmarkTable(Table):
 
     @property
     def landmark_ids(self) -> NDArray[np.int64]:
-        """The same as `landmark`, by the name that it has in a `LandmarkMap`."""
+        """Same as `landmark`, under the name used by `LandmarkMap`."""
         return self.landmark
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """The same as `position`, by the name that it has in a `LandmarkMap`."""
+        """Same as `position`, under the name used by `LandmarkMap`."""
         return self.position
 
 
 @dataclass(frozen=True, eq=False)
 class MappedGroup:
-    """A group and its relative map (Figs 8 and 11), completed to all that its chart saw at rest.
+    """A group and its relative map (Figs 8 and 11), completed by all static landmarks of its chart.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """The engine: `update` runs the paper's steps, in the paper's order, one scan at a time.
 
-Which landmark is grouped in which iteration, and what else is done then, is in `turns`; what is
-done with the whole map, when no scan is to come for now, in `afterwards`.
+`turns` decides which landmark is grouped in which iteration; `afterwards` contains the operations
+on the whole map.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from relmap.core.turns import take_turns
 
 
 class RelativeMapper:
-    """Builds a global map of one kind of landmark out of relative maps, one scan at a time."""
+    """Builds a global map of one kind of landmark from relative maps, one scan at a time."""
 
     refined: list[Refined]
     odometry: OdometryUse | None
@@ -72,7 +72,7 @@ class RelativeMapper:
         covariances: NDArray[np.float64] | None = None,
         odometry: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
-        """Take in one scan.
+        """Process one scan.
 
         Parameters
         ----------
@@ -80,29 +80,29 @@ class RelativeMapper:
         ids : (n,) int64, optional
             Known association; negative where a landmark was not identified.
         covariances : (n, d, d) float64, optional
-            Of points alone, robot frame, square metres.
+            Only for points; robot frame, square metres.
         odometry : (4, 4) float64, optional
-            Pose of the robot in its frame one iteration before.
+            Pose of the robot in its frame of the previous iteration.
 
         Returns
         -------
         (n,) int64
-            Whom each is of, as the association numbers them; negative where unknown.
+            Landmark of each observation, as numbered by the association; negative if unknown.
 
         Raises
         ------
         RelmapError
-            Where ids come with some scans and not with others.
+            If ids come with some scans but not with others.
         """
         iteration = self.store.n_iterations
         self.motions.append(odometry, iteration)
-        # Register: match what is seen to the scans before, untransformed (section II).
+        # Register: match observations to those of earlier scans, untransformed (section II).
         found = self.association.match(seen, ids, iteration, odometry)
         self.refined = []
         self.odometry = None
         rows = self.model.rows(seen, found)
         landmarks = self.table.enter(*self.model.points(rows)[:2], iteration)
-        # Store every observation as it was made (Fig. 3).
+        # Store every observation untransformed (Fig. 3).
         rows["landmark"] = self.table.now(rows["landmark"])
         self.store.append(**rows)
         if covariances is not None:
@@ -112,19 +112,19 @@ class RelativeMapper:
             named = found >= 0
             self.kept.append(found[named], seen[named], iteration)
         left = self.schedule.see(landmarks, iteration)
-        # Group who is due, merge and forget (section III).
+        # Group landmarks that are due, merge and forget (section III).
         take_turns(self, landmarks, left)
         return found
 
     def group(self, seed: int, level: int) -> NDArray[np.int64]:
-        """Group a landmark with what was seen with it, at level 1, 2 or 3; return who is mapped."""
+        """Group a landmark with those seen with it, at level 1, 2 or 3; return the mapped ones."""
         chart, fixes = self.chart(seed), self.model.min_shared(self.table.dimension)
         for submap in self.map.submaps_of(chart.landmarks, fixes):
             weights = self.map.weights_in(submap, chart.landmarks)
             relative = self.relative_map(chart, weights, fixes)
             if relative is None:
                 continue
-            # Align: least squares to those of its members that are mapped.
+            # Align: least-squares fit to the members that are already mapped.
             placed = self.map.align(submap, relative.landmarks, relative.positions, relative.n_used)
             if placed is not None:
                 sure = np.isfinite(placed[:, 0])
@@ -132,7 +132,7 @@ class RelativeMapper:
         return np.empty(0, dtype=np.int64)
 
     def chart(self, seed: int) -> PointChart:
-        """Chart what was seen with a landmark in its present interval (Figs 9 and 10)."""
+        """Chart what was seen together with a landmark in its current interval (Figs 9, 10)."""
         begin = max(self.table.begin[seed], self.store.first_iteration)
         chart = PointChart.around(seed, self.store, begin, self.store.n_iterations)
         if not len(self.weighed):
@@ -143,9 +143,9 @@ class RelativeMapper:
     def relative_map(
         self, chart: PointChart, weights: NDArray[np.float64], min_shared: int
     ) -> RelativeMap | None:
-        """Average the static landmarks of a chart relative to one another, and note who moves.
+        """Average the static landmarks of a chart relative to each other; update which ones move.
 
-        None where no group can be grown, or it fixes no basis.
+        None if no group can be grown, or the group determines no basis.
         """
         relative, fewest = None, self.model.min_shared(self.table.dimension) + 1
         static = self.averaging.static(chart, weights)  # Fig. 12
@@ -159,19 +159,19 @@ class RelativeMapper:
         return relative
 
     def merge(self, placed: NDArray[np.int64]) -> int:
-        """Merge those of landmarks (k,) that are older ones seen again; return how many were."""
+        """Merge re-observed landmarks among landmarks (k,) with the older ones; return how many."""
         levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
         return self.merge_pairs(self.merger.find(placed, levels, noise_m))
 
     def merge_pairs(self, pairs: NDArray[np.int64]) -> int:
-        """Merge each landmark of pairs (k, 2) with the older one that it is; return how many."""
+        """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""
         for new, old in pairs.tolist():
             for part in (self.store, self.table, self.schedule, self.merger):
                 part.merge(new, old)
         return len(pairs)
 
     def forget(self) -> bool:
-        """Condense observations that no group needs any more; tell whether there were any."""
+        """Condense observations that no group needs any more; return whether there were any."""
         before = self.schedule.needed_from(self.store.n_iterations)
         condensed = self.segments.condense(self.store, before, self.table.dynamic)
         self.store.forget(min(before, self.segments.end))
@@ -179,5 +179,5 @@ class RelativeMapper:
 
     @property
     def rows(self) -> SegmentRows:
-        """What all iterations said, condensed."""
+        """The condensed observations of all iterations."""
         return self.segments.with_rest(self.store, self.table.dynamic)

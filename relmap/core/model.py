@@ -1,4 +1,4 @@
-"""What a kind of landmark supplies to the engine; `points` and `planes` each have a model."""
+"""The interface that a kind of landmark implements for the engine (`points`, `planes`)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from relmap.core.state.table import LandmarkState
 
 
 class LandmarkModel(Protocol):
-    """A kind of landmark, as far as the engine has to know it.
+    """A kind of landmark, as the engine sees it.
 
-    The engine maps points at rest.  A model says what an observation holds (Fig. 3), which points
-    it shows, how the observations of one iteration find those of the iterations before, and what
-    basis is consistent.  Members are in the order in which a scan meets them.
+    The engine maps static points. A model defines what an observation stores (Fig. 3), which points
+    it shows, how observations are associated between iterations, and the consistent basis. Members
+    are listed in the order in which they are used for a scan.
     """
 
     def association(self, config: MapperConfig) -> Registration:
@@ -27,31 +27,31 @@ class LandmarkModel(Protocol):
 
     @property
     def columns(self) -> Rows:
-        """What is stored of an observation: columns without rows.
+        """The stored columns of an observation, without rows.
 
-        `landmark` (n,) or (n, k) int64, -1 for none; `location`, untransformed; and what else the
-        kind of landmark has.
+        `landmark` (n,) or (n, k) int64, -1 for none; `location`, untransformed; and further columns
+        of the kind of landmark.
         """
         ...
 
     @property
     def keeps_observations(self) -> bool:
-        """Whether observations are kept that no group needs any more."""
+        """Whether observations are kept after the last group that needs them."""
         ...
 
     def rows(self, seen: Any, found: NDArray[np.int64]) -> Rows:
-        """Return what is stored of one scan.
+        """Return the columns to store for one scan.
 
         Parameters
         ----------
         seen : sequence of n observations
         found : (n,) int64
-            Whom each is of, as the registration numbers them; negative where unknown.
+            Landmark of each observation, as numbered by the registration; negative if unknown.
         """
         ...
 
     def points(self, rows: Rows) -> Shown:
-        """Return the points that stand for landmarks, as stored rows show them."""
+        """Return the points that represent landmarks, computed from stored rows."""
         ...
 
     def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -64,33 +64,33 @@ class LandmarkModel(Protocol):
 
         Returns
         -------
-        (g, d) float64, group frame, metres, or None where the group fixes no basis
+        (g, d) float64, group frame, metres, or None if the group determines no basis
         """
         ...
 
     def min_shared(self, dimension: int) -> int:
-        """Return how few mapped points fix a group."""
+        """Return the minimum number of mapped points that determine the pose of a group."""
         ...
 
     @property
     def noise_spread(self) -> float:
-        """How many times noisier than the typical point the noisiest are."""
+        """Ratio of the largest to the typical noise of a point."""
         ...
 
     def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which points (n,) are compared with older ones when they are seen again; (n,)."""
+        """Return which points (n,) are compared with older ones when they are re-observed."""
         ...
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Tell whether nothing but the position speaks against a point being an older one."""
+        """Return whether a point may be an older one, judged by everything except its position."""
         ...
 
     @property
     def position_spread(self) -> float:
-        """As `noise_spread`, of the positions by which such points are compared."""
+        """As `noise_spread`, for the positions used to compare re-observed points."""
         ...
 
     @property
     def drift_m(self) -> float | None:
-        """How far the map may have drifted by then, metres; None goes by the points' spacing."""
+        """Possible drift of the map by then, metres; None derives it from the points' spacing."""
         ...

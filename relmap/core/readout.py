@@ -1,4 +1,4 @@
-"""From the state of the engine to what a mapper hands out."""
+"""Conversion of the engine's state to the results of a mapper."""
 
 from __future__ import annotations
 
@@ -14,21 +14,20 @@ from relmap.core.state.table import NONE, LandmarkState
 
 
 def labels(engine: RelativeMapper) -> NDArray[np.int64]:
-    """Return what landmarks (n,) are called outside."""
+    """Return the public labels of landmarks (n,)."""
     return engine.association.labels_of(np.arange(len(engine.table)))
 
 
 def positions_in_largest_submap(table: LandmarkState) -> NDArray[np.float64]:
-    """Return the positions (n, d) of the largest submap, map frame, metres; NaN for the others."""
+    """Return the positions (n, d) of the largest submap, map frame, metres; NaN for the rest."""
     return np.where(_ranks(table)[:, None] == 0, table.position, np.nan)
 
 
 def covariances_in_largest_submap(engine: RelativeMapper) -> NDArray[np.float64]:
-    """Return how sure the positions are: covariances (n, d, d), square metres; NaN if not mapped.
+    """Return the covariances (n, d, d) of the positions, square metres; NaN if unmapped.
 
-    After refinement they are those of the joint least squares, in the frame of the robot in the
-    submap's first iteration.  Before, only that of the average behind a position is known, which
-    the drift of the chain comes on top of.
+    After refinement they come from the joint least squares, in the robot frame of the submap's
+    first iteration. Before refinement they cover the averages only, not the drift of the chain.
     """
     table = engine.table
     mapped = _ranks(table) == 0
@@ -42,7 +41,7 @@ def covariances_in_largest_submap(engine: RelativeMapper) -> NDArray[np.float64]
 
 
 def landmark_map(engine: RelativeMapper) -> LandmarkMap:
-    """Return the largest submap, in ascending order of its landmarks' labels."""
+    """Return the largest submap, in ascending order of labels."""
     called, d = labels(engine), engine.table.dimension
     members = np.flatnonzero(_ranks(engine.table) == 0)
     members = members[np.argsort(called[members])]
@@ -52,9 +51,9 @@ def landmark_map(engine: RelativeMapper) -> LandmarkMap:
 
 
 def landmark_table(engine: RelativeMapper) -> LandmarkTable:
-    """Return the table of all landmarks, in ascending order of their labels.
+    """Return the table of all landmarks, in ascending order of labels.
 
-    Those merged into another are left out.
+    Landmarks merged into another are omitted.
     """
     table, called = engine.table, labels(engine)
     order = np.argsort(called)
@@ -99,7 +98,7 @@ def mapped_groups(engine: RelativeMapper) -> list[MappedGroup]:
 
 
 def path(engine: RelativeMapper) -> NDArray[np.float64]:
-    """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where it is not fixed."""
+    """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where undetermined."""
     if engine.odometry is not None and engine.odometry.is_used:
         return engine.odometry.poses
     positions = positions_in_largest_submap(engine.table)
@@ -109,7 +108,7 @@ def path(engine: RelativeMapper) -> NDArray[np.float64]:
 def _moving_bins(
     table: LandmarkState, status: NDArray[np.str_], called: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return which dynamic landmarks go together: the label (n,) of one of them, or `NONE`."""
+    """Return for dynamic landmarks that move together the label (n,) of one of them, or `NONE`."""
     bins = np.where(status == "dynamic", table.moving_bin, NONE)
     _, first, members, sizes = np.unique(
         bins, return_index=True, return_inverse=True, return_counts=True
@@ -119,7 +118,7 @@ def _moving_bins(
 
 
 def _ranks(table: LandmarkState) -> NDArray[np.int64]:
-    """Return the place of each landmark's submap in the order of their sizes, or `NONE`."""
+    """Return the index of each landmark's submap in descending order of size, or `NONE`."""
     mapped = table.submap != NONE
     submaps, members, counts = np.unique(
         table.submap[mapped], return_inverse=True, return_counts=True

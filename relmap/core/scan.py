@@ -1,4 +1,4 @@
-"""What a mapper accepts as one scan."""
+"""Validation of one scan."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core.errors import RelmapError
 
 FARTHEST_M = 1e9
-"""No sensor sees farther: beyond this a coordinate is damage."""
+"""Upper limit of a valid coordinate: larger than the range of any sensor."""
 
 SMALLEST_M2, LARGEST_M2 = 1e-30, 1e30
-"""Beyond these no variance is one of a sensor, and squares of what is weighed by it overflow."""
+"""Limits of a valid variance; beyond them the squares of weighted values overflow."""
 ASYMMETRY = 1e-6
-"""How far a covariance may be from symmetric, as a share of its largest entry: rounding."""
+"""Allowed asymmetry of a covariance, relative to its largest entry: rounding."""
 SINGULAR = 1e-12
-"""Least variance in any direction, as a share of that in the worst: below it nothing is left of a
-number's precision."""
+"""Smallest allowed ratio of the least to the largest variance: below it, double precision is
+exhausted."""
 
 
 def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
@@ -27,12 +27,12 @@ def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     points : (n, 2) or (n, 3) array of numbers, robot frame, metres
         An empty scan may have any width.
     dimension : int
-        Width of the scans before; 0 if nothing was seen yet.
+        Width of earlier scans; 0 if there were none.
 
     Raises
     ------
     RelmapError
-        Where the shape is wrong, differs from the scans before, or a value is not finite.
+        If the shape is wrong, differs from earlier scans, or a value is not finite.
     """
     array = numbers(points, "points", "an (n, 2) or (n, 3) array of numbers")
     if array.size == 0 and array.ndim in (1, 2):
@@ -41,8 +41,8 @@ def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
         raise RelmapError(f"points has shape {array.shape}; it must be (n, 2) or (n, 3)")
     if dimension and array.shape[1] != dimension:
         raise RelmapError(
-            f"points has {array.shape[1]} columns; the scans before had {dimension}, "
-            "and one map holds one kind"
+            f"points has {array.shape[1]} columns; earlier scans had {dimension}, "
+            "and all scans of a map must agree"
         )
     near = np.abs(array) <= FARTHEST_M
     if not near.all():
@@ -55,24 +55,24 @@ def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
 
 
 def numbers(values: ArrayLike, name: str, wanted: str) -> NDArray[np.float64]:
-    """Return values as a new array of float64, whose layout and zeros do not tell where from.
+    """Return values as a new, contiguous float64 array without negative zeros.
 
     Parameters
     ----------
     values : array of numbers
     name, wanted : str
-        Of the argument and what it must be, for messages.
+        Name of the argument and the expected value, for error messages.
 
     Raises
     ------
     RelmapError
-        Where they are no array of real numbers.
+        If they are not an array of real numbers.
     """
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "biufO":
             raise TypeError(f"its type is {array.dtype}")
-        # Adding 0 makes -0 a 0: a journal knows but one.
+        # Adding 0 turns -0 into 0: a journal stores only one zero.
         return np.array(array, dtype=np.float64, order="C") + 0.0
     except (TypeError, ValueError, OverflowError) as error:
         raise RelmapError(f"{name} must be {wanted}: {error}") from error
@@ -84,7 +84,7 @@ def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
     Raises
     ------
     RelmapError
-        Where they are not one whole number per point, or one that is not negative comes twice.
+        If they are not one whole number per point, or a non-negative id is duplicated.
     """
     try:
         array = np.asarray(ids)
@@ -114,13 +114,13 @@ def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> 
     ----------
     covariances : (n, d, d) array of numbers, robot frame, square metres
     points : (n, d) float64
-        What they are of.
+        The points they belong to.
 
     Raises
     ------
     RelmapError
-        Where the shape is another, or one of them is not finite, not symmetric, not positive
-        definite, or of no sensor.
+        If the shape is wrong, or a matrix is not finite, symmetric, positive definite, and within
+        the range of real sensors.
     """
     n, d = points.shape
     shape = f"({n}, {d}, {d})"
@@ -154,7 +154,7 @@ def _require(good: NDArray[np.bool_], covariances: NDArray[np.float64], what: st
 
 
 def checked_labels(labels: ArrayLike, handed_out: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return labels (n,) as int64 where all are among those handed out (k,).
+    """Return labels (n,) as int64 after checking that they are among the known ones (k,).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How noisy points are that a sensor measures by range and bearing."""
+"""Covariances of points measured by range and bearing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
 
 LEVEL = 0.01
-"""Least share of the distance that a point is taken to be off the vertical: right above the sensor
-the bearing says nothing, and the covariance would be singular."""
+"""Smallest horizontal distance of a point, relative to its range: right above the sensor the
+bearing is undefined and the covariance would be singular."""
 
 
 def range_bearing_covariances(
@@ -21,7 +21,8 @@ def range_bearing_covariances(
 ) -> NDArray[np.float64]:
     """Return the covariances of points measured by range, bearing and, in space, elevation.
 
-    To first order: along the ray the range's, across it the distance times the angle's.
+    First-order propagation: the range variance along the ray, the angular variance times the
+    squared distance across it.
 
     Parameters
     ----------
@@ -30,7 +31,8 @@ def range_bearing_covariances(
     range_sigma_m, bearing_sigma_rad : float
         Standard deviations of range and bearing.
     elevation_sigma_rad : float, optional
-        In space, that of the angle above the plane of x and y; the bearing's where left out.
+        In space: standard deviation of the angle above the x-y plane; by default that of the
+        bearing.
 
     Returns
     -------
@@ -39,8 +41,8 @@ def range_bearing_covariances(
     Raises
     ------
     RelmapError
-        Where points are not as `PointMapper.update` takes them, or a standard deviation is not
-        above 0 and finite.
+        If the points are not valid for `PointMapper.update`, or a standard deviation is not
+        positive and finite.
     """
     array = checked_points(points, 0)
     if elevation_sigma_rad is None:

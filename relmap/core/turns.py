@@ -1,4 +1,4 @@
-"""What is done in which iteration: one costly step in each, in turns, so that none stalls."""
+"""Scheduling: one costly step per iteration, so that no iteration stalls."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def take_turns(engine: RelativeMapper, seen: NDArray[np.int64], left: NDArray[np
     ----------
     engine : RelativeMapper
     seen, left : (k,) int64
-        Landmarks seen in this iteration, and those that have left the view with it.
+        Landmarks seen in this iteration, and those that left the view in it.
     """
     engine.schedule.note_due(seen)
     engine.merger.leave(left)
@@ -36,7 +36,7 @@ def take_turns(engine: RelativeMapper, seen: NDArray[np.int64], left: NDArray[np
 
 
 def _group_next(engine: RelativeMapper) -> bool:
-    """Group landmarks seen often enough since the last time; return whether there were any."""
+    """Group landmarks with enough new observations; return whether there were any."""
     due = engine.schedule.next_due()
     if due is None or engine.table.dynamic[due[0]]:
         return False
@@ -45,7 +45,7 @@ def _group_next(engine: RelativeMapper) -> bool:
 
 
 def _last_pass_next(engine: RelativeMapper) -> bool:
-    """Group landmarks that left, over the whole interval; return whether there were any."""
+    """Run the last pass for landmarks that left, over the whole interval; return if any did."""
     seed = engine.placing.next_last_pass()
     if seed is not None:
         last_pass(engine, seed)
@@ -53,14 +53,14 @@ def _last_pass_next(engine: RelativeMapper) -> bool:
 
 
 def _forget(engine: RelativeMapper) -> bool:
-    """Forget observations that no group needs any more; tell whether there were any."""
+    """Condense and forget observations that no group needs; return whether there were any."""
     return engine.forget()
 
 
 def _refine_next(engine: RelativeMapper) -> bool:
-    """Refine the live map; tell whether there was anything to do.
+    """Refine the live map; return whether there was anything to do.
 
-    Not in every iteration, so that a typical one takes no longer.
+    It is not run in every iteration, to keep typical iterations fast.
     """
     if not engine.config.refine_live or engine.store.n_iterations % SLICE_EVERY:
         return False
@@ -71,7 +71,7 @@ def _refine_next(engine: RelativeMapper) -> bool:
 
 
 def group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:
-    """Group a landmark; where it cannot be aligned and has no place yet, found a submap."""
+    """Group a landmark; if it cannot be aligned and has no position yet, start a submap."""
     placed = engine.group(seed, level)
     if len(placed):
         _merge_seen_again(engine, placed)
@@ -80,9 +80,9 @@ def group_or_found(engine: RelativeMapper, seed: int, level: int) -> None:
 
 
 def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
-    """Begin the map, or a new submap where what is in view is not enough to go on.
+    """Begin the map, or a new submap if the landmarks in view do not suffice to continue.
 
-    The frame is that of the robot in the first iteration of the group.
+    Its frame is the robot frame of the first iteration of the group.
     """
     fixes = engine.model.min_shared(engine.table.dimension)
     mapped_in_view = np.sum(engine.table.weight[engine.schedule.in_view] > 0)
@@ -97,9 +97,9 @@ def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
 def placed_first(
     engine: RelativeMapper, chart: PointChart
 ) -> tuple[NDArray[np.float64], RelativeMap] | None:
-    """Return a relative map of a chart, and where it lies as the robot saw it first.
+    """Return a relative map of a chart, and its positions in the robot frame that saw it first.
 
-    None where no group can be grown.
+    None if no group can be grown.
     """
     if not len(chart.iterations):
         return None
@@ -115,7 +115,7 @@ def placed_first(
 
 
 def last_pass(engine: RelativeMapper, seed: int) -> None:
-    """Group a landmark over its whole interval, and look for a last time who it is."""
+    """Group a landmark over its whole interval, and try a last time to recognise it."""
     placed = np.empty(0, dtype=np.int64)
     if engine.placing.needs_last_pass(np.array([seed]))[0]:
         placed = engine.group(seed, 3)

@@ -1,4 +1,4 @@
-"""Registration: which landmark each observation is of."""
+"""Registration: which landmark each observation belongs to."""
 
 from __future__ import annotations
 

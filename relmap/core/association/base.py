@@ -1,4 +1,4 @@
-"""What every registration offers."""
+"""The interface of all registrations."""
 
 from __future__ import annotations
 
@@ -10,41 +10,41 @@ from scipy.spatial import cKDTree
 from relmap.core.arrays import Bools, Floats, Ints
 
 UNIDENTIFIED = -1
-"""In place of a landmark: the observation belongs to none that is known."""
+"""Marks an observation that belongs to no known landmark."""
 
 
 _RANKS = {rank: list(range(1, rank + 1)) for rank in range(1, 33)}
 
 
 class Registration(Protocol):
-    """How observations find their landmarks, which are numbered in the order of first sight."""
+    """Assigns observations to landmarks, which are numbered in the order of first observation."""
 
     def labels_of(self, landmarks: Ints) -> Ints:
-        """Return what landmarks (n,) are called outside."""
+        """Return the public labels of landmarks (n,)."""
         ...
 
     def match(self, seen: Any, ids: Ints | None, /) -> Ints:
-        """Return whom each observation (n,) is of, or `UNIDENTIFIED`."""
+        """Return the landmark of each observation (n,), or `UNIDENTIFIED`."""
         ...
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
         ...
 
     @property
     def rejected(self) -> list[int]:
-        """Scans, counted from 0, that fit no other and so add nothing to the map."""
+        """Scans, counted from 0, that match no other scan and do not enter the map."""
         ...
 
 
 class Numbered:
-    """A registration that numbers landmarks in the order of first sight, and judges no scan."""
+    """A registration that numbers landmarks by first observation and rejects no scan."""
 
     def __init__(self) -> None:
         self.n_landmarks = 0
 
     def labels_of(self, landmarks: Ints) -> Ints:
-        """Return landmarks (n,) as they are: they go by their number."""
+        """Return landmarks (n,) unchanged: their numbers are their labels."""
         return landmarks
 
     @property
@@ -53,7 +53,7 @@ class Numbered:
         return []
 
     def number_new(self, landmarks: Ints) -> Bools:
-        """Give every `UNIDENTIFIED` entry (n,) a number of its own, in place; return which."""
+        """Give every `UNIDENTIFIED` entry (n,) a new number, in place; return which ones."""
         new = landmarks == UNIDENTIFIED
         n_new = int(new.sum())
         landmarks[new] = self.n_landmarks + np.arange(n_new)
@@ -62,15 +62,15 @@ class Numbered:
 
 
 def middle(values: Floats) -> float:
-    """Return the upper median of values (n,): a fraction of the cost of `numpy.median`."""
+    """Return the upper median of values (n,), much faster than `numpy.median`."""
     half = len(values) // 2
     return float(np.partition(values, half)[half])
 
 
 def nearest(tree: cKDTree, points: Floats, rank: int = 1) -> tuple[Floats, Ints]:
-    """Return distances and indices (n, rank) of the points' nearest in the tree, nearest first.
+    """Return distances and indices (n, rank) of the nearest points in the tree, nearest first.
 
-    Where the tree holds fewer, the distance is infinite and the index the tree's size.
+    If the tree has fewer points, the distance is infinite and the index is the tree's size.
     """
     distance, index = tree.query(points, k=_RANKS[rank])
     return np.asarray(distance), np.asarray(index)

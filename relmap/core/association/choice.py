@@ -1,4 +1,4 @@
-"""Data association: by ids if they come with the scans, else by the kind of landmark."""
+"""Data association: by ids if the scans have them, else by the model's registration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class DataAssociation:
-    """Matches every scan by one registration, which the first scan with observations decides on.
+    """Applies one registration to all scans, chosen at the first scan with observations.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class DataAssociation:
         Raises
         ------
         RelmapError
-            Where ids come with some scans and not with others.
+            If ids come with some scans but not with others.
         """
         if self.registration is None and not len(seen):
             return np.empty(0, dtype=np.int64)
@@ -61,14 +61,14 @@ class DataAssociation:
             self.is_known, self._first_scan = ids is not None, iteration
         if self.is_known != (ids is not None) or self.registration is None:
             given = "came with" if ids is None else "did not come with"
-            raise RelmapError(f"ids {given} the scans before; give them with every scan or none")
+            raise RelmapError(f"ids {given} earlier scans; give them with every scan or none")
         if isinstance(self.registration, Constellation):
             self.registration.guide.note(motion)
         return self.registration.match(seen, ids)
 
     @property
     def is_known(self) -> bool | None:
-        """Whether ids come with the scans; None before the first of them."""
+        """Whether ids come with the scans; None before the first scan."""
         registration = self.registration
         return None if registration is None else isinstance(registration, KnownAssociation)
 
@@ -85,13 +85,13 @@ class DataAssociation:
 
     @property
     def rejected(self) -> NDArray[np.int64]:
-        """Iterations (r,), ascending, whose scans fit no other and so add nothing to the map."""
+        """Iterations (r,), ascending, whose scans match no other scan and do not enter the map."""
         scans = [] if self.registration is None else self.registration.rejected
         return np.array(scans, dtype=np.int64) + self._first_scan
 
     @property
     def overruled(self) -> NDArray[np.int64]:
-        """Iteration, and row in its scan, of each observation (r, 2) not of the landmark given."""
+        """Iteration and row of each observation (r, 2) that was not assigned to its given id."""
         if not isinstance(self.registration, KnownAssociation):
             return np.empty((0, 2), dtype=np.int64)
         scans = np.array(self.registration.overruled_scans, dtype=np.int64) + self._first_scan
@@ -99,16 +99,16 @@ class DataAssociation:
 
     @property
     def tied_share(self) -> float | None:
-        """Share of the scans tied to those before at once; None where nothing is matched so."""
+        """Fraction of scans matched to the tracks at once; None if not applicable."""
         registration = self.registration
         return registration.tied_share if isinstance(registration, Constellation) else None
 
     @property
     def unique_share(self) -> float | None:
-        """Share of the scans tied by more than chance brings; None where nothing is matched so."""
+        """Fraction of scans whose matches exceed what chance produces; None if not applicable."""
         registration = self.registration
         return registration.unique_share if isinstance(registration, Constellation) else None
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return what landmarks (n,) are called outside."""
+        """Return the public labels of landmarks (n,)."""
         return landmarks if self.registration is None else self.registration.labels_of(landmarks)

@@ -14,16 +14,16 @@ from relmap.core.linalg.compiling import compiled, helper
 
 @compiled
 def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: float) -> Bools:
-    """Tell which pairs of matches agree: they are of different points as far apart on both sides.
+    """Return which pairs of matches agree: different points, equally far apart on both sides.
 
     Parameters
     ----------
     source, target : (p, d) float64, metres
-        Where the two points of each match lie.
+        Positions of the two points of each match.
     a, b : (p,) int64
-        Which points these are.
+        Indices of these points.
     tolerance_m : float
-        Largest difference of two distances that agree.
+        Largest difference between two distances that agree.
 
     Returns
     -------
@@ -45,15 +45,15 @@ def agreeing(source: Floats, target: Floats, a: Ints, b: Ints, tolerance_m: floa
 
 @compiled
 def largest_clique(agree: Bools, most_steps: int) -> Ints:
-    """Return the nodes of a largest clique, ascending; of the largest found where steps run out.
+    """Return the nodes of a largest clique, ascending; of the largest found if steps run out.
 
     Parameters
     ----------
     agree : (n, n) bool, symmetric
-        The graph; its diagonal is not looked at.
+        The graph; its diagonal is ignored.
     most_steps : int
-        Nodes of the search tree that are visited at most.  A greedily grown clique is there from
-        the start.
+        Maximum number of nodes of the search tree to visit. The search starts with a greedily grown
+        clique.
     """
     n = len(agree)
     order = _by_neighbours(agree)
@@ -94,7 +94,7 @@ def largest_clique(agree: Bools, most_steps: int) -> Ints:
 
 @helper
 def _by_neighbours(agree: Bools) -> Ints:
-    """Return the nodes, those with the most neighbours first; equals as they come."""
+    """Return the nodes by descending number of neighbours; ties keep their order."""
     n = len(agree)
     degree, order = np.zeros(n, np.int64), np.empty(n, np.int64)
     for i in range(n):
@@ -110,7 +110,7 @@ def _by_neighbours(agree: Bools) -> Ints:
 
 @helper
 def _gather(marked: Bools, nodes: Ints) -> int:
-    """Enter the nodes that are marked, ascending, and unmark them; return how many."""
+    """List the marked nodes, ascending, and unmark them; return their number."""
     k = 0
     for i in range(len(marked)):
         if marked[i]:
@@ -121,7 +121,7 @@ def _gather(marked: Bools, nodes: Ints) -> int:
 
 @helper
 def _grown(neighbours: Bools) -> Ints:
-    """Return a clique that takes in, in this order, every node that fits."""
+    """Return a clique grown greedily by taking the nodes in this order."""
     members = np.empty(len(neighbours), np.int64)
     k = 0
     for i in range(len(neighbours)):
@@ -138,7 +138,7 @@ def _grown(neighbours: Bools) -> Ints:
 def _colour(neighbours: Bools, open_: Ints, nodes: Ints, colours: Ints) -> None:
     """Colour the open nodes so that no two neighbours share one.
 
-    Nodes and colours, from 1 on, are written in ascending order of the colour.
+    Nodes and colours, counted from 1, are written in ascending order of colour.
     """
     rest, k, colour = open_, 0, 0
     while len(rest):

@@ -1,9 +1,9 @@
-"""Registration that holds: matches are right where relative locations agree.
+"""Registration by consistent relative locations.
 
-The relative locations of static landmarks do not change from one iteration to the next.  So the
-placement of the previous robot frame in the present one is that on which most matches agree; it
-carries every track to where it is expected, and only what is found there continues the track.  It
-is forgotten afterwards: neither a pose nor a motion enters the map.
+The relative locations of static landmarks do not change from one iteration to the next.  The
+placement of the previous robot frame in the current one is therefore the one with the most
+consistent matches. It predicts every track, and only observations near a prediction continue a
+track. The placement is discarded afterwards: neither a pose nor a motion enters the map.
 """
 
 from __future__ import annotations
@@ -19,23 +19,24 @@ from relmap.core.association.scale import Scale, spacing_of
 from relmap.core.association.tracks import LiveTracks
 
 CONTINUITY = 0.15
-"""How far a moving landmark may stray in an iteration, in spacings."""
+"""Largest displacement of a moving landmark in one iteration, in spacings."""
 YOUNG = 3
-"""A track seen less often than this may turn out to be moving."""
+"""A track with fewer observations than this may turn out to be moving."""
 
 NEAR = 0.3
-"""How far from where odometry expects it a landmark may be, in spacings: nearer are others."""
+"""Largest distance of a landmark from its prediction by odometry, in spacings."""
 TINY_M = 1e-6
-"""Least noise of matches that odometry is weighed against."""
+"""Least noise of matches when weighed against odometry."""
 
 
 class Constellation(Numbered):
-    """Matches scans by the relative locations of what is in them.
+    """Matches scans by the relative locations of their landmarks.
 
     Parameters
     ----------
     max_missed : int
-        A track unseen for more iterations than this ends; until then it is carried along.
+        A track missed for more iterations than this ends; until then it is predicted from scan to
+        scan.
     """
 
     _tracks: LiveTracks | None
@@ -60,7 +61,7 @@ class Constellation(Numbered):
         self.guide = OdometryGuide()
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
-        """Match points (n, d) to the live tracks; the rest are new landmarks."""
+        """Match points (n, d) to the live tracks; unmatched points are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
         continued = None
         if len(points_robot) or self.guide.knows:
@@ -80,29 +81,29 @@ class Constellation(Numbered):
         return landmarks
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
         self._tracks, self._stray = LiveTracks.begun(landmarks, points_robot), None
         self._tracks_since, self._idle = None, 0
         self._scale.spacing_m = spacing_of(points_robot)
 
     @property
     def tied_share(self) -> float:
-        """Share of the scans after the first that were tied to those before at once."""
+        """Fraction of the scans after the first that were matched to the tracks at once."""
         return 1 - max(self._n_open - 1, 0) / max(self._n_scans - 1, 1)
 
     @property
     def unique_share(self) -> float:
-        """Share of the scans after the first that were tied as chance ties them in no placement."""
+        """Fraction of the scans after the first whose matches exceed chance in any placement."""
         return self._n_unique / max(self._n_scans - 1, 1)
 
     @property
     def rejected(self) -> list[int]:
-        """Scans, counted from 0, that were tied to no other; one that is awaited is not yet."""
+        """Scans, counted from 0, that matched no other; a deferred scan is not included."""
         waits = self._tracks_since if self._stray is None else None
         return [scan for scan in self._alone if scan != waits]
 
     def _continue(self, points_robot: Floats, landmarks: Ints) -> LiveTracks | None:
-        """Enter the landmark of each point that continues a track; return the tracks, carried."""
+        """Enter the landmark of each point that continues a track; return the predicted tracks."""
         for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:
                 continue
@@ -131,7 +132,7 @@ class Constellation(Numbered):
         return None
 
     def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
-        """Return where odometry has the tracks, corrected by the few that are in view."""
+        """Return the tracks as predicted by odometry, corrected by the few that are in view."""
         if not len(points_robot):
             return self.guide.predicted(tracks.expected.shape[1])
         noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
@@ -139,9 +140,9 @@ class Constellation(Numbered):
         return self.guide.placement(tracks.expected, points_robot, noise_m, most_m)
 
     def _begin_anew(self, begun: LiveTracks) -> None:
-        """Wait with a scan that could not be tied to the tracks: the next one may tie to either.
+        """Defer a scan that could not be matched to the tracks: the next one may match either.
 
-        A scan of next to nothing does not tell that the tracks are over.
+        A nearly empty scan does not end the tracks.
         """
         if self._tracks is None or not len(self._tracks):
             if len(begun):
@@ -159,14 +160,14 @@ class Constellation(Numbered):
             self._scale.allow_noise()
 
     def _links(self, carried: LiveTracks, points: Floats) -> tuple[Ints, Ints, Bools]:
-        """Link tracks, carried along, to what is found where they are expected.
+        """Link predicted tracks to the observations near them.
 
         Returns
         -------
         rows, found : (k,) int64
             Tracks and the points that continue them.
         strayed : (k,) bool
-            Where the track moves against the others: it is followed by continuity.
+            Whether the track moves relative to the others and is followed by continuity.
         """
         from relmap.core.association.matching_kernels import claims, nearest_within
 
@@ -183,10 +184,10 @@ class Constellation(Numbered):
     def _follow(
         self, carried: LiveTracks, free: Ints, points: Floats, taken: Bools
     ) -> tuple[Ints, Ints]:
-        """Follow tracks that are not where they would be at rest, from where they were last.
+        """Follow tracks that are not where a static landmark would be, from their last observation.
 
-        One that was seen moving, or is too young to tell, may go far; one that was at rest so far
-        only as far as it could drift unnoticed: a jump is another landmark's.
+        A track that was seen moving, or is too short to classify, may move far; a static one only
+        as far as it could drift unnoticed: a jump means another landmark.
         """
         if not len(free):
             return free, free

@@ -1,4 +1,4 @@
-"""Which landmarks in view are older ones, judged by where they lie and by what else is there."""
+"""Which landmarks in view are older ones, judged by position and by the other landmarks in view."""
 
 from __future__ import annotations
 
@@ -11,33 +11,34 @@ from relmap.core.association.placement import DISTINCT, consistent_placements
 from relmap.core.association.search import log_chance
 
 ENOUGH = 3
-"""Landmarks that a constellation needs; one more in space, where three fit their mirror image."""
+"""Landmarks that a constellation needs; one more in space, where three also fit a mirror image."""
 SHARE = 0.5
-"""Share of the landmarks with candidates that must be in it: the drift is common to all."""
+"""Fraction of the landmarks with candidates that must take part: drift is common to all."""
 CANDIDATES = 60
-"""Pairs that a constellation is looked for among."""
+"""Maximum number of pairs among which a constellation is searched."""
 AVERAGED = 1.5
-"""Tolerance of averages, in that of observations: less is lost by more of them."""
+"""Tolerance of averaged positions, relative to that of observations."""
 LOCAL_DRIFT = 0.1
-"""Variance of what the map has drifted within a group, in those of an observation."""
+"""Variance of the drift of the map within a group, relative to that of an observation."""
 LOG_CHANCE = float(np.log(1e-3))
-"""Log of how often landmarks in view may be taken for others."""
+"""Log of the accepted expected number of false merges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What speaks for and against landmarks in view being older ones.
+    """Evidence for and against landmarks in view being older ones.
 
     Attributes
     ----------
     first : (k,) int64, ascending
-        When each landmark in view was seen first, as far as is known.
+        Iteration in which each landmark in view was first seen, as far as known.
     share : float
-        How likely a landmark lies on another one by chance.
+        Probability that a landmark coincides with another by chance.
     reach_m : float
-        How far the map may have drifted.
+        Possible drift of the map.
     weight, last : (n,)
-        Iterations averaged into the position of each landmark, and when it was seen last.
+        Iterations averaged into the position of each landmark, and iteration in which it was last
+        seen.
     """
 
     first: Ints
@@ -47,16 +48,16 @@ class Evidence:
     last: Ints
 
     def sharpness(self, pairs: Ints) -> Floats:
-        """Return how much less than an observation the positions of pairs (k, 2) scatter (k,)."""
+        """Return the scatter of positions of pairs (k, 2), relative to an observation's (k,)."""
         variance = np.sum(1 / np.maximum(self.weight[pairs], 1), axis=1)
         return np.asarray(np.minimum(AVERAGED * np.sqrt(variance + LOCAL_DRIFT), 1.0))
 
     def tied(self, pairs: Ints) -> Bools:
-        """Tell which pairs (k, 2) others in view tie to when the older landmark was seen."""
+        """Return which pairs (k, 2) are confirmed by others in view when the older one was seen."""
         return np.searchsorted(self.first, self.last[pairs[:, 1]], side="right") >= ENOUGH
 
     def is_unlike_chance(self, pairs: Ints, log_placements: float = 0.0) -> bool:
-        """Tell whether so many pairs (k, 2) of one placement out of some are not by chance."""
+        """Return whether so many pairs (k, 2) consistent with one placement exceed chance."""
         later = len(self.first) - np.searchsorted(self.first, self.last[pairs[:, 1]].min(), "right")
         n = max(int(later), len(pairs))
         return log_chance(n, len(pairs), self.share, log_placements) <= LOG_CHANCE
@@ -65,20 +66,20 @@ class Evidence:
 def chosen(
     position: Floats, pairs: Ints, tolerance_m: float, evidence: Evidence | None = None
 ) -> Ints:
-    """Return which of the pairs (k, 2) of landmarks are one, by where they are mapped.
+    """Return which of the pairs (k, 2) of landmarks are the same, judged by their mapped positions.
 
-    Those that lie on one another; where none do, those of the largest set that one rigid motion
-    brings together, for the drift is common to all.
+    Those that coincide; if none do, those of the largest set that one rigid motion brings together,
+    because drift is common to all.
 
     Parameters
     ----------
     position : (n, d) float64, map frame, metres
-        Of all landmarks.
+        Positions of all landmarks.
     pairs : (k, 2) int64
         Candidates: a new landmark, and an old one that it may be.
     tolerance_m : float
     evidence : Evidence, optional
-        What else was in view; where it is not given, pairs that lie on one another are believed.
+        The other landmarks in view; if omitted, coinciding pairs are accepted.
     """
     d = position.shape[1]
     apart = np.linalg.norm(position[pairs[:, 0]] - position[pairs[:, 1]], axis=1)
@@ -98,7 +99,7 @@ def chosen(
     _, rival = next(found, (None, pairs[:0]))
     off = np.linalg.norm(shift.apply(position[pairs[:, 0]]) - position[pairs[:, 1]], axis=1)
     pairs = pairs[off <= tolerance_m]
-    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # what is merged away takes in nothing
+    pairs = pairs[~np.isin(pairs[:, 1], pairs[:, 0])]  # what is merged away absorbs nothing
     if evidence is not None:
         drifts = d * (d + 1) / 2 * np.log(1 + 2 * evidence.reach_m / tolerance_m)
         if len(rival) > DISTINCT * len(pairs) or not evidence.is_unlike_chance(pairs, drifts):
@@ -107,7 +108,7 @@ def chosen(
 
 
 def _unique_nearest(pairs: Ints, distance: Floats) -> Ints:
-    """Return the pairs (k, 2), the nearest first, of which no landmark was taken before."""
+    """Return the pairs (k, 2), nearest first, in which no landmark occurs twice."""
     unique: list[tuple[int, int]] = []
     taken: set[int] = set()
     for new, old in pairs[np.argsort(distance, kind="stable")].tolist():

@@ -1,4 +1,4 @@
-"""Registration where the ids of the landmarks come with the observations."""
+"""Registration with known ids."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from relmap.core.association.rigidity import Rigidity
 from relmap.core.state.growing import GrowingArray
 
 PARTS = 64
-"""Dictionaries that the ids are spread over: a single large one would stall when it grows."""
+"""Number of dictionaries that hold the ids: a single large one would stall when it grows."""
 
 
 class KnownAssociation:
-    """Takes the landmarks' ids as given, where what was seen can be right; see `Rigidity`.
+    """Uses the given ids, except for geometrically impossible observations; see `Rigidity`.
 
     Attributes
     ----------
     rejected : list of int
-        Scans, counted from 0, that do not fit the others.
+        Scans, counted from 0, that are inconsistent with the others.
     overruled_scans, overruled_rows : list of int
-        Scan, and row in it, of each observation that was not taken to be of the given landmark.
+        Scan and row of each observation that was not assigned to its given id.
     """
 
     rejected: list[int]
@@ -37,7 +37,7 @@ class KnownAssociation:
         self._labels: GrowingArray[np.int64] = GrowingArray(np.int64)
 
     def restored(self) -> None:
-        """Look the ids up that there are now."""
+        """Look up the current ids."""
         for number, label in enumerate(self._labels.values.tolist()):
             self._parts[label % PARTS][label] = number
 
@@ -46,12 +46,12 @@ class KnownAssociation:
         return self._labels.values[landmarks]
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        """Do nothing: the ids tell."""
+        """Do nothing: the ids determine the association."""
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Return the landmark of each id (n,).
 
-        Negative ids are of none, and so is what cannot be right.
+        Observations with negative ids, and inconsistent ones, belong to none.
         """
         known = np.empty(0, dtype=np.int64) if ids is None else ids
         self._n_scans += 1
@@ -67,9 +67,9 @@ class KnownAssociation:
         return landmarks
 
     def _believed(self, ids: Ints, points_robot: Floats) -> Ints:
-        """Return the ids (n,), others or `UNIDENTIFIED` where an observation cannot be of its own.
+        """Return the ids (n,), replaced or `UNIDENTIFIED` for inconsistent observations.
 
-        Note which these are.
+        Record the rows that changed.
         """
         named = np.flatnonzero(ids >= 0)
         if len(named) == len(ids):

@@ -1,8 +1,8 @@
-"""Loops that stay open because the map has drifted on the way: places that a submap shows twice.
+"""Loops still open because of drift: places that a submap shows twice.
 
-A neighbourhood of landmarks that were seen together is looked for among what the same submap saw
-before, wherever that lies: no drift is too large.  It is believed where it is unlike chance and no
-other place comes near, as with submaps (see `tying`).
+A neighbourhood of landmarks that were seen together is searched for in the earlier part of the same
+submap, at any distance: the drift is not bounded. A match is accepted if it is unlikely by chance
+and has no near rival, as with submaps (see `tying`).
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERL
 from relmap.core.state.table import NONE, LandmarkState
 
 FARTHEST = 10.0
-"""How far the map may have drifted, in standard deviations."""
+"""Possible drift of the map, in standard deviations."""
 TIED = 3
-"""Landmarks of a neighbourhood, seen before as is known, that tie it already."""
+"""Landmarks of a neighbourhood known from before that already close the loop."""
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A place that was seen twice.
+    """A place seen twice.
 
     Attributes
     ----------
     pairs : (k, 2) int64
-        Landmarks of the later visit, and the older ones that they are.
+        Landmarks of the later visit, and the older ones they are identified with.
     placement : Placement
-        Where what the later visit saw should lie, from where it lies on the map.
+        Maps the positions of the later visit to the correct ones, map frame.
     """
 
     pairs: Ints
@@ -40,7 +40,7 @@ class Loop:
 
 
 class LoopFinder:
-    """Finds loops in a map, one after the other; each landmark is looked at once.
+    """Finds loops in a map, one at a time; each landmark is tried once.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class LoopFinder:
         self._had = np.zeros(len(table), dtype=bool)
 
     def next(self) -> Loop | None:
-        """Return a loop that is still open; None where no more are found."""
+        """Return a loop that is still open; None if there are no more."""
         table = self._table
         for submap in np.unique(table.submap[table.submap != NONE]).tolist():
             own = np.flatnonzero(table.submap == submap)
@@ -69,7 +69,7 @@ class LoopFinder:
         return None
 
     def _loop(self, finder: PlaceFinder, own: Ints, seed: int) -> Loop | None:
-        """Return the loop that the neighbourhood of a landmark closes, if it does."""
+        """Return the loop that the neighbourhood of a landmark closes, if any."""
         table = self._table
         together = own[
             (table.since[own] <= table.last[seed]) & (table.last[own] >= table.since[seed])
@@ -107,10 +107,10 @@ class LoopFinder:
         return Loop(pairs, places[0]) if sure and rival <= CLEAR * len(pairs) else None
 
     def _drift_m(self, around: Ints, together: Ints, begin: int) -> float:
-        """Return how far the map may have drifted between an iteration and landmarks seen later.
+        """Return the possible drift of the map between an iteration and landmarks seen later.
 
-        A random walk of the direction: each time that all in view is replaced it is known by so
-        many landmarks, seen so often.
+        A random walk of the heading: each time the landmarks in view have been replaced, the
+        heading is transferred by so many landmarks, with so many observations.
         """
         table = self._table
         middle = table.position[around].mean(axis=0)

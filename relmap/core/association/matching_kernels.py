@@ -11,9 +11,9 @@ from relmap.core.linalg.small_kernels import unset
 
 @compiled
 def claims(wanted: Ints, distance: Floats, n: int) -> Bools:
-    """Of rows that want the same one of n targets, tell the nearest; the first of equals.
+    """Return which rows are the nearest among those that want the same of n targets.
 
-    Rows at infinite distance want nothing.
+    Ties go to the first row; rows at infinite distance are ignored.
     """
     winner = unset(n + 1)
     for row in range(len(wanted)):
@@ -38,7 +38,7 @@ def _bucket(x: int, y: int, z: int, n_buckets: int) -> int:
 def buckets(points: Floats, cell: float) -> tuple[Ints, Ints]:
     """Put points (n, d) into the buckets of a hashed grid of cells.
 
-    Returns the first point of each bucket, and of each point the next in its bucket; -1 ends.
+    Returns the first point of each bucket, and the next point in the bucket of each point; -1 ends.
     """
     n, d = points.shape
     n_buckets = 16
@@ -58,8 +58,8 @@ def buckets(points: Floats, cell: float) -> tuple[Ints, Ints]:
 def nearest_within(points: Floats, queries: Floats, reach: float) -> tuple[Floats, Ints]:
     """Return distance and index (k,) of the point (n, d) nearest to each query (k, d).
 
-    Only points within reach count; where there is none, the distance is infinite and the index n.
-    Of equally near ones it is the first.
+    Only points within reach count; if there is none, the distance is infinite and the index n. Ties
+    go to the first point.
     """
     n, d = points.shape
     first, following = buckets(points, reach)
@@ -89,7 +89,7 @@ def nearest_within(points: Floats, queries: Floats, reach: float) -> tuple[Float
 def two_nearest(points: Floats, queries: Floats) -> tuple[Floats, Ints]:
     """Return the distances (k, 2) of the two points (n, d) nearest to each query, and the nearest.
 
-    For a few queries this is quicker than to build a tree.  Infinite where there are not as many.
+    For a few queries this is faster than building a tree. Infinite if there are fewer points.
     """
     n, d = points.shape
     distances, index = np.empty((len(queries), 2)), np.empty(len(queries), dtype=np.int64)
@@ -118,7 +118,7 @@ def see_tracks(
     memory: int,
     careful: int,
 ) -> None:
-    """Note where some tracks were found and that others were missed; see `LiveTracks.see`."""
+    """Record which tracks were found and which were missed; see `LiveTracks.see`."""
     missed, seen, restless = counts
     for row in range(len(missed)):
         missed[row] += 1

@@ -1,8 +1,8 @@
 """Merging landmarks that were lost and seen again (section III).
 
-A landmark that comes back into view becomes a new one and is placed by its own groups.  Then it is
-matched to what is mapped: by its position where the map is good enough there, and where the map
-has drifted by constellation, the relative distances among several landmarks.
+A landmark that comes back into view starts as a new one and is placed by its own groups. It is then
+matched to mapped landmarks: by position if the map is accurate enough there, otherwise by
+constellation, the mutual distances of several landmarks.
 """
 
 from __future__ import annotations
@@ -22,35 +22,36 @@ from relmap.core.model import LandmarkModel
 from relmap.core.state.table import NONE, LandmarkState
 
 REACH = 0.35
-"""How far the map may have drifted, in spacings of its landmarks."""
+"""Possible drift of the map, in spacings of its landmarks."""
 TOLERANCE = 3.0
-"""How far two positions of one landmark may differ, in standard deviations of an observation."""
+"""Largest difference between two positions of one landmark, in standard deviations of an
+observation."""
 EXACT = 1e-3
-"""Least tolerance, as a share of that reach, where there is no noise at all."""
+"""Least tolerance, as a fraction of that reach, for noise-free data."""
 SLICE = 500
-"""Landmarks that are entered anew at a time after the map has moved."""
+"""Landmarks re-entered at a time after the map has moved."""
 LAST = 2**62
-"""Beyond all landmarks."""
+"""Larger than any landmark number."""
 ROUNDS = 5
-"""How often doubles are looked for in a row, as each merge reveals others."""
+"""Maximum number of passes over duplicates, as each merge may reveal others."""
 
 
 class Merger:
-    """Finds which landmarks in view are old ones seen again.
+    """Finds landmarks in view that are older ones seen again.
 
     Parameters
     ----------
     table : LandmarkState
     model : LandmarkModel
     mature : int
-        Observations after which a landmark's position is good enough to be compared.
+        Observations after which a landmark's position is accurate enough to be compared.
 
     Attributes
     ----------
     n_undone : int
-        How many tracks were wrongly taken for others, as was found out later.
+        Number of wrong merges that were undone later.
     sightings : Sightings or None
-        Who was seen with whom, where the whole map is looked over.
+        Which landmarks were seen together; used when the whole map is searched.
     """
 
     _index: SpatialIndex | None
@@ -70,25 +71,25 @@ class Merger:
         self.sightings: Sightings | None = None
 
     def blank(self) -> SpatialIndex:
-        """Return an index to be restored."""
+        """Return an empty index, to be restored."""
         return SpatialIndex(self._table, 1.0)
 
     def leave(self, landmarks: Ints) -> None:
-        """Note that landmarks have left the view: from now on they may be seen again."""
+        """Record that landmarks have left the view: from now on they may be re-observed."""
         landmarks = landmarks[self._model.is_compared(landmarks)]
         for landmark in landmarks.tolist():
             self._old_near.pop(landmark, None)
         self._enter(landmarks)
 
     def look_again(self) -> None:
-        """Enter all landmarks anew, as the map has moved; `go_on` does it little by little."""
+        """Re-enter all landmarks, because the map has moved; `go_on` does it incrementally."""
         self._entered = 0
 
     def doubles(self) -> Ints:
-        """Return the landmarks (k,) that lie near older ones that they may be, to be merged next.
+        """Return the landmarks (k,) near compatible older ones, to be merged next.
 
-        Wherever they are now, as the map has moved or a submap has joined another, and however
-        seldom they were seen: the whole map has been brought into place.
+        Current positions are used, after the map has moved or submaps were joined, and however few
+        observations a landmark has: the whole map has been adjusted.
         """
         mapped = np.flatnonzero(self._table.weight > 0)
         if self._index is None or not len(mapped):
@@ -105,7 +106,7 @@ class Merger:
         return np.array(list(found), dtype=np.int64)
 
     def go_on(self) -> None:
-        """Enter some more landmarks where they are now."""
+        """Re-enter some more landmarks at their current positions."""
         if self._index is not None and self._entered < len(self._table):
             end = min(self._entered + SLICE, len(self._table))
             landmarks = np.arange(self._entered, end)
@@ -118,14 +119,15 @@ class Merger:
             self._index.add(mapped, self._table.position[mapped])
 
     def find(self, landmarks: Ints, levels: Ints, noise_m: float) -> Ints:
-        """Return pairs (k, 2) of landmarks: a new one, and the old one that it is.
+        """Return pairs (k, 2) of a new landmark and the older one that it is.
 
         Parameters
         ----------
         landmarks : (n,) int64
-            Landmarks that a group has just placed.
+            Landmarks just placed by a group.
         levels : (n,) int64
-            Grouping level of each: at a higher one its place is better, and it is asked again.
+            Grouping level of each: at a higher level its position is more accurate and is compared
+            again.
         noise_m : float
             Standard deviation of an observed coordinate.
         """
@@ -153,7 +155,7 @@ class Merger:
         return chosen(self._table.position, np.array(pairs), tolerance_m, evidence)
 
     def _evidence(self, landmarks: Ints, tolerance_m: float) -> Evidence | None:
-        """Return what merges of some of the landmarks (n,), seen together, are judged by."""
+        """Return the evidence for merges of landmarks (n,) seen together."""
         if self._index is None or self._model.drift_m is not None:
             return None
         first = np.sort(self._table.first[landmarks[self._table.weight[landmarks] > 0]])
@@ -162,7 +164,7 @@ class Merger:
         return Evidence(first, share, reach_m, self._table.weight, self._table.last)
 
     def visits(self, doubles: Ints) -> Iterator[Ints]:
-        """Yield landmarks (k,) near one another that were seen together; each double has a turn."""
+        """Yield landmarks (k,) near each other that were seen together, covering all."""
         table, had = self._table, np.zeros(len(self._table), dtype=bool)
         for seed in doubles.tolist():
             if had[seed] or table.weight[seed] == 0:
@@ -177,21 +179,21 @@ class Merger:
             yield there
 
     def merge(self, new: int, old: int) -> None:
-        """Note that a landmark in view is an old one."""
+        """Record that a landmark in view is an older one."""
         self._old_near.pop(new, None)
         for others in self._old_near.values():
             if old in others:
                 others.remove(old)
 
     def keep_apart(self, track: int, others: list[int]) -> None:
-        """Note that a track was wrongly taken for one of others: not more than once again."""
+        """Record that a track was wrongly merged: this may happen only once more."""
         self.n_undone += 1
         for one, other in ((track, other) for other in others):
             self._apart.setdefault(one, []).append(other)
             self._apart.setdefault(other, []).append(one)
 
     def allowed(self, pairs: Ints) -> Bools:
-        """Tell which pairs (k, 2) of landmarks were not found to be two; (k,)."""
+        """Return which pairs (k, 2) of landmarks were not found to be distinct; (k,)."""
         return np.array([not self._are_apart(*pair) for pair in pairs.tolist()], dtype=bool)
 
     def _are_apart(self, one: int, other: int) -> bool:
@@ -208,7 +210,7 @@ class Merger:
         return SpatialIndex(self._table, reach_m) if 0 < reach_m < np.inf else None
 
     def _ask(self, new: int) -> None:
-        """Look for old landmarks near a new one."""
+        """Search for older landmarks near a new one."""
         if self._index is None:
             return
         near = self._index.near(self._table.position[new])
@@ -220,7 +222,7 @@ class Merger:
                 self._old_near[new] = sorted(may_be)
 
     def _may_be(self, new: int, old: int) -> bool:
-        """Tell whether a landmark may be an older one: of its submap, and never seen with it."""
+        """Return whether a landmark may be an older one: same submap, and never seen with it."""
         table = self._table
         if not table.submap[old] == table.submap[new] != NONE:
             return False
@@ -232,14 +234,14 @@ class Merger:
 
 
 def merge_doubles(table: LandmarkState, merger: Merger, merge: Callable[[Ints], int]) -> bool:
-    """Merge landmarks that are the same by where they lie now; tell whether there were any.
+    """Merge landmarks that coincide at their current positions; return whether there were any.
 
     Parameters
     ----------
     table : LandmarkState
     merger : Merger
     merge : callable
-        Merges landmarks (k,) with older ones, and returns how many were.
+        Merges landmarks (k,) with older ones and returns how many.
     """
     merged = 0
     for _ in range(ROUNDS):

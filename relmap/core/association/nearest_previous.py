@@ -1,4 +1,4 @@
-"""The paper's own registration (sections II and III)."""
+"""The paper's registration (sections II and III)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from relmap.core.association.base import UNIDENTIFIED, Numbered, nearest
 class NearestPrevious(Numbered):
     """Matches to the nearest untransformed observation of the previous iteration.
 
-    A pair is matched where each is the other's nearest and lies within the gate.
+    A pair matches if both are mutual nearest neighbours within the gate.
 
     Parameters
     ----------
     gate_m : float or None
-        Largest displacement, metres; None takes half the median distance between neighbours in
-        the previous scan.
+        Largest displacement, metres; None uses half the median distance between neighbours in the
+        previous scan.
     """
 
     STATE = "n_landmarks _previous _landmarks"
@@ -30,11 +30,11 @@ class NearestPrevious(Numbered):
         self._landmarks = np.empty(0, dtype=np.int64)
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
-        """Expect landmarks (n,) at points (n, d) in the next scan, and nothing else."""
+        """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
         self._landmarks, self._previous = landmarks, points_robot
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
-        """Match points (n, d) to the previous iteration's; the rest are new landmarks."""
+        """Match points (n, d) to the previous iteration; unmatched points are new landmarks."""
         landmarks = np.full(len(points_robot), UNIDENTIFIED)
         if len(self._previous) and len(points_robot):
             now, before = self._mutual_pairs(points_robot)

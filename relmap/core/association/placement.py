@@ -1,9 +1,9 @@
-"""Where one frame lies in another: found from landmarks whose relative locations agree.
+"""The placement of one frame in another, from landmarks with consistent relative locations.
 
-A set of matches is right where the mutual distances, and in space the handedness, agree: where one
-rigid placement brings all of them together.  No pose, map or earlier motion is asked.  Registration
-of scans, re-observation, recognition of a place and tying of submaps differ in the candidate
-matches alone: the largest consistent set of them, its placement and its rivals are found here.
+A set of matches is consistent if the mutual distances, and in space the handedness, agree: if one
+rigid placement brings all of them together. No pose, map or earlier motion is used. Scan
+registration, re-observation, place recognition and joining of submaps differ only in the candidate
+matches; this module finds the largest consistent set, its placement and its rivals.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 
 DISTINCT = 0.8
-"""Share of the matches of the best placement that a rival may have."""
+"""Fraction of the matches of the best placement that a rival may have."""
 MOST_STEPS = 2000
-"""Steps of the search for a largest set of matches: a tenth of a second at 900 candidates."""
+"""Maximum steps of the search for a largest set of matches: 0.1 s at 900 candidates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A rigid motion from the robot frame of one iteration into that of another.
+    """A rigid motion from the robot frame of one iteration to that of another.
 
     Attributes
     ----------
     R : (d, d) float64
     t : (d,) float64, metres
     n_agreeing : int
-        Matches that it brings together.
+        Number of matches that it brings together.
     """
 
     R: Floats
@@ -38,15 +38,15 @@ class Placement:
     n_agreeing: int
 
     def apply(self, points: Floats) -> Floats:
-        """Bring points (n, d) into the other frame."""
+        """Transform points (n, d) into the other frame."""
         return points @ self.R.T + self.t
 
 
 def trimmed_fit(source: Floats, target: Floats, tolerance_m: float) -> Placement | None:
-    """Fit matches that are mostly right, leaving out those that disagree.
+    """Fit matches that are mostly correct, leaving out inconsistent ones.
 
-    Least squares over all, then over those nearer than one and a half times the median error, and
-    so on until only matches within the tolerance are left.
+    Least squares over all matches, then over those with less than 1.5 times the median error,
+    repeated until only matches within the tolerance are left.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def trimmed_fit(source: Floats, target: Floats, tolerance_m: float) -> Placement
     Returns
     -------
     Placement or None
-        None where fewer than d matches are left.
+        None if fewer than d matches are left.
     """
     from relmap.core.geometry.fitting_kernels import trimmed_fit_rows
 
@@ -67,8 +67,9 @@ def trimmed_fit(source: Floats, target: Floats, tolerance_m: float) -> Placement
 def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: float) -> Ints:
     """Return the largest set of candidate matches whose mutual distances agree.
 
-    It is a largest clique of the graph of the candidates, in which two are neighbours where they
-    agree (Bailey et al., 2000).  Where the search takes too long it is the largest that was found.
+    This is a maximum clique of the graph of candidates, with edges between candidates that agree
+    (Bailey et al., 2000). If the search takes too long, the largest clique found so far is
+    returned.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: flo
     pairs : (p, 2) int64
         Candidates: row of `source`, row of `target`.
     tolerance_m : float
-        Largest difference of two distances that agree.
+        Largest difference between two distances that agree.
 
     Returns
     -------
@@ -93,9 +94,10 @@ def consistent_set(source: Floats, target: Floats, pairs: Ints, tolerance_m: flo
 def consistent_placements(
     source: Floats, target: Floats, pairs: Ints, tolerance_m: float, fit_m: float
 ) -> Iterator[tuple[Placement, Ints]]:
-    """Yield the placement of the largest consistent set of candidates, and then its rivals.
+    """Yield the placement of the largest consistent set of candidates, then its rivals.
 
-    Each rival is that of the largest set of the candidates that no placement before explains.
+    Each rival is the placement of the largest consistent set among the candidates not explained by
+    the earlier ones.
 
     Parameters
     ----------
@@ -104,9 +106,9 @@ def consistent_placements(
     pairs : (p, 2) int64
         Candidates: row of `source`, row of `target`.
     tolerance_m : float
-        Largest difference of two distances that agree.
+        Largest difference between two distances that agree.
     fit_m : float
-        How far apart the points of a match may lie once placed.
+        Largest distance between the points of a match after placement.
 
     Yields
     ------

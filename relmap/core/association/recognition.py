@@ -1,10 +1,10 @@
-"""Where a scan was taken, found from nothing but the map: by triangles of neighbours.
+"""Place recognition from the map alone, by triangles of neighbouring landmarks.
 
-Three landmarks near one another make a triangle; the lengths of its sides do not depend on where it
-is seen from.  Triangles of the scan are looked up among those of the map by these lengths.  Each
-hit says where the scan may lie, and the one that brings most of the scan onto mapped landmarks is
-right, if it brings enough.  Against a whole map this beats the largest consistent set of matching
-corners: of 15 scans of 20 to 60 landmarks in maps of 1000, that found as many in six times as long.
+Three neighbouring landmarks form a triangle whose side lengths do not depend on the viewpoint.
+Triangles of the scan are looked up among those of the map by these lengths. Each hit gives a
+candidate placement; the one that brings most of the scan onto mapped landmarks is accepted if it
+brings enough. Searching the maximum clique of matching corners instead finds as many of 15 scans of
+20 to 60 landmarks in maps of 1000, but takes six times as long.
 """
 
 from __future__ import annotations
@@ -20,30 +20,30 @@ from relmap.core.association.placement import DISTINCT, Placement, trimmed_fit
 from relmap.core.geometry.alignment import fit_rigid_each
 
 NEIGHBOURS = 7
-"""Landmarks nearest to one that it makes triangles with."""
+"""Number of nearest landmarks with which a landmark forms triangles."""
 SLIM = 0.1
-"""A triangle whose sides differ by less than this share of the longest tells nothing."""
+"""A triangle whose sides differ by less than this fraction of the longest is ambiguous."""
 HITS = 400
-"""Triangles that are tried, those first that agree best."""
+"""Maximum number of triangle matches tried, best first."""
 ENOUGH, MORE = 5, 2
 """Landmarks that must be found in the plane, and how many more in space."""
 SHARE = 0.5
-"""Share of the scan that must be found."""
+"""Fraction of the scan that must be found."""
 RIVAL = 0.6
-"""Share of these that a rival has at least."""
+"""Minimum fraction of these found by a rival."""
 MOST = 20
-"""Places that are told apart; nothing tells more where a scan is."""
+"""Maximum number of distinct places considered; with more, the scan is ambiguous anyway."""
 SIGMAS = 4.0
-"""How far off a landmark may be, in standard deviations of an observation."""
+"""Tolerance of a landmark's position, in standard deviations of an observation."""
 EXACT = 1e-3
-"""The same in spacings where there is no noise at all; and in spacings at most `COARSE`."""
+"""The same in spacings for noise-free data; and the upper limit in spacings, `COARSE`."""
 COARSE = 0.2
 REACH = 3.0
-"""How far off it may be at first, in tolerances."""
+"""Initial tolerance, in units of the final one."""
 
 
 class PlaceFinder:
-    """Finds scans in a map.
+    """Localises scans in a map.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class PlaceFinder:
             self._tolerance_m = float(np.clip(SIGMAS * noise_m, least, most))
 
     def find(self, points: Floats) -> Placement | None:
-        """Return the placement of a scan's frame in the map's; None where it is not clear.
+        """Return the placement of a scan's frame in the map's; None if it is ambiguous.
 
         Parameters
         ----------
@@ -74,9 +74,9 @@ class PlaceFinder:
         return places[0] if places and is_clear(points, places) else None
 
     def places(self, points: Floats, among: Bools | None = None) -> list[Placement]:
-        """Return where points (n, d) may lie, the best place first, if enough of them agree there.
+        """Return candidate placements of points (n, d), best first, if enough points agree.
 
-        The others are its rivals.  Where it is given, only some landmarks (m,) of the map count.
+        The others are rivals of the first. If given, only some landmarks (m,) of the map count.
         """
         n, d = points.shape
         self._among = among
@@ -95,13 +95,13 @@ class PlaceFinder:
         return found if found and found[0].n_agreeing >= needed else []
 
     def landmarks_at(self, points: Floats, among: Bools | None = None) -> Ints:
-        """Return the rows of the map that lie at points (n, d), map frame; -1 where none does."""
+        """Return the rows of the map that lie at points (n, d), map frame; -1 if none does."""
         self._among = among
         distance, landmark = self._nearest(points)
         return np.where(distance <= self._tolerance_m, landmark, -1)
 
     def _nearest(self, points: Floats) -> tuple[Floats, Ints]:
-        """Return distance and row of the landmark nearest to each point (n, d) that counts."""
+        """Return distance and row of the nearest counted landmark for each point (n, d)."""
         distance, landmark = nearest(self._tree, points, 1 if self._among is None else 3)
         if self._among is None:
             return distance[:, 0], landmark[:, 0]
@@ -111,28 +111,29 @@ class PlaceFinder:
         return np.take_along_axis(far, first, 1)[:, 0], np.take_along_axis(landmark, first, 1)[:, 0]
 
     def by_chance(self, n: int, n_agreeing: int, elsewhere: int, trials: int) -> float:
-        """Return how likely so many of n points would be found in a wrong place.
+        """Return the probability that so many of n points are found in a wrong place.
 
-        Beside the three of the triangle that was looked up.  Landmarks may lie at random, or on
-        some lattice: then many of them are found in other places too.
+        Not counting the three of the triangle. Landmarks may lie at random or on a lattice; in the
+        latter case many are found in other places too.
 
         Parameters
         ----------
         n, n_agreeing : int
         elsewhere : int
-            How many are found in the best of the other places.
+            Number found in the best of the other places.
         """
-        # Half of the landmarks have another within `apart_m`, so many of which lie in a tolerance.
+        # Half of the landmarks have another within `apart_m`; the fraction of that area in a
+        # tolerance.
         share = np.log(2) * (self._tolerance_m / self._apart_m) ** self._positions.shape[1]
-        # What is found elsewhere is the most of all trials.
+        # The number found elsewhere is the maximum of all trials.
         if elsewhere > 3:
             share = max(share, float(betaincinv(elsewhere - 3, n - elsewhere + 1, 1 / trials)))
         return trials * float(binom.sf(n_agreeing - 4, n - 3, share))
 
     def _hypotheses(self, points: Floats, needed: float) -> list[Placement]:
-        """Return where triangles found in the map put the scan, the likeliest first.
+        """Return placements of the scan from triangles found in the map, best first.
 
-        Of these the ones that bring enough of it near mapped landmarks.
+        Only those that bring enough of the scan near mapped landmarks.
         """
         corners, sides = _triangles(points)
         if self._sides is None or not len(sides):
@@ -156,7 +157,7 @@ class PlaceFinder:
         return [Placement(R[k], t[k], 3) for k in likely[enough]]
 
     def _settled(self, points: Floats, placement: Placement) -> Placement | None:
-        """Fit a placement to all that it brings onto mapped landmarks."""
+        """Fit a placement to all points that it brings onto mapped landmarks."""
         reach_m = REACH * self._tolerance_m
         for _ in range(3):
             distance, landmark = self._nearest(placement.apply(points))
@@ -170,21 +171,21 @@ class PlaceFinder:
         return placement
 
     def _is_near(self, points: Floats, one: Placement, other: Placement) -> bool:
-        """Tell whether two placements are the same but for what settling changes."""
+        """Return whether two placements are equal up to the changes made by fitting."""
         off = np.abs(one.apply(points) - other.apply(points))
         return bool(off.max() <= REACH * self._tolerance_m)
 
 
 def is_clear(points: Floats, places: list[Placement]) -> bool:
-    """Tell whether the first of some placements of points (n, d) fits far better than others.
+    """Return whether the first placement of points (n, d) fits far better than the others.
 
-    Than those that put them elsewhere, that is.
+    Only those that differ from it are compared.
     """
     return found_elsewhere(points, places) < DISTINCT * places[0].n_agreeing
 
 
 def found_elsewhere(points: Floats, places: list[Placement]) -> int:
-    """Return how many of points (n, d) the next best place brings onto landmarks, elsewhere."""
+    """Return how many of points (n, d) the best placement elsewhere brings onto landmarks."""
     there, extent_m = places[0].apply(points), float(np.ptp(points, axis=0).max())
     rivals = [
         other.n_agreeing
@@ -197,7 +198,7 @@ def found_elsewhere(points: Floats, places: list[Placement]) -> int:
 def _triangles(positions: Floats) -> tuple[Ints, Floats]:
     """Return triangles of neighbours as corners (k, 3), and their sides (k, 3), in metres.
 
-    Sides are in ascending order, and each corner stands at the place of the side opposite.
+    Sides are in ascending order, and each corner has the index of the opposite side.
     """
     rank = min(NEIGHBOURS + 1, len(positions))
     if rank < 3:

@@ -1,7 +1,7 @@
-"""Where live tracks lie in a scan: the placement on which most matches agree, or none.
+"""The placement of live tracks in a scan with the most consistent matches, or none.
 
-Nearest neighbours are asked first, then a search that minds no motion.  A placement is believed
-where chance brings so many matches together rarely, and where no rival comes near.
+Nearest neighbours are tried first, then a search that is independent of the motion. A placement is
+accepted if so many matches are unlikely by chance and no rival comes near.
 """
 
 from __future__ import annotations
@@ -19,59 +19,59 @@ from relmap.core.association.search import search, settled
 from relmap.core.association.tracks import LiveTracks
 
 ENOUGH = 3
-"""Matches that must agree: two distances agree by chance now and then, three rarely."""
+"""Minimum number of matches: two distances agree by chance now and then, three rarely."""
 PLENTY = 6
-"""Matches whose agreement is never chance."""
+"""Number of matches whose agreement is never chance."""
 SHARE = 0.6
-"""Share of the nearest neighbours that must agree before a wider search is spared."""
+"""Fraction of the nearest neighbours that must agree to skip the wider search."""
 FAR_SHARE = 0.3
-"""Share of what could be matched that must agree where the robot moved far: in space a mirrored
-scan agrees in what lies near a plane."""
+"""Fraction of possible matches that must agree after a large motion: in space a mirrored scan
+agrees for points near a plane."""
 SAMPLE = 32
-"""Tracks that a placement is fitted to at most; more would not make it better."""
+"""Maximum number of tracks used to fit a placement; more would not improve it."""
 SEARCH = 30
-"""Tracks that the wider search looks at, those seen longest."""
+"""Maximum number of tracks used by the wider search, those seen longest."""
 SHARP = 0.16
-"""Tolerance, in spacings, up to which nearest neighbours that agree need no search for rivals."""
+"""Tolerance, in spacings, up to which agreeing nearest neighbours need no search for rivals."""
 CLEAR = 0.6
-"""Share of its matches that a rival may have."""
+"""Fraction of the matches that a rival may have."""
 CROWD = 60
-"""Points of a scan that it looks at, the nearest."""
+"""Maximum number of points of a scan used by the wider search, the nearest."""
 LOG_CHANCE, LOG_CHANCE_NEAR = float(np.log(1e-3)), float(np.log(1e-2))
-"""Log of how often a wrong placement may be taken for right, and where little has moved."""
+"""Log of the accepted rate of wrong placements, in general and after little motion."""
 FAMILIAR = 5
-"""Sightings of a landmark that two of them, alone in a planar scan, must have to fix it."""
+"""Observations of a landmark required if only two landmarks determine a planar scan."""
 NEARBY = 0.2
-"""How far these two may have moved, in spacings."""
+"""Largest motion of these two, in spacings."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackPlacing:
-    """Finds where the frame of the tracks lies in that of a scan.
+    """Finds the placement of the tracks' frame in that of a scan.
 
     Attributes
     ----------
     scale : Scale
-        Of the scans so far; it learns the spacing of each.
+        Scale of the scans so far, updated with each scan.
     idle : int
-        Scans of next to nothing since the tracks were seen.
+        Nearly empty scans since the tracks were seen.
     """
 
     scale: Scale
     idle: int
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
-        """Return the placement that brings tracks onto points (n, d); None where none is sure."""
+        """Return the placement that brings tracks onto points (n, d); None if none is certain."""
         found = self._found(tracks, points)
         return self._found_of_unknown_noise(tracks, points) if found is None else found
 
     def is_unique(self, placement: Placement, tracks: LiveTracks, points: Floats) -> bool:
-        """Tell whether chance brings tracks onto points (n, d) so well in no placement at all."""
+        """Return whether chance alone brings tracks onto points (n, d) so well in no placement."""
         chance = self._log_chance(placement.n_agreeing, tracks.expected, points)
         return bool(chance <= LOG_CHANCE)
 
     def _found(self, tracks: LiveTracks, points: Floats) -> Placement | None:
-        """Find the placement of the tracks' frame in the scan's on which most matches agree."""
+        """Find the placement of the tracks' frame in the scan with the most matches."""
         from relmap.core.association.matching_kernels import claims, two_nearest
 
         n, d = points.shape
@@ -110,9 +110,9 @@ class TrackPlacing:
     def _is_unlike_chance(
         self, placement: Placement, here: Floats, there: Floats, missed: int
     ) -> bool:
-        """Tell whether a placement brings tracks (n, d) onto points (m, d) not just by chance.
+        """Return whether a placement of tracks (n, d) on points (m, d) exceeds chance.
 
-        The more scans it was tried in vain with, and of next to nothing, the more must agree.
+        After failed attempts and nearly empty scans, more matches are required.
         """
         enough = ENOUGH + max(missed, min(missed + self.idle, PLENTY - ENOUGH))
         moved_m = float(np.linalg.norm(placement.apply(here) - here, axis=1).max())
@@ -127,9 +127,9 @@ class TrackPlacing:
     def _log_chance(
         self, n_agreeing: int, here: Floats, there: Floats, moved_m: float | None = None
     ) -> float:
-        """Return the log of how many placements bring so many tracks onto points by chance.
+        """Return the log of the expected number of placements that match so many tracks by chance.
 
-        They are counted in tolerances: those that move the tracks no farther, or all of them.
+        Placements are counted in steps of the tolerance: those with no larger motion, or all.
         """
         tolerance_m, d, placements = self.scale.tolerance_m, here.shape[1], 0.0
         if moved_m is None:
@@ -140,12 +140,12 @@ class TrackPlacing:
         return chance_of(max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements)
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
-        """Tell whether two matches in the plane will do: well known, just seen, hardly moved."""
+        """Return whether two matches in the plane suffice: well known, just seen, hardly moved."""
         known = (tracks.seen[rows] >= FAMILIAR).all() and (tracks.missed[rows] == 0).all()
         return bool(known and distance.max() <= NEARBY * self.scale.spacing_m)
 
     def _found_of_unknown_noise(self, tracks: LiveTracks, points: Floats) -> Placement | None:
-        """Try again as if the noise were not known: it may have grown, as when a robot sets off."""
+        """Retry as if the noise were unknown: it may have grown, as when a robot starts moving."""
         scale, possible = self.scale, min(int(np.sum(tracks.missed == 0)), len(points))
         learnt, scale.noise_m = scale.noise_m, None
         for scale.wider in WIDER if possible >= PLENTY else ():
@@ -157,10 +157,10 @@ class TrackPlacing:
         return None
 
     def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int]:
-        """Look for the tracks in the scan however the robot moved and turned.
+        """Search for the tracks in the scan, for any motion of the robot.
 
-        Of many, for those near the robot.  The placement is None where it is not sure; beside it
-        stands how many matches the best one has.
+        If there are many, only those near the robot are used. Returns the placement, None if it is
+        uncertain, and the number of matches of the best one.
         """
         away = np.linalg.norm(points, axis=1)
         within_m = np.partition(away, CROWD - 1)[CROWD - 1] if len(away) > CROWD else np.inf
@@ -177,6 +177,6 @@ class TrackPlacing:
         if not self._is_unlike_chance(placement, here, there, missed):
             return None, placement.n_agreeing
         is_rival = rival > CLEAR * placement.n_agreeing
-        # What chance brings in some placement explains nothing.
+        # Matches that chance produces in some placement explain nothing.
         is_rival = is_rival and self._log_chance(rival, here, there) <= 0
         return None if is_rival else placement, placement.n_agreeing

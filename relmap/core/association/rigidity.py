@@ -1,10 +1,10 @@
-"""Whether scans of known landmarks can be right: their constellations must fit one another.
+"""Consistency check of scans with known ids: their constellations must agree.
 
-An id says who was seen; where it was seen must agree with where the others were.  Landmarks at rest
-keep their relative locations, so that one rotation and translation, never a reflection, brings most
-of them from the last scan to this one.  A scan that none does, as one mirrored or mixed up, is
-rejected; a single observation far from where it should be is left out until it comes twice.  How
-far apart scans usually are is learnt from the scans; no map and no pose is asked.
+Static landmarks keep their relative locations, so one rotation and translation, never a reflection,
+brings most of them from the last scan to this one. A scan without such a motion, for example one
+that is mirrored or has shuffled ids, is rejected; a single observation far from its prediction is
+left out until it occurs twice. The usual misfit between scans is estimated from the scans; no map
+and no pose is used.
 """
 
 from __future__ import annotations
@@ -17,39 +17,40 @@ from numpy.typing import NDArray
 from relmap.core.association.base import UNIDENTIFIED
 
 PLENTY = 6
-"""Landmarks in common that a scan is judged by at least."""
+"""Minimum number of common landmarks to judge a scan."""
 SAMPLE = 32
-"""Landmarks that a placement is fitted to at most."""
+"""Maximum number of landmarks used to fit a placement."""
 UNLIKE = 12.0
-"""Middle misfit, in units of the usual one, above which a scan is rejected.
+"""Median misfit, in units of the usual one, above which a scan is rejected. Values up to 8 occur in
+real logs; a mirrored scan of the figure eight has 24 or more.
 
 Up to 8 was found in real logs; a mirrored scan of the figure eight has 24 and more."""
 CLEAR, FIRST = 0.02, 0.05
-"""The same as a share of the extent of the scan, below which nothing is rejected; and below which
-nothing is rejected while the usual misfit is not known."""
+"""The same as a fraction of the extent of the scan, below which nothing is rejected; and the limit
+while the usual misfit is unknown."""
 FAR = 0.02
-"""How far from where it should be an observation may be, as a share of that extent."""
+"""Largest distance of an observation from its prediction, as a fraction of that extent."""
 SLOWNESS = 0.1
-"""Share of the latest scan in the usual misfit."""
+"""Weight of the latest scan in the usual misfit."""
 DOUBT = 2.0
-"""What each rejection raises the limit by until a scan fits: the noise may have grown instead."""
+"""Factor by which each rejection raises the limit until a scan fits: the noise may have grown."""
 CARRIED = 5
-"""Scans for which a landmark that is not seen is carried along."""
+"""Scans for which a missed landmark is still predicted."""
 WARY, MOST_WARY = 10, 60
-"""Scans for which an observation that strays makes new ids doubtful, and most that this lasts."""
+"""Scans for which an inconsistent observation makes new ids doubtful, and the maximum total."""
 SURE = 3
-"""How often a landmark must have been seen before another's observation is taken for its own."""
+"""Observations a landmark needs before the observation of another id is assigned to it."""
 NEAR, ALONE = 4.0, 2.0
-"""Misfit, in units of the usual one, up to which an observation is that of a landmark expected
-there; and how many times as far away any other must be."""
+"""Misfit, in units of the usual one, up to which an observation is assigned to the landmark
+expected there; and the minimum ratio of the distance to any other landmark."""
 
 
 @dataclass(eq=False)
 class _Places:
-    """Where landmarks are in the frame of one scan.
+    """Positions of landmarks in the frame of one scan.
 
     ``ids`` (n,) int64 ascend; ``points`` (n, d), robot frame, metres; ``missed`` (n,) int64 scans
-    since each was seen; ``times`` (n,) int64 how often it was, under the id that was given.
+    since each was seen; ``times`` (n,) int64 number of observations, under the given id.
     """
 
     ids: NDArray[np.int64]
@@ -59,22 +60,22 @@ class _Places:
 
     @classmethod
     def begun(cls, ids: NDArray[np.int64], points: NDArray[np.float64]) -> _Places:
-        """Return those of a scan by itself."""
+        """Return the places of a single scan."""
         return cls(ids, points, np.zeros_like(ids), np.ones_like(ids))
 
     @property
     def parts(
         self,
     ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-        """All of it, as the kernels take it."""
+        """The arrays in the order used by the kernels."""
         return self.ids, self.points, self.missed, self.times
 
 
 @dataclass(eq=False)
 class _Fit:
-    """Places laid on a scan: rows of both (k,), R and t, misfits (k,), the middle, the largest one.
+    """Places aligned to a scan: rows of both (k,), R and t, misfits (k,), their median and maximum.
 
-    Metres; where too few agree there are no misfits, and these two are infinite.
+    In metres; if too few agree there are no misfits, and the last two are infinite.
     """
 
     rows: NDArray[np.int64]
@@ -86,12 +87,12 @@ class _Fit:
     largest_m: float
 
     def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Bring points (n, d) to where the scan has them."""
+        """Transform points (n, d) into the frame of the scan."""
         return points @ self.R.T + self.t
 
 
 class Rigidity:
-    """Judges scans of known landmarks, one after the other."""
+    """Checks scans with known ids, one after the other."""
 
     _last: _Places | None
     _doubted: _Places | None
@@ -120,8 +121,8 @@ class Rigidity:
         Returns
         -------
         (n,) int64 or None
-            The ids, others where these cannot be right, or `UNIDENTIFIED`; None where the scan is
-            rejected as a whole.
+            The ids, replaced where inconsistent, or `UNIDENTIFIED`; None if the whole scan is
+            rejected.
         """
         from relmap.core.association.rigidity_kernels import extent_of
 
@@ -148,9 +149,9 @@ class Rigidity:
         return believed
 
     def _named(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return the ids (n,) of a scan, those in doubt by the landmarks that are expected there.
+        """Return the ids (n,) of a scan, doubtful ones replaced by the landmarks expected there.
 
-        In doubt are observations far from where they should be, and of late also new ids.
+        Doubtful are observations far from their prediction and, after such observations, new ids.
         """
         assert self._last is not None
         last, named = self._last, scan.ids.copy()
@@ -175,7 +176,7 @@ class Rigidity:
         return named
 
     def _fit(self, places: _Places | None, scan: _Places) -> _Fit | None:
-        """Lay places on a scan; None where they have too few landmarks in common."""
+        """Align places to a scan; None if they have too few landmarks in common."""
         from relmap.core.association.rigidity_kernels import lay_on
 
         if places is None or len(scan.ids) < PLENTY:
@@ -185,24 +186,24 @@ class Rigidity:
         return fit if len(fit.rows) >= PLENTY else None
 
     def _usual(self) -> float:
-        """Return the usual middle misfit, metres."""
+        """Return the usual median misfit, metres."""
         return FIRST / UNLIKE * self._extent_m if self._usual_m is None else self._usual_m
 
     def _tolerance_m(self) -> float:
-        """Return the misfit up to which landmarks are fitted to."""
+        """Return the misfit up to which landmarks take part in the fit."""
         return max(2 * self._usual(), CLEAR / UNLIKE * self._extent_m)
 
     def _gate_m(self) -> float:
-        """Return the misfit from which a landmark is far from where it should be."""
+        """Return the misfit above which a landmark is inconsistent."""
         return max(UNLIKE * self._usual(), FAR * self._extent_m)
 
     def _limit_m(self) -> float:
-        """Return the middle misfit up to which a scan is believed."""
+        """Return the median misfit up to which a scan is accepted."""
         in_doubt = UNLIKE * self._usual() * DOUBT**self._n_doubted
         return max(in_doubt, CLEAR * self._extent_m)
 
     def _fits_the_doubted(self, scan: _Places) -> bool:
-        """Tell whether a scan fits the one rejected just now: then the scans before were wrong."""
+        """Return whether a scan fits the one just rejected: then the earlier scans were wrong."""
         fit = self._fit(self._doubted, scan)
         if fit is not None and fit.usual_m <= self._limit_m():
             self._begin_with(scan)
@@ -221,9 +222,9 @@ class Rigidity:
         self._doubted, self._n_doubted = None, 0
 
     def _far(self, fit: _Fit, scan: _Places) -> NDArray[np.int64]:
-        """Return the pairs of a fit that are far apart for the first time.
+        """Return the pairs of a fit that are inconsistent for the first time.
 
-        One that is where it strayed to in the scan before has gone there.
+        A landmark found twice at the same new position has moved there.
         """
         assert self._last is not None
         gate_m = self._gate_m()
@@ -241,7 +242,7 @@ class Rigidity:
     def _go_on(
         self, fit: _Fit, scan: _Places, far: NDArray[np.int64], named: NDArray[np.int64]
     ) -> None:
-        """Make this the last scan, as it is named now; the rest is carried along into its frame."""
+        """Store this as the last scan, with final ids; other landmarks are predicted in it."""
         rows = fit.shared[far]
         rows = rows[named[rows] == UNIDENTIFIED]
         good = np.flatnonzero(named != UNIDENTIFIED)
@@ -254,7 +255,7 @@ class Rigidity:
         self._last.times[np.searchsorted(self._last.ids, renamed)] -= 1
 
     def _carry(self, fit: _Fit, ids: NDArray[np.int64], points: NDArray[np.float64]) -> None:
-        """Make landmarks of a scan, ids ascending, the last; others are carried into its frame."""
+        """Make landmarks of a scan, ids ascending, the last; others are predicted in its frame."""
         from relmap.core.association.rigidity_kernels import carry
 
         assert self._last is not None

@@ -1,4 +1,4 @@
-"""Laying the landmarks of one scan on those of another, compiled; see `rigidity`."""
+"""Alignment of the landmarks of one scan to those of another, compiled; see `rigidity`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def extent_of(points: Floats) -> float:
 
 @helper
 def _in_both(ids: Ints, scan_ids: Ints) -> tuple[Ints, Ints]:
-    """Return where the ids that are in both of two lists, which ascend, stand in each."""
+    """Return the positions, in two ascending lists, of the ids contained in both."""
     n, m = len(ids), len(scan_ids)
     rows, shared = np.empty(min(n, m), dtype=np.int64), np.empty(min(n, m), dtype=np.int64)
     k, i, j = 0, 0, 0
@@ -45,9 +45,9 @@ def lay_on(
 ) -> tuple[Ints, Ints, Floats, Floats, Floats, float, float]:
     """Fit landmarks (n, d) to those of the same ids in a scan (m, d); both ids ascend.
 
-    The limits are the tolerance, the most pairs to fit and the fewest.  Returns the rows of both,
-    R, t, the misfits, their upper median and the largest; there are no misfits, and these are
-    infinite, where there are too few pairs or too few agree.
+    The limits are the tolerance and the maximum and minimum number of pairs to fit.  Returns the
+    rows of both, R, t, the misfits, their upper median and the largest; with too few pairs, or too
+    few that agree, there are no misfits and these are infinite.
     """
     tolerance_m, sample, fewest = limits
     rows, shared = _in_both(ids, scan_ids)
@@ -86,10 +86,10 @@ def carry(
     t: Floats,
     longest: int,
 ) -> tuple[Ints, Floats, Ints, Ints]:
-    """Return the landmarks of a scan, and those not in it carried along into its frame.
+    """Return the landmarks of a scan, and the missed ones transformed into its frame.
 
     `last` are ids, points, scans missed and how often each was seen.  Both ids ascend, and so do
-    those returned.  Who was missed in more than the longest number of scans is left behind.
+    those returned.  Landmarks missed in more than the maximum number of scans are dropped.
     """
     ids, points, missed, times = last
     (n, d), m = points.shape, len(scan_ids)

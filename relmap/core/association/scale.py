@@ -1,4 +1,4 @@
-"""How far apart landmarks are and how noisy their places, learnt from the scans themselves."""
+"""The spacing and the noise of landmarks, estimated from the scans themselves."""
 
 from __future__ import annotations
 
@@ -13,32 +13,33 @@ COARSE = 0.1
 WIDER = (1, 2, 3.5)
 """Multiples of it that are tried in turn."""
 SIGMAS, FEW_SIGMAS = 4.5, 3.0
-"""Tolerance when it is known, in standard deviations; and where that is much of a spacing."""
+"""Tolerance once the noise is known, in standard deviations; and if that is large compared with the
+spacing."""
 WIDEST = 0.5
-"""Most tolerance, in spacings."""
+"""Largest tolerance, in spacings."""
 EXACT = 1e-3
-"""Least tolerance, in spacings, where there is no noise at all."""
+"""Least tolerance, in spacings, for noise-free data."""
 FAINT = 0.01
-"""Least noise, in spacings, that is tried when it may have been taken for too small."""
+"""Least noise, in spacings, tried when the estimate may be too small."""
 FEW = 3
-"""So few links tell nothing of the noise."""
+"""So few links give no noise estimate."""
 SLOWNESS = 0.1
-"""Share of the latest iteration in the estimates of spacing and noise."""
+"""Weight of the latest iteration in the estimates of spacing and noise."""
 CHI2_MEDIAN = {2: 1.386, 3: 2.366}
 """Median of a sum of d squared standard normals."""
 
 
 class Scale:
-    """The spacing and the noise of landmarks, and the tolerances that follow from them.
+    """Spacing and noise of the landmarks, and the tolerances derived from them.
 
     Attributes
     ----------
     spacing_m : float
-        Typical distance of neighbours, metres; infinite before it is known.
+        Typical distance between neighbours, metres; infinite before it is known.
     noise_m : float or None
-        Standard deviation of a coordinate's difference between two scans; None before it is known.
+        Standard deviation of the difference of a coordinate between two scans; None if unknown.
     wider : float
-        How many times as wide the tolerance is before it is known.
+        Factor by which the tolerance is wider before the noise is known.
     """
 
     spacing_m: float
@@ -53,7 +54,7 @@ class Scale:
 
     @property
     def tolerance_m(self) -> float:
-        """How far apart matches that agree may lie."""
+        """Largest distance between matches that agree."""
         coarse = COARSE * self.spacing_m
         if self.noise_m is None:
             return coarse * self.wider
@@ -62,22 +63,22 @@ class Scale:
 
     @property
     def gate_m(self) -> float:
-        """How far from where it is expected a track may be found."""
+        """Largest distance of an observation from the predicted track."""
         return max(self.tolerance_m, min(2 * self.tolerance_m, 0.8 * COARSE * self.spacing_m))
 
     def see_spacing(self, spacing_m: float) -> None:
-        """Learn the spacing from that of one scan."""
+        """Update the spacing with that of one scan."""
         if np.isfinite(self.spacing_m):
             spacing_m = self.spacing_m + SLOWNESS * (spacing_m - self.spacing_m)
         self.spacing_m = spacing_m
 
     def allow_noise(self) -> None:
-        """Take it that the noise may have been learnt too small."""
+        """Allow for a noise estimate that is too small."""
         if self.noise_m is not None:
             self.noise_m = max(self.noise_m, FAINT * self.spacing_m)
 
     def learn(self, expected: Floats, found: Floats) -> None:
-        """Learn the noise of a coordinate's difference from links of landmarks at rest."""
+        """Update the noise of a coordinate's difference from links of static landmarks."""
         n, d = expected.shape
         if n <= FEW:
             return

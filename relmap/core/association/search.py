@@ -1,8 +1,8 @@
-"""How scans lie to one another, found without a guess, and how sure that is.
+"""Registration of two scans without an initial guess, and its significance.
 
-Triangles of one scan are looked up among all of the other by their sides; each that is found says
-how the scans may lie, and the placement on which most points agree is right if so many are unlike
-chance (a contrario: Desolneux, Moisan and Morel, 2000) and no other placement comes near.
+Triangles of one scan are looked up among those of the other by their side lengths; each hit gives a
+candidate placement. The one with the most matches is accepted if so many are unlikely by chance (a
+contrario: Desolneux, Moisan and Morel, 2000) and no other placement comes near.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement, trimmed_fit
 
 TRIANGLES = 120
-"""Triangles that are looked up at most."""
+"""Maximum number of triangles looked up."""
 MOST = 3000
-"""Triangles found that are tried."""
+"""Maximum number of triangle matches tried."""
 ROUNDS = 4
-"""How often a placement is fitted again to what it brings together."""
+"""Maximum number of refits of a placement to its matches."""
 RIVALS = 4
-"""Rivals that are settled before they are counted."""
+"""Rivals that are refitted before they are counted."""
 
 
 def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> float:
-    """Return the log of how many placements bring so many points onto others by chance.
+    """Return the log of the expected number of placements with so many matches by chance.
 
     Parameters
     ----------
     n, n_agreeing : int
     share : float
-        How likely a point lies on another in a wrong placement.
+        Probability that a point coincides with another in a wrong placement.
     log_placements : float
-        Log of how many placements differ.
+        Log of the number of distinguishable placements.
     """
     ways = math.lgamma(n + 1) - math.lgamma(n_agreeing + 1) - math.lgamma(n - n_agreeing + 1)
     return log_placements + ways + n_agreeing * math.log(max(share, 1e-12))
@@ -43,22 +43,22 @@ def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> 
 def search(
     source: Floats, target: Floats, tolerance_m: float, fewest: int
 ) -> tuple[Placement, int] | None:
-    """Return the placement on which most points agree, and on how many the best rival rests.
+    """Return the placement with the most matches, and the number of matches of the best rival.
 
     Parameters
     ----------
     source, target : (n, d), (m, d) float64, metres
     tolerance_m : float
-        How far apart matches that agree may lie.
+        Largest distance between the points of a match.
     fewest : int
-        Points that must agree.
+        Minimum number of matches.
 
     Returns
     -------
     placement : Placement
     rival : int
-        Matches of the best of the other placements that this one has otherwise.  None where no
-        placement is found.
+        Matches of the best other placement that this one assigns differently. None if no placement
+        is found.
     """
     from relmap.core.association.search_kernels import placements_by_triangles
 
@@ -93,7 +93,7 @@ def settled(
 ) -> Placement | None:
     """Fit a placement of points (n, d) to all that it brings onto others (m, d).
 
-    None where these are too few.
+    None if there are too few.
     """
     from relmap.core.association.search_kernels import matched_at
 
@@ -112,7 +112,7 @@ def settled(
 
 
 def _matches(source: Floats, target: Floats, placement: Placement, tolerance_m: float) -> Ints:
-    """Return the target of each source point (n,), -1 where it comes to lie on none."""
+    """Return the target matched to each source point (n,), or -1."""
     from relmap.core.association.search_kernels import matched_at
 
     match = np.empty(len(source), np.int64)
@@ -121,7 +121,7 @@ def _matches(source: Floats, target: Floats, placement: Placement, tolerance_m: 
 
 
 def _triangles(points: Floats, least_m: float) -> Ints:
-    """Return triangles (k, 3) of points (n, d) whose sides, in space whose heights, are long."""
+    """Return triangles (k, 3) of points (n, d) with long sides, and in space long heights."""
     n, d = points.shape
     rng = np.random.default_rng(n)
     if n < 3:

@@ -1,4 +1,4 @@
-"""Placements of one set of points in another, without any guess, compiled; see `search`."""
+"""Registration of two point sets without an initial guess, compiled; see `search`."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def distances(points: Floats) -> Floats:
 def matched_at(
     source: Floats, target: Floats, R: Floats, t: Floats, tolerance_m: float, match: Ints
 ) -> int:
-    """Enter the target point (m, d) that each source point (n, d) comes to lie on, or -1.
+    """Enter the target point (m, d) nearest to each placed source point (n, d), or -1.
 
-    Each target has one at most, the nearest; returns how many have one.
+    Each target is matched at most once, to the nearest; returns the number of matches.
     """
     (n, d), m = source.shape, len(target)
     owner, nearest = np.full(m, -1), np.full(m, tolerance_m * tolerance_m)
@@ -64,19 +64,19 @@ def matched_at(
 def placements_by_triangles(
     source: Floats, target: Floats, triangles: Ints, tolerance_m: float, fewest: int, most: int
 ) -> tuple[Floats, Floats, Ints]:
-    """Return placements that triangles of source points found among the target points.
+    """Return placements from triangles of source points found among the target points.
 
     Parameters
     ----------
     source, target : (n, d), (m, d) float64, metres
     triangles : (k, 3) int64
-        Rows of the source.
+        Rows of the source points.
     tolerance_m : float
-        Largest difference of two sides that agree, and distance of a match.
+        Largest difference between two sides that agree, and largest distance of a match.
     fewest : int
-        Matches of a placement that is returned.
+        Minimum number of matches of a returned placement.
     most : int
-        Triangles found that are tried at most.
+        Maximum number of triangle matches tried.
 
     Returns
     -------
@@ -116,6 +116,6 @@ def placements_by_triangles(
 
 @compiled
 def _enter(points: Floats, i: int, j: int, k: int, corners: Floats) -> None:
-    """Enter three of points (n, d) as corners (3, d)."""
+    """Copy three of points (n, d) as corners (3, d)."""
     for a in range(points.shape[1]):
         corners[0, a], corners[1, a], corners[2, a] = points[i, a], points[j, a], points[k, a]

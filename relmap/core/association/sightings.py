@@ -1,4 +1,4 @@
-"""When each track was seen, as the condensed segments tell."""
+"""When each track was seen, from the condensed segments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from relmap.core.state.table import LandmarkState
 
 
 class Sightings:
-    """Who was seen with whom: one landmark is in one place of a scan.
+    """Which landmarks were seen together: in one scan a landmark occurs only once.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ class Sightings:
         self._table = table
 
     def together(self, one: int, other: int) -> bool:
-        """Tell whether two landmarks were seen in one scan."""
+        """Return whether two landmarks were seen in one scan."""
         here, there = self._rows(one), self._rows(other)
         _, a, b = np.intersect1d(self._segment[here], self._segment[there], return_indices=True)
         return bool((self._visible[here[a]] & self._visible[there[b]]).any())
@@ -39,9 +39,9 @@ class Sightings:
 
 
 def rows_of_tracks(rows: SegmentRows, table: LandmarkState) -> SegmentRows:
-    """Return rows by the number under which each was seen, where they went by that of a merge.
+    """Return rows by the number under which each was seen, undoing merges.
 
-    Tracks of one landmark are told apart by their time.
+    Tracks of one landmark are distinguished by their time.
     """
     bits = rows.visible.astype(np.int64)
     time = rows.first_iteration[rows.segment] + np.log2(bits & -bits).astype(np.int64)

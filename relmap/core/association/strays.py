@@ -1,7 +1,7 @@
-"""Scans that were tied to nothing when they came, found in the map once there is one.
+"""Scans that could not be matched when they came, found later in the map.
 
-After a sharp turn, or where much was missed, a scan may show too little of what those just before
-it saw.  The map contains more: what was seen from there earlier, and later.
+After a sharp turn, or with many missed detections, a scan may share too little with those just
+before it. The map contains more: everything seen from there earlier and later.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 
 NEARBY = 100
-"""Iterations before and after a stray scan within which what it shows was seen."""
+"""Iterations before and after a stray scan within which its landmarks were seen."""
 
 
 def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iterator[Ints]:
-    """Yield pairs (k, 2) of tracks that are not mapped, and mapped landmarks that they are.
+    """Yield pairs (k, 2) of unmapped tracks and the mapped landmarks that they are.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def find_strays(table: LandmarkState, rows: SegmentRows, noise_m: float) -> Iter
 
 
 def _found(finder: PlaceFinder, points: Floats, among: Bools, trials: int) -> Ints:
-    """Return the rows of the map on which points (n, d) lie; -1 where none surely does."""
+    """Return the rows of the map on which points (n, d) lie; -1 if uncertain."""
     places = finder.places(points, among) if among.sum() >= ENOUGH else []
     if not places:
         return np.full(len(points), -1)

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from relmap.core.arrays import Bools, Floats, Ints
 
 MEMORY = 8
-"""Observations that the expected place of a track averages, about."""
+"""Approximate number of observations averaged in the prediction of a track."""
 CAREFUL = 5
-"""A track seen moving counts as at rest again after so many iterations without moving."""
+"""A track seen moving counts as static again after so many iterations without motion."""
 
 
 class Tracks:
-    """What is known of some tracks: every attribute is an array with a row for each of them.
+    """Per-track data: every attribute is an array with a row for each track.
 
-    Points and walls have tracks of their own kind, dataclasses of such arrays.
+    Points and walls each define a dataclass of such arrays.
     """
 
     def __init__(self, *columns: NDArray[Any]) -> None: ...
@@ -35,7 +35,7 @@ class Tracks:
         return type(self)(*(column[rows] for column in vars(self).values()))
 
     def joined(self, other: Self) -> Self:
-        """Return these tracks and others."""
+        """Return these tracks and others, concatenated."""
         if not len(other):
             return self
         columns = zip(vars(self).values(), vars(other).values(), strict=True)
@@ -44,21 +44,21 @@ class Tracks:
 
 @dataclass(eq=False)
 class LiveTracks(Tracks):
-    """Tracks in the robot frame of one iteration, carried along where they were not seen.
+    """Tracks in the robot frame of one iteration; missed ones are predicted.
 
     Attributes
     ----------
     landmarks : (n,) int64
     expected : (n, d) float64, robot frame, metres
-        Average of the last observations: where a landmark at rest is.
+        Average of the last observations: the position of a static landmark.
     latest : (n, d) float64, robot frame, metres
-        The last observation: near where a moving landmark is.
+        The last observation: close to the position of a moving landmark.
     missed : (n,) int64
         Iterations since the track was last seen.
     seen : (n,) int64
-        How often it was seen.
+        Number of observations.
     restless : (n,) int64
-        Above 0 where the track was seen moving against the others not long ago.
+        Positive if the track was recently seen moving relative to the others.
     """
 
     landmarks: Ints
@@ -75,12 +75,12 @@ class LiveTracks(Tracks):
         return cls(landmarks, points, points.copy(), zeros, zeros + 1, zeros.copy())
 
     def see(self, rows: Ints, points: Floats, strayed: Bools) -> None:
-        """Note in place where some tracks were found, which strayed, and who was missed."""
+        """Record in place which tracks were found, which strayed and which were missed."""
         from relmap.core.association.matching_kernels import see_tracks
 
         counts = (self.missed, self.seen, self.restless)
         see_tracks(self.expected, self.latest, counts, rows, points, strayed, MEMORY, CAREFUL)
 
     def carried(self, expected: Floats, latest: Floats) -> LiveTracks:
-        """Return the tracks with their places in the next iteration."""
+        """Return the tracks with their predicted positions in the next iteration."""
         return LiveTracks(self.landmarks, expected, latest, self.missed, self.seen, self.restless)

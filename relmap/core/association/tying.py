@@ -1,8 +1,8 @@
-"""Which submaps show the same place, told by how their landmarks lie.
+"""Joining submaps that show the same place.
 
-Without ids a stretch that cannot be tied to what was before begins a submap of its own.  Some of
-these come to places that others have been to.  Neighbourhoods of one submap are looked for in all
-others at once, and one that is found there for sure ties the two.
+Without ids, a stretch that cannot be matched to earlier scans starts a new submap. Some of these
+return to places in other submaps. Neighbourhoods of one submap are searched for in all others at
+once, and a certain match joins the two.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 
 NEIGHBOURHOOD = 20
-"""Landmarks that are looked for together."""
+"""Number of landmarks in a neighbourhood."""
 OVERLAP = 3
-"""One in so many of a neighbourhood is looked for with no other neighbourhood around it."""
+"""One in so many landmarks starts a neighbourhood even if it lies within another."""
 BY_CHANCE = 1e-3
-"""How often landmarks that lie at random may be taken for a place, over a whole map."""
+"""Accepted expected number of false matches of random landmarks, over a whole map."""
 CLEAR = 0.6
-"""Share of the landmarks of a place that may be found in another."""
+"""Fraction of the landmarks of a place that may be found in another."""
 SAME = 0.1
-"""How far off, in sizes of a neighbourhood, the way there and back may lead."""
+"""Largest error of the round trip, in sizes of a neighbourhood."""
 APART = 4.0
-"""How far apart submaps are laid out, in sizes of the largest."""
+"""Spacing at which submaps are laid out side by side, in sizes of the largest."""
 
 
 def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
@@ -46,8 +46,8 @@ def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
     Yields
     ------
     (k,) int64
-        The landmarks of a submap that another has just joined.  Those that are the same should be
-        merged before the next is looked for.
+        The landmarks of a submap that was just joined by another. Duplicates should be merged
+        before the next search.
     """
     table = global_map.table
     submaps, sizes = np.unique(table.submap, return_counts=True)
@@ -63,7 +63,7 @@ def tie_submaps(global_map: GlobalMap, noise_m: float) -> Iterator[Ints]:
 def _found_elsewhere(
     table: LandmarkState, submap: int, noise_m: float
 ) -> tuple[int, Placement] | None:
-    """Return the submap that shows a place of this one, and where this one lies in its frame."""
+    """Return the submap that shows a place of this one, and the placement of this one in it."""
     own = np.flatnonzero(table.submap == submap)
     others = np.flatnonzero((table.submap != submap) & (table.submap != NONE))
     if not len(others):
@@ -90,7 +90,7 @@ def _found_elsewhere(
 
 
 def _leads_back(back: PlaceFinder, hit: Floats, placement: Placement, points: Floats) -> bool:
-    """Tell whether what was hit (k, d) is found where the points (n, d) are, and only there."""
+    """Return whether the matches (k, d) are found at the points (n, d), and only there."""
     returned = back.find(hit)
     if returned is None:
         return False
@@ -99,7 +99,7 @@ def _leads_back(back: PlaceFinder, hit: Floats, placement: Placement, points: Fl
 
 
 def _laid_out(table: LandmarkState, landmarks: Ints) -> tuple[Floats, dict[int, Floats], Ints]:
-    """Return landmarks (n, d), their submaps side by side, by what shifts, and the submaps (n,)."""
+    """Return landmarks (n, d), their submaps side by side, the shifts, and the submaps (n,)."""
     positions, of = table.position[landmarks].copy(), table.submap[landmarks]
     size_m = float(np.max(np.abs(positions)))
     shifts = {}
@@ -111,7 +111,7 @@ def _laid_out(table: LandmarkState, landmarks: Ints) -> tuple[Floats, dict[int, 
 
 
 def neighbourhoods(positions: Floats) -> Iterator[Ints]:
-    """Yield the nearest landmarks (k,) to some of those at positions (n, d); all get a turn."""
+    """Yield the nearest landmarks (k,) to some of those at positions (n, d), covering all."""
     tree, had = cKDTree(positions), np.zeros(len(positions), dtype=bool)
     rank = min(NEIGHBOURHOOD, len(positions))
     for k in range(len(positions)):

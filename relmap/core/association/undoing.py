@@ -1,8 +1,8 @@
-"""Undoing merges: of the tracks of a landmark, those that the refined map contradicts.
+"""Undoing merges: tracks of a landmark that the refined map contradicts.
 
-A landmark that is two things pulls the map to where it fits neither.  How far off a track of it is
-left by the least squares over all observations is compared with what their noise, as it was
-estimated there, explains.
+A landmark that mixes two objects pulls the map to where it fits neither. The residual of each of
+its tracks in the least squares over all observations is compared with what the noise estimated
+there explains.
 """
 
 from __future__ import annotations
@@ -18,14 +18,16 @@ from relmap.core.refinement.joint import Refined, laid_on
 from relmap.core.state.table import NONE, LandmarkState
 
 BY_CHANCE = 1e-3
-"""How many right merges of a map may be taken for wrong."""
+"""Accepted expected number of correct merges undone per map."""
 TORN = 3.0
-"""How many times as far as usual a segment is off that was laid in a wrong place."""
+"""Ratio to the usual residual above which a segment counts as misplaced."""
 SPREAD = 4.0
-"""How many times as far off as usual a track must be, where noise does not explain what is usual.
+"""Ratio to the usual residual above which a track is wrong, where noise does not explain the usual
+one.
 """
 WORST = 0.5
-"""Share of the worst deviation from which on others are undone with it: they may follow from it."""
+"""Fraction of the worst deviation above which others are undone with it: they may follow from
+it."""
 
 
 def contradicted(
@@ -33,9 +35,9 @@ def contradicted(
 ) -> NDArray[np.int64]:
     """Return the merged tracks (k,) that a refined map contradicts.
 
-    Those that are farther off their landmarks than noise explains, and those that began in
-    segments that are: such a segment was laid in a wrong place.  The noise is that of the segment
-    in the middle, for what is wrong raises that of the map.
+    Those farther from their landmarks than noise explains, and those that began in segments with
+    such residuals: such a segment is misplaced. The noise is that of the median segment, because
+    wrong merges raise that of the map.
 
     Parameters
     ----------
@@ -44,9 +46,9 @@ def contradicted(
     rows : SegmentRows
         By tracks.
     usual : float
-        Most that segments usually deviate from the map, in units of what noise explains.  Where
-        odometry ties them they may deviate more, and from one side landmarks are not seen where
-        they are from another: a wrong one is off by more than is usual.
+        Usual deviation of segments from the map, in units of what noise explains. Segments linked
+        by odometry may deviate more, and landmarks may appear at different positions from different
+        sides: a wrong merge deviates by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
     most, usual = usual, min(float(np.median(segments.residual)), usual)
@@ -65,7 +67,7 @@ def contradicted(
 def places_of(
     table: LandmarkState, rows: SegmentRows, tracks: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where tracks (k,) of mapped landmarks were seen on the map (k, d), and how often (k,).
+    """Return the mean positions (k, d) of tracks (k,) of mapped landmarks, and counts (k,).
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def places_of(
 
 
 def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[NDArray[np.int64]]:
-    """Return the landmarks of a submap by what segments tie together, the largest piece first."""
+    """Return the landmarks of a submap by connected component, the largest first."""
     landmark = table.landmark_of[rows.landmark]
     on = table.submap[landmark] == submap
     on |= (table.submap[landmark] == NONE) & ~table.dynamic[landmark]
