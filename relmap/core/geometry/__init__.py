@@ -1,1 +1,1 @@
-"""Rigid fits, rotations, and what lies near."""
+"""Rigid fits, rotations and spatial search."""

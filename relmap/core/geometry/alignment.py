@@ -14,13 +14,14 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 
 DEGENERATE = 1e-6
-"""Points whose spread across their line is below this share of that along it fix no rotation."""
+"""Smallest ratio of the spread of points across a line to that along it that determines a
+rotation."""
 
 
 def fit_rigid(
     source: Floats, target: Floats, weights: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the rotation and translation that bring `source` nearest to `target`.
+    """Return the rotation and translation that best align `source` to `target`.
 
     Minimises ``sum(weights * |target - (source @ R.T + t)|^2)`` over proper rotations R, never
     a reflection.
@@ -30,7 +31,7 @@ def fit_rigid(
     source, target : (n, d) float64, metres
         Matched points; d is 2 or 3.
     weights : (n,) float64, optional
-        Not negative, of positive sum; equal where left out.
+        Non-negative with a positive sum; equal if omitted.
 
     Returns
     -------
@@ -41,7 +42,7 @@ def fit_rigid(
     Raises
     ------
     RelmapError
-        Where the shapes do not match, no point has weight, or a value is not finite.
+        If the shapes do not match, all weights are zero, or a value is not finite.
     """
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] not in (2, 3):
         raise RelmapError(
@@ -60,10 +61,10 @@ def fit_rigid(
 
 
 def rotation_of_moment(moment: Floats) -> Floats:
-    """Return the proper rotations (..., d, d) that fit cross moments (..., d, d) best.
+    """Return the proper rotations (..., d, d) that best fit cross moments (..., d, d).
 
     The moment is ``sum(w * source_i target_j)`` of centred points; reflections are excluded by
-    turning the axis of the smallest singular value (Umeyama 1991, eq. 43).
+    flipping the axis of the smallest singular value (Umeyama 1991, eq. 43).
     """
     U, _, Vt = np.linalg.svd(moment)
     V = np.swapaxes(Vt, -1, -2)
@@ -92,7 +93,7 @@ def fit_rigid_each(
     R : (n, d, d) float64
     t : (n, d) float64
     fixed : (n,) bool
-        Whether the points of a set fix its rotation; R and t mean nothing where they do not.
+        Whether the points of a set determine its rotation; otherwise R and t are undefined.
     """
     total = np.bincount(at, weights=weights, minlength=n)
     total[total <= 0] = 1.0
@@ -106,7 +107,7 @@ def fit_rigid_each(
 
 
 def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
-    """Return points (k, d), each turned and shifted by placement at (k,) of R and t."""
+    """Return points (k, d), each transformed by R and t of its placement `at` (k,)."""
     placed, turn = t[at], R[at]
     for b in range(points.shape[1]):
         placed += turn[:, :, b] * points[:, b, None]
@@ -114,16 +115,16 @@ def place_each(R: Floats, t: Floats, at: Ints, points: Floats) -> Floats:
 
 
 def sums_each(values: Floats, at: Ints, n: int) -> Floats:
-    """Sum values (k, ...) that belong to sets at (k,), 0 to n - 1; (n, ...)."""
+    """Sum values (k, ...) by set `at` (k,), 0 to n - 1; (n, ...)."""
     columns = values.reshape(len(values), math.prod(values.shape[1:])).T
     sums = [np.bincount(at, weights=column, minlength=n).astype(np.float64) for column in columns]
     return np.stack(sums, axis=-1).reshape(n, *values.shape[1:])
 
 
 def fixes_rotation(points: Floats) -> bool:
-    """Tell whether points (n, d) fix a rotation.
+    """Return whether points (n, d) determine a rotation.
 
-    In the plane two apart do; in space three not on one line.
+    In the plane two distinct points do; in space three points not on one line.
     """
     if len(points) < points.shape[1]:
         return False
@@ -132,10 +133,10 @@ def fixes_rotation(points: Floats) -> bool:
 
 
 def scatter_fixes_rotation(scatter: Floats) -> Bools:
-    """Tell which scatter matrices (..., d, d) of centred points fix a rotation; (...,)."""
+    """Return which scatter matrices (..., d, d) of centred points determine a rotation; (...,)."""
     trace = np.trace(scatter, axis1=-2, axis2=-1)
     if scatter.shape[-1] == 2:
         return np.asarray(trace > 0)
-    # The sum of the principal minors is about the product of the two largest eigenvalues.
+    # The sum of the principal minors approximates the product of the two largest eigenvalues.
     minors = (trace**2 - np.sum(scatter**2, axis=(-2, -1))) / 2
     return np.asarray((trace > 0) & (minors > (DEGENERATE * trace) ** 2))

@@ -32,7 +32,8 @@ def centre_of(points: Floats, rows: Bools) -> tuple[float, float, float, int]:
 def _moments(source: Floats, target: Floats, rows: Bools, means: Floats) -> tuple[Floats, Floats]:
     """Return centred moments (3, 3) of some rows of matched points (n, d) about their means (2, 3).
 
-    These are that of source and target, and the scatter of the source; what the plane lacks is 0.
+    The moments are the cross moment of source and target and the scatter of the source, padded with
+    zeros in the plane.
     """
     moment, scatter, space = np.zeros((3, 3)), np.zeros((3, 3)), source.shape[1] == 3
     for i in range(len(source)):
@@ -56,8 +57,8 @@ def fit_rows(
 ) -> tuple[Floats, Floats, bool, Floats]:
     """Fit some rows of matched points (n, d) rigidly, as `fit_rigid` does with equal weights.
 
-    Returns R, t, whether the rows fix R, and the scatter (3, 3) of their source points.  A guess
-    of R (d, d) saves time.
+    Returns R, t, whether the rows determine R, and the scatter (3, 3) of their source points.  An
+    initial guess of R (d, d) saves time.
     """
     d, means = source.shape[1], np.empty((2, 3))
     means[0, 0], means[0, 1], means[0, 2], _ = centre_of(source, rows)
@@ -87,7 +88,7 @@ def swings(points: Floats, rows: Bools) -> Floats:
 
 @helper
 def add_swings(points: Floats, rows: Bools, scatter: Floats, swing: Floats) -> None:
-    """Add what `swings` returns to variances (n,), but for NaN; the scatter is overwritten."""
+    """Add the result of `swings` to variances (n,), except NaN; the scatter is overwritten."""
     n, d = points.shape
     x, y, z, count = centre_of(points, rows)
     trace = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
@@ -99,7 +100,7 @@ def add_swings(points: Floats, rows: Bools, scatter: Floats, swing: Floats) -> N
     xy, xz, yz = 2 * spread[0, 1], 2 * spread[0, 2], 2 * spread[1, 2]
     for i in range(n):
         a, b = points[i, 0] - x, points[i, 1] - y
-        if d == 2:  # a turn moves a point at its distance, any way round
+        if d == 2:  # a rotation moves a point in proportion to its distance from the axis
             turned = (a * a + b * b) / (2 * trace)
         else:
             c = points[i, 2] - z
@@ -111,7 +112,7 @@ def add_swings(points: Floats, rows: Bools, scatter: Floats, swing: Floats) -> N
 
 @helper
 def set_placement(R: Floats, t: Floats, i: int, turn: Floats, shift: Floats) -> None:
-    """Enter turn and shift as the i-th of placements R (m, d, d) and t (m, d)."""
+    """Enter rotation and translation as the i-th of placements R (m, d, d) and t (m, d)."""
     for a in range(len(shift)):
         t[i, a] = shift[a]
         for b in range(len(shift)):
@@ -120,7 +121,7 @@ def set_placement(R: Floats, t: Floats, i: int, turn: Floats, shift: Floats) -> 
 
 @helper
 def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Floats) -> None:
-    """Enter how far from its target (n, d) a fit puts each point (n,)."""
+    """Enter the distance of each placed point (n,) from its target (n, d)."""
     n, d = source.shape
     for i in range(n):
         square = 0.0
@@ -136,9 +137,9 @@ def _misfits(source: Floats, target: Floats, R: Floats, t: Floats, misfit: Float
 def trimmed_fit_rows(
     source: Floats, target: Floats, tolerance_m: float
 ) -> tuple[Floats, Floats, int]:
-    """Fit matches (n, d), leaving out those that disagree; see `trimmed_fit`.
+    """Fit matches (n, d), leaving out inconsistent ones; see `trimmed_fit`.
 
-    Returns R, t and the number of matches within the tolerance, which is -1 where too few are left.
+    Returns R, t and the number of matches within the tolerance, -1 if too few are left.
     """
     n, d = source.shape
     kept, misfit, listed = np.zeros(n, dtype=np.bool_), np.zeros(n), np.empty(n)

@@ -1,4 +1,4 @@
-"""Fits and weights that a few wrong matches do not spoil."""
+"""Robust fits and weights."""
 
 from __future__ import annotations
 
@@ -8,47 +8,48 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each, place_each
 
 OUTLIER = 7.0
-"""Standard deviations beyond which a residual counts less: it is no noise."""
+"""Standard deviations beyond which a residual is down-weighted as an outlier."""
 CHI_MEDIAN = {2: 1.177, 3: 1.538}
 """Median length of a standard normal vector."""
 EXACT = 1e-9
-"""Residual, as a share of the map's size, that is taken for rounding."""
+"""Residual, as a fraction of the map's size, treated as rounding."""
 ROUNDS = 8
-"""Steps towards the least sum of distances: where one in five is wrong, each divides the error by
-four."""
+"""Iterations towards the least sum of distances: with one outlier in five, each divides the error
+by four."""
 
 
 def limit_of(residual: Floats, dimension: int, size: float) -> float:
-    """Return the residual beyond which noise explains none of residuals (n,).
+    """Return the largest of residuals (n,) that noise explains.
 
     Parameters
     ----------
     residual : (n,) float64, metres
-        Lengths, each in units of what the number of its observations makes it.
+        Lengths, each normalised by its number of observations.
     dimension : int
         2 or 3.
     size : float
-        Of the map, metres.
+        Size of the map, metres.
     """
     scale = float(np.median(residual)) / CHI_MEDIAN[dimension] if len(residual) else 0.0
     return max(OUTLIER * scale, EXACT * size, 1e-300)
 
 
 def lenient(residual: Floats, limit: float) -> Floats:
-    """Return weights (n,), 1 up to the limit, whose pull falls as Cauchy's with the distance.
+    """Return weights (n,), 1 up to the limit, beyond it Cauchy weights.
 
-    Huber's pull does not fall, and many wrong matches far off bend a long chain by metres.
+    The influence of Huber weights does not decrease, and many distant wrong matches bend a long
+    chain by metres.
     """
     return np.asarray((limit / np.maximum(residual, limit)) ** 2)
 
 
 def strict(residual: Floats, limit: float) -> Floats:
-    """Return weights (n,), 1 up to the limit, that leave what is far beyond it no say at all."""
+    """Return weights (n,), 1 up to the limit, that drop to zero far beyond it."""
     return lenient(residual, limit) ** 2
 
 
 def robust_cost(residual: Floats, limit: float) -> float:
-    """Return the cost of which the lenient weights make least squares."""
+    """Return the cost function that corresponds to the lenient weights."""
     outside = np.maximum(residual / limit, 1.0)
     return float(np.sum(np.minimum(residual, limit) ** 2 + 2 * limit**2 * np.log(outside)))
 
@@ -56,10 +57,10 @@ def robust_cost(residual: Floats, limit: float) -> float:
 def fit_robust_each(
     source: Floats, target: Floats, counts: Floats, at: Ints, n: int
 ) -> tuple[Floats, Floats, Bools, Floats]:
-    """Fit many sets of matched points as `fit_rigid_each` does, whatever a few of them say.
+    """Fit many sets of matched points as `fit_rigid_each` does, robust to a few outliers.
 
-    The first fit is that of the least sum of distances (Weiszfeld, 1937); the last is by least
-    squares, with weights for what is left of it.
+    The first fit minimises the sum of distances (Weiszfeld, 1937); the last is weighted least
+    squares, with weights from the residuals of the first.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def fit_robust_each(
     t : (n, d) float64
     fixed : (n,) bool
     weight : (k,) float64
-        Of one observation; all 1 where noise explains everything.
+        Weight of one observation; 1 if noise explains all residuals.
     """
     size = float(np.ptp(target, axis=0).max()) if len(target) else 0.0
     least, root = max(EXACT * size, 1e-300), np.sqrt(counts)

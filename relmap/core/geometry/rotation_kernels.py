@@ -1,4 +1,4 @@
-"""Rotations, and the one that fits a cross moment best, compiled; see `alignment`."""
+"""Rotations, and the best rotation for a cross moment, compiled; see `alignment`."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from relmap.core.linalg.compiling import helper
 from relmap.core.linalg.small_kernels import diagonalise, inverse3, product
 
 STEPS = 15
-"""Newton steps after which an eigenvector decides."""
+"""Newton steps before falling back to an eigenvector."""
 SETTLED = 1e-11
-"""Last step, radians, after which the error is that of rounding: each squares the one before."""
+"""Last step, radians, after which the error is rounding: convergence is quadratic."""
 
 
 @helper
 def fixes(scatter: Floats, d: int) -> bool:
-    """Tell whether the scatter (3, 3) of centred points in d dimensions fixes a rotation."""
+    """Return whether the scatter (3, 3) of centred points in d dimensions determines a rotation."""
     trace, minors = scatter[0, 0] + scatter[1, 1] + scatter[2, 2], 0.0
     for a in range(3):
         for b in range(a):
@@ -27,7 +27,7 @@ def fixes(scatter: Floats, d: int) -> bool:
 
 @helper
 def turned_by(turn: Floats) -> Floats:
-    """Return the rotation (d, d) by an angle (1,) or a rotation vector (3,) (Rodrigues)."""
+    """Return the rotation (d, d) for an angle (1,) or a rotation vector (3,) (Rodrigues)."""
     if len(turn) == 1:
         R = np.empty((2, 2))
         R[0, 0] = R[1, 1] = np.cos(turn[0])
@@ -71,11 +71,11 @@ def _by_eigenvector(moment: Floats) -> Floats:
 
 @helper
 def best_rotation(moment: Floats, guess: Floats) -> Floats:
-    """Return the rotation (d, d) that fits a cross moment (3, 3) best.
+    """Return the rotation (d, d) that best fits a cross moment (3, 3).
 
-    In space by Newton's method from a guess (d, d), which is several times faster than the
-    eigenvector that decides where it does not settle.  The trace that is maximised has one maximum
-    only, so it does not matter where the search begins.
+    In space by Newton's method from a guess (d, d), several times faster than the eigenvector used
+    if it does not converge. The maximised trace has a single maximum, so the result does not depend
+    on the guess.
     """
     turn = np.empty(2 * len(guess) - 3)
     if len(guess) == 2:

@@ -1,4 +1,4 @@
-"""A grid of landmarks that grows with the map and is asked for what lies near."""
+"""A grid of landmarks for neighbour queries that grows with the map."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.table import NONE, LandmarkState
 
 SIDE = 2**20
-"""Cells along each axis that have keys of their own; beyond, far ones share a list, no more."""
+"""Cells along each axis with keys of their own; more distant cells only share a list."""
 
 
 class SpatialIndex:
-    """Landmarks by the cell of a grid that they lie in; the cost of asking is that of a few cells.
+    """Landmarks by grid cell; a query costs as much as a few cells.
 
-    The landmarks of a cell are a linked list in plain arrays: millions of small objects would make
-    Python's garbage collector stop the mapping now and then.
+    The landmarks of a cell are a linked list in plain arrays: millions of small objects would cause
+    pauses by Python's garbage collector.
 
     Parameters
     ----------
     table : LandmarkState
         Its columns `cell` and `next_in_cell` are the lists.
     cell_m : float
-        Side of a cell, metres: nothing farther than this is asked for.
+        Side of a cell, metres: the largest query radius.
     """
 
     _first: dict[int, int]
@@ -37,7 +37,7 @@ class SpatialIndex:
         self._around = np.indices((3,) * dimension).reshape(dimension, -1).T - 1
 
     def add(self, landmarks: Ints, positions: Floats) -> None:
-        """Enter landmarks (k,) at positions (k, d), in place of where they were before."""
+        """Enter landmarks (k,) at positions (k, d), replacing earlier positions."""
         keys = np.array(self._keys(self._cells(positions)), dtype=np.int64)
         before = self._table.cell[landmarks]
         for row in np.flatnonzero(keys != before).tolist():
@@ -49,7 +49,7 @@ class SpatialIndex:
             self._table.cell[landmark] = key
 
     def near(self, position: Floats) -> Ints:
-        """Return the landmarks within a cell's side of the position (d,), and some more."""
+        """Return the landmarks within a cell's side of the position (d,), and some others."""
         found = []
         for key in self._keys(self._cells(position) + self._around):
             landmark = self._first.get(key, NONE)
@@ -59,7 +59,7 @@ class SpatialIndex:
         return np.array(found, dtype=np.int64)
 
     def holds(self, landmarks: Ints) -> Bools:
-        """Tell which landmarks (k,) were entered."""
+        """Return which landmarks (k,) are in the index."""
         return np.asarray(self._table.cell[landmarks] != NONE)
 
     def _remove(self, landmark: int, key: int) -> None:
@@ -78,6 +78,6 @@ class SpatialIndex:
         return np.floor(positions / self.cell_m).astype(np.int64)
 
     def _keys(self, cells: Ints) -> list[int]:
-        """Return a number for each cell (k, d), never negative."""
+        """Return a non-negative key for each cell (k, d)."""
         keys: list[int] = (cells % SIDE @ self._strides).tolist()
         return keys

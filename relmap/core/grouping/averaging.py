@@ -1,4 +1,4 @@
-"""From a chart to a relative map: who is static, who forms the group, and the average (Fig. 8)."""
+"""From a chart to a relative map: static landmarks, group, and average (Fig. 8)."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from relmap.core.grouping.noise import NoiseEstimate, guess_noise
 from relmap.core.state.table import LandmarkState
 
 ROUNDS = 6
-"""How often a relative map is fitted to again as it comes to hold more."""
+"""Maximum number of refits of a relative map as it grows."""
 AMPLE = 1.5
-"""It is fitted to again where so many times as much of it is placed well enough."""
+"""Growth factor of the well-placed part of the chart that triggers a refit."""
 SOLID = 1.0
-"""Largest variance of a position that is fitted to, in units of an observation's."""
+"""Largest variance of a position used in a fit, relative to that of an observation."""
 FEW = 0.2
-"""Share of a chart, and of what is known of it, in the static bin, below which it is doubted."""
+"""Fraction of a chart, and of its known landmarks, in the static bin, below which the bin is
+doubted."""
 LONG = 20
-"""Iterations that tell landmarks which move together from those that happen to."""
+"""Iterations that distinguish landmarks moving together from coincidence."""
 
 
 class Averaging:
-    """Learns from charts how large the noise is and which landmarks move.
+    """Estimates from charts the noise and which landmarks move.
 
     Parameters
     ----------
     table : LandmarkState
     noise_spread : float
-        How many times noisier than the typical landmark the noisiest are.
+        Ratio of the largest to the typical noise of a landmark.
 
     Attributes
     ----------
@@ -53,13 +54,13 @@ class Averaging:
 
     @property
     def _tolerated_m(self) -> float:
-        """Standard deviation that a landmark at rest may have, metres."""
+        """Allowed standard deviation of a static landmark, metres."""
         return self._noise_spread * self.noise.sigma_m
 
     def completed(
         self, chart: PointChart, group: Group, core: Floats, average: Floats
     ) -> RelativeMap:
-        """Complete a group's relative map to all that its chart saw at rest; note who moves.
+        """Complete a group's relative map by all static landmarks of its chart; update motion.
 
         Parameters
         ----------
@@ -78,10 +79,10 @@ class Averaging:
         return replace(relative.only(at_rest), common_interval=interval)
 
     def _completed(self, chart: PointChart, group: Group, average: Floats) -> RelativeMap:
-        """Complete a relative map to all of the chart, from the group outwards.
+        """Complete a relative map by the whole chart, from the group outwards.
 
-        Few members leave the far end of the chart free to swing: what is placed well enough from
-        them is fitted to as well, until there is no more.
+        With few members the rotation of the far end of the chart is poorly determined: landmarks
+        placed accurately enough are used for the fit too, repeatedly.
         """
         landmarks, block = chart.landmarks, chart.points_robot
         reference = np.full((len(block), block.shape[2]), np.nan)
@@ -103,7 +104,7 @@ class Averaging:
         return relative
 
     def static(self, chart: PointChart, weights: Floats) -> Ints:
-        """Return the rows of the chart that keep their distances and were not seen moving."""
+        """Return the rows of the chart that keep their distances and are not known to move."""
         self.n_comparisons = 0
         block, noise_m = chart.points_robot, self._tolerated_m
         bins = Binning(block, noise_m).sort(weights) if np.isfinite(noise_m) else Bins([], 0)
@@ -121,9 +122,9 @@ class Averaging:
         return static[~self._table.dynamic[chart.landmarks[static]]]
 
     def _bin_movers(self, chart: PointChart) -> None:
-        """Take note of which landmarks move together, as the parts of a vehicle do.
+        """Record which landmarks move together, as the parts of a vehicle do.
 
-        They are compared as far as the n log2 n comparisons of the whole chart go.
+        Comparisons are limited to the n log2 n of the whole chart.
         """
         if len(chart.iterations) < LONG:
             return
@@ -139,8 +140,6 @@ class Averaging:
                 break
             together += [chart.landmarks[rest[members]] for members in bins.members]
             rest = np.delete(rest, np.concatenate(bins.members))
-        compared = (
-            self.n_comparisons + len(rest) <= allowed
-        )  # none was left out because the budget ended
+        compared = self.n_comparisons + len(rest) <= allowed  # none was skipped for lack of budget
         alone = chart.landmarks[rest] if compared else rest[:0]
         self._motion.go_together(together, alone)

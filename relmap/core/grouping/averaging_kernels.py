@@ -1,4 +1,4 @@
-"""Averaging what a chart shows, compiled; see `completion` and `noise`."""
+"""Averaging a chart, compiled; see `completion` and `noise`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from relmap.core.linalg.small_kernels import identity
 
 @helper
 def place(points: Floats, R: Floats, t: Floats, i: int, placed: Floats) -> None:
-    """Enter where an iteration i, as it lies, puts its points (n, d) in places (n, i, d)."""
+    """Transform the points (n, d) of iteration i, and enter them in places (n, i, d)."""
     n, d = points.shape
     for k in range(n):
         for a in range(d):
@@ -27,8 +27,9 @@ def place(points: Floats, R: Floats, t: Floats, i: int, placed: Floats) -> None:
 def _averages(placed: Floats, amplified: Floats) -> tuple[Floats, Floats]:
     """Return the mean places (n, d), and the sums of squared deviations (n,) from them.
 
-    Of places (n, i, d), NaN or not; amplified variances (n,) come as sums and are averaged too.
-    The largest deviation of each row is left out: one bad observation is not a motion.
+    The places are (n, i, d), with NaN where unseen; amplified variances (n,) are passed as sums and
+    averaged too. The largest deviation of each row is left out: one bad observation is not a
+    motion.
     """
     n, m, d = placed.shape
     mean, squares = np.zeros((n, d)), np.zeros(n)
@@ -61,8 +62,8 @@ def place_iterations(
     """Fit every iteration of a block (n, i, d) to a reference (n, d) and average; see `complete`.
 
     Returns R (i, d, d), t (i, d) and which iterations are fixed (i,); then for each landmark (n,),
-    of use where it was ever placed, the mean place (n, d), the sum of squared deviations from it
-    but for the largest, and what its variance is in units of the noise's.
+    defined if it was ever placed, the mean place (n, d), the sum of squared deviations except the
+    largest, and its variance relative to the noise.
     """
     n, m, d = block.shape
     R, t, fixed = np.empty((m, d, d)), np.empty((m, d)), np.zeros(m, dtype=np.bool_)
@@ -88,7 +89,7 @@ def place_iterations(
 
 @helper
 def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
-    """Enter the variance (g,) of the distances from the centre of the inner ones of a group."""
+    """Enter the variance (g,) of the distances of a group's members from its inner centre."""
     g, m, d = block.shape
     centre, radius, h = np.zeros((m, d)), np.empty(m), 0
     for k in range(g):
@@ -107,15 +108,15 @@ def _radial_variances(block: Floats, inner: Bools, variance: Floats) -> None:
             mean += radius[i] / m
         for i in range(m):
             squares += (radius[i] - mean) ** 2
-        # The centre holds 1/h of the noise of each of its own, with or against the member's.
+        # The centre contains 1/h of the noise of each of its own members, correlated with theirs.
         variance[k] = squares / (m - 1) * (h / (h - 1) if inner[k] else h / (h + 1))
 
 
 @compiled
 def steady_variance(block: Floats, freedoms_median: float) -> float:
-    """Return the typical variance of the distances from the centre of a group (g, i, d).
+    """Return the typical variance of the distances of a group (g, i, d) from its centre.
 
-    The centre is that of the steadier half: one that moves would take it along.
+    The centre is that of the steadier half, as a moving member would shift it.
     """
     g = len(block)
     inner, variance, listed, limit = np.zeros(g, dtype=np.bool_), np.zeros(g), np.empty(g), np.inf

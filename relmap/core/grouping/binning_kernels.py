@@ -1,4 +1,4 @@
-"""Binning landmarks by the distances between them; see `relmap.core.grouping.dynamics`."""
+"""Binning landmarks by their mutual distances; see `relmap.core.grouping.dynamics`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from relmap.core.linalg.order_kernels import smallest
 from relmap.core.linalg.small_kernels import unset
 
 TRIES = 2
-"""How often a landmark may look for company before it counts as alone."""
+"""Maximum number of attempts of a landmark to start a bin."""
 VOTERS = 3
-"""Further members that vote on who belongs to a bin."""
+"""Further members that vote on the members of a bin."""
 
 
 @helper
 def keeps_distance(block: Floats, a: int, b: int, limit: float, fewest: int) -> bool:
-    """Tell whether the distance of two rows of a block (n, i, d) varies by no more than a limit.
+    """Return whether the distance of two rows of a block (n, i, d) varies within a limit.
 
-    NaN marks what was not seen; fewer than `fewest` common iterations tell nothing.
+    NaN marks missing observations; with fewer than `fewest` common iterations the answer is no.
     """
     _, m, d = block.shape
     count, mean, squares = 0, 0.0, 0.0
@@ -39,7 +39,7 @@ def keeps_distance(block: Floats, a: int, b: int, limit: float, fewest: int) -> 
 
 @helper
 def _outward(block: Floats, near: Ints) -> Floats:
-    """Return how far (k,), squared, the mean places of some rows are from the middle of these."""
+    """Return the squared distances (k,) of the mean places of some rows from their centre."""
     k, m, d = len(near), block.shape[1], block.shape[2]
     place, centre, square = np.zeros((k, d)), np.zeros(d), np.zeros(k)
     for j in range(k):
@@ -62,8 +62,8 @@ def _outward(block: Floats, near: Ints) -> Floats:
 def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -> tuple[Ints, int]:
     """Let some members of a bin, from the outermost to the innermost, vote on the others.
 
-    They catch what circles round the first member; none votes for itself.  Returns which ones stay,
-    and the number of comparisons.
+    This excludes landmarks that circle round the first member; none votes for itself. Returns the
+    members that stay, and the number of comparisons.
     """
     k, n_stay = len(near), 0
     outward, listed = _outward(block, near), np.empty(k)
@@ -75,7 +75,7 @@ def _vote(block: Floats, near: Ints, n_voters: int, limit: float, fewest: int) -
         voter = 0
         for j in range(k):
             voter = j if outward[j] == rank else voter
-        for j in range(k):  # half of those asked are enough
+        for j in range(k):  # half of the voters are enough
             if j != voter:
                 agrees = keeps_distance(block, near[voter], near[j], limit, fewest)
                 votes[j] += 1 if agrees else -1
@@ -96,11 +96,10 @@ def _company(
     limit: float,
     fewest: int,
 ) -> tuple[Ints, int]:
-    """Return which others keep their distance from a pivot, and the number of comparisons.
+    """Return the rows that keep their distance from a pivot, and the number of comparisons.
 
-    A static landmark agrees with others in a small sample of all.  If none in the
-    sample agrees, or the budget is too small, none is returned.  The sample is a first one and
-    every so many after it.
+    A static landmark agrees with others in a small sample of all.  If none in the sample agrees, or
+    the budget is too small, none is returned.  The sample is every k-th row from a given start.
     """
     every, first = sample
     agrees, near = np.zeros(len(others), dtype=np.bool_), np.empty(len(others), dtype=np.int64)
@@ -146,7 +145,7 @@ def _bin_with(
 
 @helper
 def _next_pivot(free: Bools, tries: Ints, priority: Floats) -> int:
-    """Return the free row with the fewest tries, of these that of the highest priority, or -1."""
+    """Return the free row with the fewest attempts, ties by priority, or -1."""
     best = -1
     for row in range(len(free)):
         if free[row]:
@@ -173,8 +172,8 @@ def sort_into_bins(
 ) -> tuple[Ints, int]:
     """Sort free rows of a block (n, i, d) into bins; see `relmap.core.grouping.dynamics.Binning`.
 
-    Returns the number of each row's bin, -1 where it is in none, and the comparisons made.  What is
-    free (n,) is changed.
+    Returns the bin of each row, -1 if in none, and the number of comparisons. `free` (n,) is
+    changed.
     """
     bin_of, tries = unset(len(block)), np.zeros(len(block), dtype=np.int64)
     n_bins, n_comparisons, n_all, weight, largest = 0, 0, 0, 0.0, 0
@@ -203,7 +202,7 @@ def sort_into_bins(
                 held += priority[members[j]]
             n_bins += 1
             largest = max(largest, 1 + len(members))
-            # Half of the landmarks, or of what is known of them, in one: there is no larger bin.
+            # Half of the landmarks, or of the known ones, in one bin: there is no larger bin.
             if 2 * largest >= n_all or (weight > 0 and 2 * held >= weight):
                 break
         pivot = _next_pivot(free, tries, priority)

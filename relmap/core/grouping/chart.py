@@ -1,4 +1,4 @@
-"""The point chart: which landmark was visible in which iteration (Figs 9 and 10)."""
+"""The point chart: landmarks by iterations in which they were visible (Figs 9 and 10)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from relmap.core.state.store import ObservationStore
 
 @dataclass(frozen=True, eq=False)
 class PointChart:
-    """Landmarks over the iterations in which one of them, the seed, was visible.
+    """Observations of landmarks in the iterations in which one of them, the seed, was visible.
 
     Attributes
     ----------
@@ -21,10 +21,10 @@ class PointChart:
     iterations : (i,) int64, ascending
         The iterations in which the seed was visible.
     points_robot : (n, i, d) float64, robot frame, metres
-        The observations; NaN where a landmark was not seen.
+        Observations; NaN where missing.
     visible : (n, i) bool
     variance : (n,) float64, square metres, optional
-        Of an observed coordinate, where covariances came with the observations.
+        Variance of an observed coordinate, if covariances are given.
     """
 
     landmarks: Ints
@@ -40,7 +40,7 @@ class PointChart:
         return cls(landmarks, iterations, block, np.isfinite(block[:, :, 0]))
 
     def only(self, rows: Bools) -> PointChart:
-        """Return the chart of some of its landmarks, the seed among them."""
+        """Return the chart restricted to some of its landmarks, including the seed."""
         return PointChart(
             self.landmarks[rows],
             self.iterations,
@@ -55,14 +55,14 @@ class PointChart:
         return np.asarray(self.visible.sum(axis=1))
 
     def sorted_by_common_interval(self, rows: Ints, preference: Floats) -> Ints:
-        """Return the order of some rows (k,) with larger common intervals higher up (Fig. 10).
+        """Return some rows (k,) sorted by descending common interval (Fig. 10).
 
-        The seed shares all its iterations with itself, so it comes out on top.
+        The seed shares all iterations with itself, so it comes first.
 
         Parameters
         ----------
         rows : (k,) int64
         preference : (k,) float64
-            Of rows with equal common intervals, the larger preference goes first.
+            Ties are ordered by descending preference.
         """
         return np.lexsort((-preference, -self.common_interval[rows]))

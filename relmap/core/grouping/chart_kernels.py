@@ -12,7 +12,7 @@ from relmap.core.linalg.compiling import compiled, helper
 def _members_and_columns(
     landmarks: Ints, offsets: Ints, seed: int, slots: Ints
 ) -> tuple[Ints, Ints]:
-    """Return who was seen when a seed was, the seed first, and when; number them in the slots."""
+    """Return the landmarks seen with a seed, the seed first, and when; number them in the slots."""
     columns, members = np.empty(len(offsets) - 1, np.int64), np.empty(len(landmarks) + 1, np.int64)
     members[0], slots[seed] = seed, 0
     j, n = 0, 1
@@ -35,7 +35,7 @@ def _members_and_columns(
 def chart_block(
     landmarks: Ints, points: Floats, offsets: Ints, seed: int, slots: Ints
 ) -> tuple[Ints, Ints, Floats]:
-    """Chart what was seen in the iterations in which a seed was.
+    """Chart the observations of the iterations in which a seed was seen.
 
     Parameters
     ----------
@@ -43,19 +43,19 @@ def chart_block(
     points : (k, d) float64
         Observations in order of iteration.
     offsets : (i + 1,) int64
-        Where those of each iteration begin, and the end.
+        First observation of each iteration, and the end.
     seed : int
     slots : (m,) int64
-        Room for a number per landmark, all -1; left so.
+        Work space, one entry per landmark, all -1; restored on return.
 
     Returns
     -------
     landmarks : (n,) int64
-        The seed, then the others as they were first seen.
+        The seed, then the others in order of first observation.
     columns : (j,) int64
         Iterations, counted from the first.
     block : (n, j, d) float64
-        NaN where a landmark was not seen.
+        NaN where missing.
     """
     members, columns = _members_and_columns(landmarks, offsets, seed, slots)
     block = np.empty((len(members), len(columns), points.shape[1]))

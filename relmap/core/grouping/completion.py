@@ -1,8 +1,8 @@
-"""From the common interval to everything seen around it.
+"""From the common interval to the whole chart.
 
 A group's relative map rests on the iterations in which all its members were visible (section III).
-Landmarks missed now and then would leave little of it.  So every other iteration of the chart is
-fitted, by least squares, to the relative map, and everything seen in it is averaged as well.
+With missed detections few such iterations remain. So every other iteration of the chart is fitted
+to the relative map by least squares, and its observations are averaged as well.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ class RelativeMap:
     landmarks : (n,) int64
     positions : (n, d) float64, group frame, metres
     variance : (n,) float64, square metres
-        Of a coordinate, over the iterations averaged but the one farthest off; NaN where fewer
-        than three are averaged.
+        Variance of a coordinate over the averaged iterations, without the largest deviation; NaN if
+        fewer than three are averaged.
     amplified : (n,) float64
-        What that variance is, in units of the noise's, for a landmark at rest: 1 and what the fit
-        of an iteration to the reference adds, the more the farther the landmark is from it.
+        Expected ratio of that variance to the noise variance for a static landmark: 1 plus the
+        contribution of fitting the iteration to the reference, which grows with the distance.
     used : (n, i) bool
-        The observations behind it: landmarks by iterations.
+        The averaged observations: landmarks by iterations.
     iterations : (i,) int64, ascending
     R : (i, d, d) float64
     t : (i, d) float64, metres
-        Where each iteration lies: robot frame to group frame.
+        Pose of each iteration: robot frame to group frame.
     fixed : (i,) bool
-        Whether an iteration is fixed by what was seen in it.
+        Whether the observations of an iteration determine its pose.
     common_interval : (c,) int64, ascending
-        Iterations that show all members of the group that it began with.
+        Iterations that show all members of the initial group.
     given : (n,) float64, square metres, optional
-        Variance of an observed coordinate, where covariances came with the observations.
+        Variance of an observed coordinate, if covariances are given.
     """
 
     landmarks: Ints
@@ -60,7 +60,7 @@ class RelativeMap:
         return np.asarray(self.used.sum(axis=1))
 
     def only(self, rows: Bools) -> RelativeMap:
-        """Return the map of some of its landmarks."""
+        """Return the map restricted to some of its landmarks."""
         return replace(
             self,
             landmarks=self.landmarks[rows],
@@ -73,21 +73,21 @@ class RelativeMap:
 
 
 def complete(landmarks: Ints, iterations: Ints, block: Floats, reference: Floats) -> RelativeMap:
-    """Average a whole chart in the frame of a relative map of some of it.
+    """Average a whole chart in the frame of a relative map of some of its landmarks.
 
     Parameters
     ----------
     landmarks : (n,) int64
     iterations : (i,) int64
     block : (n, i, d) float64, robot frame, metres
-        Observations of the landmarks in the iterations; NaN where one was not seen.
+        Observations of the landmarks in the iterations; NaN where missing.
     reference : (n, d) float64, group frame, metres
-        The relative map to fit to; NaN for landmarks outside it.
+        The relative map to fit to; NaN for other landmarks.
 
     Returns
     -------
     RelativeMap
-        Of the landmarks seen in an iteration that the reference fixes.
+        Map of the landmarks seen in an iteration whose pose the reference determines.
     """
     from relmap.core.grouping.averaging_kernels import place_iterations
 

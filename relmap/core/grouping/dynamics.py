@@ -1,9 +1,9 @@
-"""Static or dynamic: binning landmarks by the distances between them (section III, Fig. 12).
+"""Static or dynamic: binning landmarks by their mutual distances (section III, Fig. 12).
 
-Two landmarks belong together when their mutual distance deviates no more than the noise explains.
+Two landmarks belong to the same bin if their mutual distance varies no more than noise explains.
 The largest bin is the static one.  Following the paper, landmarks are compared with bins, each
 represented by a few of its members; the search stops when half the landmarks are in one bin; and
-bins are begun in the order of a priority queue.
+bins are started in the order of a priority queue.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from relmap.core.grouping.completion import RelativeMap
 from relmap.core.state.table import NONE, LandmarkState
 
 LIMIT = 4.0
-"""Variance that still counts as noise, in units of what the noise alone would give."""
+"""Variance that still counts as noise, relative to the variance of noise alone."""
 FEWEST = 4
-"""Common observations without which nothing is said."""
+"""Minimum number of common observations to compare two landmarks."""
 ENOUGH = 8
-"""Observations that tell one who moves from one who was seen badly now and then."""
+"""Observations that distinguish a moving landmark from one with occasional outliers."""
 STRIKES = 2
-"""Groups in a row, each with observations of its own, that must see a landmark move."""
+"""Consecutive groups, each with new observations, that must see a landmark move."""
 STILL = 60
-"""Iterations at rest, and in view, after which a landmark that moved is static again."""
+"""Iterations at rest and in view after which a dynamic landmark is static again."""
 EXACT = 1e-9
-"""Deviation, in units of the landmarks' distances, that is taken for rounding."""
+"""Deviation, relative to the landmarks' distances, treated as rounding."""
 SAMPLE = 6
-"""Landmarks that a new bin must find company among, before all the others are asked."""
+"""Sample of landmarks among which a new bin must find a member before all others are tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Bins:
     Attributes
     ----------
     members : list of (k,) int64
-        Rows of the block, one array per bin, the largest bin first.
+        Rows of the block, one array per bin, largest bin first.
     n_comparisons : int
         Pairs of landmarks compared.
     """
@@ -54,7 +54,7 @@ class Bins:
 
 
 class DynamicStatus:
-    """Which landmarks are known to move.
+    """Tracks which landmarks are moving.
 
     Parameters
     ----------
@@ -68,9 +68,10 @@ class DynamicStatus:
         self._n_bins = 0
 
     def go_together(self, bins: list[Ints], alone: Ints) -> None:
-        """Take note of which dynamic landmarks kept their mutual distances, and which went alone.
+        """Record which dynamic landmarks kept their mutual distances, and which moved alone.
 
-        A bin keeps its number as long as some of it stay together; who is alone in view keeps it.
+        A bin keeps its number as long as some members stay together; a member alone in view keeps
+        it.
         """
         table = self.table
         compared = table.moving_bin[np.concatenate([alone, *bins])]
@@ -85,9 +86,9 @@ class DynamicStatus:
             taken.add(number)
 
     def test(self, relative: RelativeMap, noise_m: float) -> Bools:
-        """Take note of who moves in a relative map; return who was seen often enough, and rests.
+        """Update which landmarks move by a relative map; return the tested ones that are at rest.
 
-        A landmark whose place deviates more than the noise explains, in group after group, is
+        A landmark whose position varies more than noise explains, in several consecutive groups, is
         dynamic; one that has been at rest for long is static again.
         """
         table = self.table
@@ -96,7 +97,7 @@ class DynamicStatus:
         table.restless[landmarks] = ~still & (relative.n_used >= FEWEST)
         tested = relative.n_used >= ENOUGH
         moves = tested & ~still
-        # Neither way does it count twice what was seen by the last group that saw it move.
+        # Observations of the last group that saw it move are not counted twice.
         later = relative.iterations > table.struck_until[landmarks][:, None]
         fresh = np.sum(relative.used & later, axis=1) >= FEWEST
         struck = moves & fresh
@@ -117,14 +118,14 @@ class DynamicStatus:
 
 
 def judge_at_last(table: LandmarkState, landmarks: Ints) -> None:
-    """Call those dynamic that left the view without a place and moved when last looked at."""
+    """Mark landmarks as dynamic that left the view unmapped and moved when last tested."""
     table.dynamic[landmarks[table.restless[landmarks]]] = True
 
 
 def rests(relative: RelativeMap, noise_m: float) -> Bools:
-    """Tell whose place deviates no more than the noise explains; (n,).
+    """Return which positions vary no more than noise explains; (n,).
 
-    That is the noise of most landmarks, or that of the landmark itself where it is known.
+    The noise is that of most landmarks, or the landmark's own if known.
     """
     variance = np.array(max(noise_m, _exact(relative.positions)) ** 2)
     if relative.given is not None:
@@ -139,7 +140,7 @@ class Binning:
     Parameters
     ----------
     block : (n, i, d) float64, robot frame, metres
-        NaN where a landmark was not seen.
+        NaN where missing.
     noise_m : float
         Standard deviation of an observed coordinate.
     """
@@ -152,14 +153,15 @@ class Binning:
     def sort(self, priority: Floats, allowed: float | None = None) -> Bins:
         """Sort landmarks into bins, until half of them, or of the priority, are in one.
 
-        Landmarks seen too seldom to be compared, or that found no company, are in none.
+        Landmarks with too few observations, or that match no other, are in none.
 
         Parameters
         ----------
         priority : (n,) float64
-            Bins are begun with the landmarks of the highest priority.
+            Bins are started from landmarks in descending priority.
         allowed : float, optional
-            Most comparisons; n log2 n, of the n seen often enough, where left out.
+            Maximum number of comparisons; by default n log2 n for the n landmarks with enough
+            observations.
         """
         from relmap.core.grouping.binning_kernels import sort_into_bins
 
@@ -174,10 +176,10 @@ class Binning:
 
 
 def n_log_n(n: int) -> float:
-    """Return n log2 n, the most comparisons that may be made among n landmarks."""
+    """Return n log2 n, the maximum number of comparisons among n landmarks."""
     return float(n * np.log2(max(n, 2)))
 
 
 def _exact(points: Floats) -> float:
-    """Return the deviation, metres, that rounding alone may bring to points (n, ..., d)."""
+    """Return the deviation, metres, that rounding alone may cause in points (n, ..., d)."""
     return EXACT * float(np.sqrt(points.shape[-1]) * np.nanmax(np.abs(points), initial=0.0))

@@ -12,7 +12,7 @@ from relmap.core.grouping.chart import PointChart
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Landmarks of a chart that were all visible in each of some of its iterations.
+    """Landmarks of a chart that were all visible in each iteration of a common interval.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ def grow_group(
 ) -> Group | None:
     """Grow a group down the sorted chart to the largest members x common interval (Fig. 11).
 
-    Of equal common intervals the better mapped landmarks come first, so that the group shares as
-    many landmarks with the map as the interval allows.  The paper stops at the first landmark that
-    does not enlarge the area; here the largest area of the whole chart is taken.
+    Among equal common intervals the better mapped landmarks come first, so that the group shares as
+    many landmarks with the map as possible.  The paper stops at the first landmark that does not
+    enlarge the area; here the largest area of the whole chart is taken.
 
     Parameters
     ----------
@@ -41,16 +41,16 @@ def grow_group(
     candidates : (c,) int64
         Rows of the chart that may become members.
     weights : (n,) float64
-        How well each landmark of the chart is mapped, in iterations averaged; 0 if it is not.
+        Iterations averaged into the position of each landmark of the chart; 0 if unmapped.
     min_members : int
-        Smallest size of a group.
+        Minimum size of a group.
     min_shared : int
-        Smallest number of mapped landmarks in it; 0 for the first group of a map.
+        Minimum number of mapped landmarks in it; 0 for the first group of a map.
 
     Returns
     -------
     Group or None
-        None where the chart holds no such group.
+        None if the chart contains no such group.
     """
     if len(candidates) < min_members:
         return None

@@ -1,4 +1,4 @@
-"""Which group each landmark's position comes from, and at which level (section III)."""
+"""The group and the level that each landmark's position comes from (section III)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from relmap.core.state.table import NONE, LandmarkState
 
 
 class GroupLevels:
-    """The highest-level group of every landmark's interval; unneeded lower ones are dropped.
+    """Keeps the highest-level group of every interval of a landmark; drops unneeded groups.
 
-    A landmark's position is that of its highest-level group, and of equal levels of the one that
-    averaged more of its observations.
+    A landmark's position comes from its highest-level group; ties go to the group that averaged
+    more of its observations.
 
     Parameters
     ----------
@@ -28,11 +28,11 @@ class GroupLevels:
         self._table = table
         self._groups = {}
         self._users = {}
-        self.n_groups = 0  # ever made
+        self.n_groups = 0  # created in total
 
     @property
     def groups(self) -> list[MappedGroup]:
-        """The groups that some landmark's position comes from, in the order of their making."""
+        """The groups that provide some landmark's position, in order of creation."""
         return list(self._groups.values())
 
     def better(
@@ -41,7 +41,7 @@ class GroupLevels:
         reached: NDArray[np.int64],
         n_averaged: NDArray[np.int64],
     ) -> NDArray[np.bool_]:
-        """Tell whose best position a group holds that lets them reach levels (n,)."""
+        """Return whose best position a group provides, given the levels (n,) it allows."""
         before = self._table.level[landmarks]
         more = n_averaged > self._table.averaged[landmarks]
         return np.asarray(more & (reached >= before) | (reached > before) & (n_averaged > 0))
@@ -53,7 +53,7 @@ class GroupLevels:
         reached: NDArray[np.int64],
         n_averaged: NDArray[np.int64],
     ) -> None:
-        """Take the positions of members (k,) from a group; drop groups that are not needed now."""
+        """Take the positions of members (k,) from a group; drop groups no longer needed."""
         self._release(members)
         if len(members):
             self._groups[self.n_groups] = group
@@ -65,7 +65,7 @@ class GroupLevels:
         self._table.averaged[members] = n_averaged
 
     def leave(self, landmarks: NDArray[np.int64]) -> None:
-        """Take landmarks that turned out to move out of their groups."""
+        """Remove landmarks that turned out to move from their groups."""
         self._release(landmarks)
         self._table.highest_level[landmarks] = 0
         self.close(landmarks)

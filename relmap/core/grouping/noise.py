@@ -1,4 +1,4 @@
-"""The noise of the observations, estimated from distances that no motion changes."""
+"""Noise of the observations, estimated from motion-invariant distances."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 FORGETTING = 0.99
-"""What each group leaves of the weight of those before: the noise may change on the way."""
+"""Decay of the weight of earlier groups: the noise may change during a run."""
 LOWEST = 0.12
-"""Share of pairs taken for static where nothing is known: a third of all landmarks make as many."""
+"""Fraction of pairs assumed static if nothing is known: a third of all landmarks gives as many."""
 RAISED = 1.5
-"""What brings the variance at the upper end of that share to a typical one."""
+"""Factor from the variance at the upper end of that fraction to a typical one."""
 RIGID = 1e-9
-"""Deviation, as a share of a distance, below which it is one by construction."""
+"""Deviation, as a fraction of a distance, below which the distance is exact by construction."""
 PAIRED = 40
-"""Landmarks that a first guess looks at."""
+"""Number of landmarks used for a first guess."""
 
 
 class NoiseEstimate:
-    """Standard deviation of an observed coordinate.
+    """Running estimate of the standard deviation of an observed coordinate.
 
-    The distance of a member from the centre of its group is the same in every iteration, however
-    the robot moves; how much it varies is the noise, seen along one direction.  The median over
-    the members keeps single outliers out; groups of movers must be kept out before.
+    The distance of a member from the centre of its group does not depend on the robot's motion; its
+    variance is the noise along one direction. The median over the members rejects single outliers;
+    groups of moving landmarks must be excluded by the caller.
     """
 
     STATE = "_squares _freedoms"
@@ -32,11 +32,11 @@ class NoiseEstimate:
         self._freedoms = 0.0
 
     def restart(self) -> None:
-        """Forget what was learnt: the noise has changed."""
+        """Forget the estimate: the noise has changed."""
         self._squares = self._freedoms = 0.0
 
     def add(self, block: NDArray[np.float64]) -> None:
-        """Take in a group's observations (g, i, d), robot frame, metres."""
+        """Add a group's observations (g, i, d), robot frame, metres."""
         g, n = block.shape[:2]
         freedoms = (g - 1) * (n - 1)
         if freedoms == 0:
@@ -49,24 +49,24 @@ class NoiseEstimate:
 
     @property
     def sigma_m(self) -> float:
-        """Standard deviation of one coordinate, metres; NaN before anything was seen twice."""
+        """Standard deviation of one coordinate, metres; NaN before any repeated observation."""
         return float(np.sqrt(self._squares / self._freedoms)) if self._freedoms else np.nan
 
 
 def guess_noise(block: NDArray[np.float64]) -> float:
     """Estimate the noise of a block before its static landmarks are known.
 
-    The distances between static landmarks deviate least, and they are a good share of all.
+    Distances between static landmarks vary least, and they are a good fraction of all distances.
 
     Parameters
     ----------
     block : (n, i, d) float64, robot frame, metres
-        NaN where a landmark was not seen.
+        NaN where missing.
 
     Returns
     -------
     float
-        Standard deviation of one coordinate, metres; NaN where no two were seen together twice.
+        Standard deviation of one coordinate, metres; NaN if no two were seen together twice.
     """
     few = block[np.argsort(-np.isfinite(block[:, :, 0]).sum(axis=1), kind="stable")[:PAIRED]]
     a, b = np.triu_indices(len(few), k=1)
@@ -79,7 +79,7 @@ def guess_noise(block: NDArray[np.float64]) -> float:
     mean = np.nansum(distance, axis=1) / n
     variance = np.nansum((distance - mean[:, None]) ** 2, axis=1) / (n - 1)
     rigid = variance <= (RIGID * mean) ** 2
-    if 2 * rigid.sum() < len(rigid):  # parts of one thing, which no noise tells apart
+    if 2 * rigid.sum() < len(rigid):  # parts of one object, which are not informative
         variance = variance[~rigid]
     return float(np.sqrt(RAISED * np.quantile(variance, LOWEST) / 2))
 

@@ -1,11 +1,11 @@
-"""Sparse symmetric systems, solved by a Cholesky factor in small dense panels.
+"""Sparse symmetric systems, solved by a panel-wise Cholesky factorisation.
 
-Where the factor has entries depends on who is tied to whom alone.  That is found once, in one of
-two ways, however often the numbers change (T. A. Davis, "Direct Methods for Sparse Linear Systems",
-2006).  What a scan says of walls is a clique: a set of unknowns all tied to one another; an order
-of least degree leaves the factor of a sum of cliques sparse.  Landmarks and placements are ordered
-by breadth-first search instead, in levels that touch only their neighbours (Cuthill and McKee,
-1969): that takes no more time than looking at all rows once.
+The sparsity pattern of the factor depends only on which unknowns are coupled. It is computed once
+(symbolic factorisation; T. A. Davis, "Direct Methods for Sparse Linear Systems", 2006) by one of
+two orderings. The walls of a scan form a clique of coupled unknowns; a minimum-degree ordering
+keeps the factor of a sum of cliques sparse. Landmarks and placements are ordered by breadth-first
+search, in levels coupled only to their neighbours (Cuthill and McKee, 1969), in time linear in the
+number of rows.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from relmap.core.linalg.cholesky_kernels import Layout
 
 WIDE = 48
-"""Unknowns of a panel of a level at most: what is wider is better multiplied."""
+"""Maximum width of a panel of a level: wider ones are multiplied by other code."""
 STIFF = 1e9
-"""What holds an unknown that is not free, as a multiple of what holds others."""
+"""Diagonal entry of a fixed unknown, as a multiple of the other entries."""
 
 
 class Pattern:
-    """In which order to eliminate, and where the factor has its entries.
+    """Elimination order and sparsity pattern of the factor.
 
     Parameters
     ----------
     first : (b,) int64
         Number of each block's first unknown; the others follow.
-    layout : as `relmap.core.linalg.cholesky_kernels` has it
+    layout : see `relmap.core.linalg.cholesky_kernels`
 
     Attributes
     ----------
@@ -58,20 +58,20 @@ class Pattern:
 
     @property
     def flops(self) -> float:
-        """About how many operations a factorisation takes."""
+        """Approximate number of operations of a factorisation."""
         return float(self._flops.sum())
 
     @classmethod
     def of_cliques(cls, width: Ints, begin: Ints, cliques: Ints) -> Pattern:
-        """Return an order that fills little.
+        """Return a fill-reducing ordering.
 
         Parameters
         ----------
         width : (b,) int64
-            Unknowns of each block; at least 1.
+            Number of unknowns of each block; at least 1.
         begin : (g + 1,) int64
         cliques : (begin[-1],) int64
-            The blocks of each clique, one clique after another, no block twice in one.
+            The blocks of each clique, concatenated, without duplicates in a clique.
         """
         from relmap.core.linalg.cholesky_kernels import panels
         from relmap.core.linalg.elimination_kernels import minimum_degree
@@ -83,14 +83,14 @@ class Pattern:
 
     @classmethod
     def of_levels(cls, level: Ints, q: int) -> Pattern:
-        """Return the order of levels.
+        """Return the ordering by levels.
 
         Parameters
         ----------
         level : (n,) int64
-            Of each node, from 0, none left out; neighbours are at most one level apart.
+            Level of each node, from 0 without gaps; neighbours are at most one level apart.
         q : int
-            Unknowns of each node.
+            Number of unknowns of each node.
         """
         ends = q * np.cumsum(np.bincount(level))
         begins, step = np.append(0, ends[:-1]), q * max(WIDE // q, 1)
@@ -113,7 +113,7 @@ class Pattern:
         add_part(self.layout, unknowns, part, values, np.empty_like(self.layout[1]))
 
     def hold(self, values: Floats, share: float, least: float) -> None:
-        """Hold every unknown where it is a little: a share of what holds it, and at least so much.
+        """Damp every unknown: add a fraction of its diagonal entry, and at least a minimum.
 
         `values` (size,) is the matrix.
         """
@@ -121,32 +121,32 @@ class Pattern:
         values[self._diagonal] += least
 
     def largest(self, values: Floats) -> float:
-        """Return the largest entry of the matrix's diagonal."""
+        """Return the largest diagonal entry of the matrix."""
         return float(values[self._diagonal].max())
 
     def fix(self, values: Floats, node: int, q: int) -> None:
-        """Let a node's q unknowns stay where they are."""
+        """Fix the q unknowns of a node at their current values."""
         own = self._diagonal[self.first[node] : self.first[node] + q]
         values[own] += STIFF * max(self.largest(values), 1.0)
 
     def factorise(self, values: Floats) -> None:
-        """Put its Cholesky factor in place of a matrix.
+        """Replace a matrix by its Cholesky factor.
 
-        `values` (size,) is the matrix, positive definite, its lower triangle as `add` puts it.
-        An unknown of which rounding leaves nothing stays where it is.
+        `values` (size,) is the matrix, positive definite, its lower triangle as `add` puts it. An
+        unknown whose pivot is lost to rounding is fixed.
         """
         from relmap.core.linalg.cholesky_kernels import factorise
 
         factorise(self.layout, values)
 
     def solve(self, values: Floats, right: Floats) -> Floats:
-        """Return the solution (u,) for a right side; `values` (size,) is the factor."""
+        """Return the solution (u,) for a right-hand side; `values` (size,) is the factor."""
         from relmap.core.linalg.cholesky_kernels import solve
 
         return solve(self.layout, values, right)
 
     def inverse(self, values: Floats) -> Floats:
-        """Return the inverse where the factor has entries (Takahashi, Fagan and Chin, 1973).
+        """Return the inverse on the factor's pattern (Takahashi, Fagan and Chin, 1973).
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Pattern:
         return values[offset[p] : offset[p + 1]].reshape(-1, start[p + 1] - start[p])
 
     def _part(self, values: Floats, unknowns: Ints, place: Ints) -> Floats:
-        """Return the symmetric part (n, n) over unknowns (n,), ascending; `place` (u,) is room."""
+        """Return the part (n, n) over unknowns (n,), ascending; `place` (u,) is work space."""
         start, column_of, row_begin, rows, _ = self.layout
         part = np.empty((len(unknowns), len(unknowns)))
         panels = column_of[unknowns]
@@ -197,13 +197,13 @@ class Pattern:
         return part
 
     def parts(self, inverse: Floats, chosen: Ints) -> Floats:
-        """Return parts (k, m, m) of the inverse: those of unknowns (k, m) tied to one another."""
+        """Return blocks (k, m, m) of the inverse over coupled unknowns (k, m)."""
         return np.asarray(inverse[self._places(chosen)])
 
     def lower(self, chosen: Ints) -> tuple[Ints, tuple[Ints, ...]]:
-        """Return where parts (k, m, m) over unknowns (k, m) go, and which entries of the parts do.
+        """Return where blocks (k, m, m) over unknowns (k, m) are stored, and the entries.
 
-        Of two that mirror one another one goes.
+        Only one of two symmetric entries is stored.
         """
         goes = chosen[:, :, None] >= chosen[:, None]
         return self._places(chosen)[goes], np.nonzero(goes)
@@ -213,7 +213,7 @@ class Pattern:
         values[self._diagonal[unknowns]] += value
 
     def _places(self, chosen: Ints) -> Ints:
-        """Return where the entries (k, m, m) of parts over unknowns (k, m) stand."""
+        """Return the storage positions of entries (k, m, m) of blocks over unknowns (k, m)."""
         start, column_of, row_begin, rows, offset = self.layout
         earlier = np.minimum(chosen[:, :, None], chosen[:, None])
         p, u = column_of[earlier], self.n_unknowns

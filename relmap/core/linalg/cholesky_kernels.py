@@ -1,9 +1,9 @@
 """Sparse Cholesky, panel by panel; see `relmap.core.linalg.cholesky`.
 
-Unknowns are numbered in the order in which they are eliminated.  The factor is stored in panels: of
-some unknowns in a row, ``start[p]`` to ``start[p + 1]``, the columns (h, k), row after row, over
-the rows ``rows[row_begin[p]:row_begin[p + 1]]``, which begin with themselves.  `column_of` tells
-the panel of each unknown.
+Unknowns are numbered in elimination order. The factor is stored in panels of consecutive unknowns,
+``start[p]`` to ``start[p + 1]``: columns (h, k), row-major, over the rows
+``rows[row_begin[p]:row_begin[p + 1]]``, which start with the panel's own. `column_of` is the panel
+of each unknown.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ Index = NDArray[np.int64]
 Layout = tuple[Index, Index, Index, Index, Index]
 """start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and offset (p + 1,) of each panel."""
 WIDE = 48
-"""Unknowns of a panel at most, but for those of one block: what is wider is better multiplied."""
+"""Maximum width of a panel, except for a single block: wider ones are multiplied by other code."""
 MUCH = 2000
-"""Multiplications from which the BLAS is faster than a loop."""
+"""Number of multiplications above which BLAS is faster than a loop."""
 ROUNDING = 1e-14
-"""A pivot that is a smaller share of its diagonal entry is rounding: its unknown stays."""
+"""A pivot that is a smaller fraction of its diagonal entry is rounding: its unknown is fixed."""
 
 
 @helper
 def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) -> Index:
-    """Return the places of blocks that begin a panel, and their number at the end.
+    """Return the indices of blocks that start a panel, and the number of blocks at the end.
 
-    A block goes into the panel of the one before it where both are tied to the same others.
+    A block joins the panel of the previous one if both are coupled to the same others.
     """
     n, count, wide = len(order), 0, 0
     heads, before = np.empty(n + 1, dtype=np.int64), -1
@@ -100,7 +100,7 @@ def _place(layout: Layout, p: int, place: Index) -> None:
 def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place: Index) -> None:
     """Add the lower triangle of a dense part over unknowns (n,), ascending, to a matrix.
 
-    `place` (u,) is room to work in.
+    `place` (u,) is work space.
     """
     start, column_of, _, _, offset = layout
     first, n = 0, len(unknowns)
@@ -118,7 +118,7 @@ def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place:
 
 @helper
 def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place: Index) -> None:
-    """Enter a symmetric part (n, n) over unknowns (n,), ascending, into the layout."""
+    """Enter a symmetric part (n, n) over unknowns (n,), ascending, into the pattern."""
     start, column_of, _, _, offset = layout
     last = -1
     for b in range(len(unknowns)):
@@ -133,7 +133,7 @@ def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place
 
 @helper
 def _times_transposed(A: Array, B: Array, C: Array) -> None:
-    """Put ``A @ B.T`` into C, of which only the lower triangle is needed."""
+    """Compute ``C = A @ B.T``; only the lower triangle is needed."""
     if A.size * len(B) > MUCH:
         np.dot(A, B.T, C)
         return
@@ -149,9 +149,9 @@ def _times_transposed(A: Array, B: Array, C: Array) -> None:
 def _take_away(
     layout: Layout, values: Array, p: int, s: int, done: int, place: Index, work: Array
 ) -> int:
-    """Take away from panel p what panel s, from its row `done` on, leaves of it; return how many.
+    """Subtract the update of panel s, from its row `done` on, from panel p; return the row count.
 
-    Rows of panel s that are unknowns of panel p.
+    The count is of rows of panel s that are unknowns of panel p.
     """
     start, _, row_begin, rows, offset = layout
     own, first = rows[row_begin[s] + done : row_begin[s + 1]], start[p]
@@ -177,7 +177,7 @@ def _add_multiple(values: Array, factor: float, others: Array) -> None:
 
 @helper
 def _factorise_panel(panel: Array, least: Array) -> None:
-    """Put the columns of the factor (h, k) in place of a panel's own; see `ROUNDING`."""
+    """Replace a panel's columns by those of the factor (h, k); see `ROUNDING`."""
     k = panel.shape[1]
     upper = np.zeros((k, k))
     for c in range(k):
@@ -198,9 +198,9 @@ def _factorise_panel(panel: Array, least: Array) -> None:
 
 @compiled
 def factorise(layout: Layout, values: Array) -> None:
-    """Put the columns of the Cholesky factor in place of those of the matrix.
+    """Replace the columns of the matrix by those of its Cholesky factor.
 
-    Each panel less what those before it leave (left-looking; Ng and Peyton, 1993).
+    Each panel is updated by the earlier ones (left-looking; Ng and Peyton, 1993).
     """
     start, column_of, row_begin, rows, offset = layout
     n, place, highest, widest = len(start) - 1, np.empty_like(column_of), 0, 0
@@ -233,7 +233,7 @@ def factorise(layout: Layout, values: Array) -> None:
 
 @compiled
 def solve(layout: Layout, values: Array, right: Array) -> Array:
-    """Return the solution (u,) for a right side (u,), with the factor."""
+    """Return the solution (u,) for a right-hand side (u,), given the factor."""
     start, _, row_begin, rows, offset = layout
     x, n = right.copy(), len(start) - 1
     for p in range(n):

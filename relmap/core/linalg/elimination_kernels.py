@@ -1,8 +1,8 @@
 """The order in which unknowns are eliminated; see `relmap.core.linalg.cholesky`.
 
-The graph is kept as its cliques.  Eliminating a block makes one clique of all those that it is in
-(the quotient graph; George and Liu, "The evolution of the minimum degree ordering", 1989).
-That one is its column of the factor, whose pattern need not be looked for then.
+The graph is represented by its cliques. Eliminating a block merges all cliques that contain it into
+one (the quotient graph; George and Liu, "The evolution of the minimum degree ordering", 1989),
+which is also the pattern of its column of the factor.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
 
 NEVER = 2**62
-"""In place of the degree of what is eliminated."""
+"""Replaces the degree of an eliminated block."""
 
 
 @helper
 def _union(
     of: int, begin: Ints, end: Ints, member: Ints, own: Ints, mark: Ints, stamp: int
 ) -> Ints:
-    """Return the members of some cliques, each once, but for one of them."""
+    """Return the members of some cliques without duplicates, except one member."""
     size = 0
     for e in own:
         size += end[e] - begin[e]
@@ -38,7 +38,7 @@ def _union(
 
 @helper
 def _cliques_of(n: int, begin: Ints, member: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return the cliques of each of n members: from where, up to where, and which."""
+    """Return the cliques of each of n members: begin, end, and clique numbers."""
     first, of = np.zeros(n + 1, dtype=np.int64), np.empty(len(member), dtype=np.int64)
     for m in member:
         first[m + 1] += 1
@@ -54,7 +54,7 @@ def _cliques_of(n: int, begin: Ints, member: Ints) -> tuple[Ints, Ints, Ints]:
 
 @helper
 def _absorb(clique: int, u: int, first: Ints, last: Ints, of: Ints, gone: Bools) -> None:
-    """Put a clique in place of those of member u that it has swallowed."""
+    """Replace the cliques of member u that a new clique has absorbed by that clique."""
     kept = first[u]
     for k in range(first[u], last[u]):
         if not gone[of[k]]:
@@ -66,7 +66,7 @@ def _absorb(clique: int, u: int, first: Ints, last: Ints, of: Ints, gone: Bools)
 
 @helper
 def _with_room(numbers: Ints, more: int) -> Ints:
-    """Return numbers (n,) and room for more."""
+    """Return numbers (n,) followed by free space."""
     longer = np.empty(len(numbers) + more, dtype=np.int64)
     for i in range(len(numbers)):
         longer[i] = numbers[i]
@@ -75,7 +75,7 @@ def _with_room(numbers: Ints, more: int) -> Ints:
 
 @helper
 def _least(degree: Ints) -> int:
-    """Return the first of those of the least degree."""
+    """Return the first block of minimum degree."""
     least = 0
     for v in range(len(degree)):
         if degree[v] < degree[least]:
@@ -85,7 +85,7 @@ def _least(degree: Ints) -> int:
 
 @helper
 def _total(width: Ints, which: Ints) -> int:
-    """Return the sum of the widths of some."""
+    """Return the sum of the widths of some blocks."""
     total = 0
     for k in which:
         total += width[k]
@@ -94,20 +94,20 @@ def _total(width: Ints, which: Ints) -> int:
 
 @compiled
 def minimum_degree(width: Ints, clique_begin: Ints, cliques: Ints) -> tuple[Ints, Ints, Ints]:
-    """Return an order (b,) of elimination that fills little, and what each block is tied to then.
+    """Return a fill-reducing elimination order (b,), and the blocks coupled to each.
 
     Parameters
     ----------
     width : (b,) int64
-        Unknowns of each block.
+        Number of unknowns of each block.
     clique_begin, cliques : int64
-        Blocks of each clique, one clique after another.
+        Blocks of each clique, concatenated.
 
     Returns
     -------
     order : (b,) int64
     begin (b + 1,), tied : int64
-        The blocks that are tied to the first, second, ... one of the order.
+        The blocks coupled to the first, second, ... block of the order when it is eliminated.
     """
     n, m, used = len(width), len(clique_begin) - 1, len(cliques)
     first, last, of = _cliques_of(n, clique_begin, cliques)

@@ -10,7 +10,7 @@ from relmap.core.linalg.compiling import compiled, helper
 
 @compiled
 def smallest(values: Floats, k: int) -> float:
-    """Return the k-th smallest, from 0, of values (n,); they change places.
+    """Return the k-th smallest, from 0, of values (n,), which are permuted.
 
     Hoare's "find" (Algorithm 65, CACM 1961).
     """
@@ -37,14 +37,14 @@ def smallest(values: Floats, k: int) -> float:
 
 @helper
 def median(values: Floats) -> float:
-    """Return the median of values (n,); they change places."""
+    """Return the median of values (n,), which are permuted."""
     n = len(values)
     return (smallest(values, (n - 1) // 2) + smallest(values, n // 2)) / 2
 
 
 @helper
 def ordered(values: Floats) -> Ints:
-    """Return the order (n,) of values, the smallest first, equal ones as they come (merge sort)."""
+    """Return the stable sorting order (n,) of values, ascending (merge sort)."""
     n, width = len(values), 1
     order, merged = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
@@ -64,7 +64,7 @@ def ordered(values: Floats) -> Ints:
 
 @helper
 def _in_sets(of: Ints, values: Floats) -> tuple[Ints, Floats]:
-    """Return where each set 0, 1, ... begins, and the values (n,) set after set."""
+    """Return the begin of each set 0, 1, ..., and the values (n,) ordered by set."""
     n = 0
     for k in of:
         n = max(n, k + 1)
@@ -93,7 +93,7 @@ def medians(of: Ints, values: Floats) -> Floats:
 
 @compiled
 def quantiles(of: Ints, values: Floats, share: float) -> Floats:
-    """Return the quantile of the values (n,) of each set 0, 1, ..., as numpy interpolates it."""
+    """Return the quantile of the values (n,) of each set 0, 1, ..., interpolated as in numpy."""
     begin, in_sets = _in_sets(of, values)
     found = np.empty(len(begin) - 1)
     for k in range(len(found)):

@@ -1,4 +1,4 @@
-"""Small matrices, compiled: a few loops take less time, to run and to compile, than LAPACK."""
+"""Small matrices, compiled: a few loops run and compile faster than LAPACK calls."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import helper
 
 SWEEPS = 20
-"""Sweeps of Jacobi's method after which it ends anyway; five or six will do."""
+"""Maximum number of sweeps of Jacobi's method; five or six suffice."""
 ROUNDING = 1e-17
-"""What may be left beside the diagonal, as a share of the largest on it."""
+"""Largest remaining off-diagonal entry, relative to the largest diagonal entry."""
 
 
 @helper
@@ -24,7 +24,7 @@ def identity(n: int) -> Floats:
 
 @helper
 def unset(n: int) -> Ints:
-    """Return n numbers of nothing, -1: less to compile than numpy's `full`."""
+    """Return n entries of -1: compiles faster than numpy's `full`."""
     numbers = np.empty(n, dtype=np.int64)
     for i in range(n):
         numbers[i] = -1
@@ -62,7 +62,7 @@ def inverse3(A: Floats) -> tuple[Floats, bool]:
 
 @helper
 def diagonalise(A: Floats) -> Floats:
-    """Turn a symmetric matrix (n, n) into that of its eigenvalues, in place; return the vectors.
+    """Diagonalise a symmetric matrix (n, n) in place; return the eigenvectors.
 
     Jacobi's method (Golub and Van Loan, "Matrix Computations", 8.5).  The vectors are columns.
     """
@@ -90,7 +90,7 @@ def diagonalise(A: Floats) -> Floats:
 
 @helper
 def factorise(A: Floats) -> None:
-    """Put the lower Cholesky factor of a positive definite matrix (n, n) in its place."""
+    """Replace a positive definite matrix (n, n) by its lower Cholesky factor."""
     for i in range(len(A)):
         for j in range(i + 1):
             entry = A[i, j]
@@ -101,7 +101,7 @@ def factorise(A: Floats) -> None:
 
 @helper
 def solve(L: Floats, x: Floats) -> None:
-    """Put the solution in place of the right side (n,), with the matrix's factor (n, n)."""
+    """Replace the right-hand side (n,) by the solution, given the Cholesky factor (n, n)."""
     n = len(x)
     for i in range(n):
         for k in range(i):

@@ -1,1 +1,1 @@
-"""Where relative maps come together."""
+"""The global map: alignment and placement of relative maps."""

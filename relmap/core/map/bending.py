@@ -1,4 +1,4 @@
-"""Bending a map so that a loop closes: a start that the refinement can go on from."""
+"""Deforming a map to close a loop: an initial estimate for the refinement."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement.condensing import SegmentRows
 
 STIFF = 1e4
-"""Weight of what the loop ties, in observations."""
+"""Weight of the loop constraints, in observations."""
 SLACK = 1e-9
-"""Weight of staying where it is, which fixes the frame."""
+"""Weight of the prior on the current positions, which fixes the frame."""
 
 
 def bend(global_map: GlobalMap, rows: SegmentRows, pairs: Ints, R: Floats, t: Floats) -> None:
-    """Spread the drift that a closed loop shows over what lies between.
+    """Distribute the drift that a closed loop reveals over the part in between.
 
-    Segments and the landmarks that they saw move alike, as far as they can: least squares on the
-    logarithms of their motions.
+    Linear least squares on the logarithms of the motions of segments and landmarks: a segment and
+    the landmarks that it saw should move alike.
 
     Parameters
     ----------
     global_map : GlobalMap
     rows : SegmentRows
     pairs : (k, 2) int64
-        Landmarks, and older ones that they are.
+        Landmarks, and the older ones they are identified with.
     R, t : (d, d), (d,) float64
-        Brings the first of each pair to where the second is.
+        Motion of the first landmark of each pair to the second.
     """
     table = global_map.table
     landmark = table.landmark_of[rows.landmark]

@@ -1,4 +1,4 @@
-"""The global map: where the relative maps of the groups come together (section III)."""
+"""The global map, into which the relative maps of the groups are placed (section III)."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.state.table import NONE, LandmarkState
 
 LOOSE, LOOSE_SUBMAP = 30.0, 1e4
-"""Variance of a place, in units of that of those fitted to, above which it is not known well enough
-to be mapped, and to tie submaps, which are refined as a whole."""
+"""Largest variance of a position, relative to the landmarks fitted to, for it to be mapped, and for
+it to connect submaps, which are refined as a whole."""
 
 
 class GlobalMap:
-    """Positions of landmarks, each that of the best group of every interval, averaged.
+    """Positions of landmarks: the average over the best group of every interval.
 
-    Where a group shares too little with what is mapped, it founds a new submap of the map, with a
-    frame of its own.  Two submaps become one when a group ties them.
+    A group that shares too few landmarks with the map starts a new submap, with its own frame. Two
+    submaps are joined when a group connects them.
 
     Parameters
     ----------
@@ -31,12 +31,12 @@ class GlobalMap:
         self._n_submaps = 0
 
     def submaps_of(self, landmarks: Ints, at_least: int = 1) -> Ints:
-        """Return the submaps that so many of the landmarks belong to, the oldest first."""
+        """Return the submaps that contain so many of the landmarks, the oldest first."""
         submaps, counts = np.unique(self.table.submap[landmarks], return_counts=True)
         return np.asarray(submaps[(submaps != NONE) & (counts >= at_least)])
 
     def weights_in(self, submap: int, landmarks: Ints) -> Floats:
-        """Return the weights (g,) of landmarks, 0 for those outside the submap."""
+        """Return the weights (g,) of landmarks, 0 outside the submap."""
         return np.where(self.table.submap[landmarks] == submap, self.table.weight[landmarks], 0.0)
 
     def align(
@@ -44,8 +44,8 @@ class GlobalMap:
     ) -> Floats | None:
         """Fit a group's relative map to those of its members that are in a submap.
 
-        Each counts with the number of iterations behind its two positions, the one in the map and
-        the one in the group: variances add, so the weights add in parallel.
+        The weight of a member combines the iterations averaged into its positions in the map and in
+        the group: variances add, so the weights combine harmonically.
 
         Parameters
         ----------
@@ -57,8 +57,8 @@ class GlobalMap:
 
         Returns
         -------
-        (g, d) float64, frame of the submap, metres, or None where the members fix no rotation
-            NaN for landmarks that they leave free to swing.
+        (g, d) float64, frame of the submap, metres, or None if the members determine no rotation
+            NaN for landmarks whose position is poorly determined by the rotation.
         """
         from relmap.core.geometry.fitting_kernels import swings
 
@@ -74,12 +74,12 @@ class GlobalMap:
         return placed
 
     def new_submap(self) -> int:
-        """Return the number of a submap that nothing belongs to yet."""
+        """Return the number of a new, empty submap."""
         self._n_submaps += 1
         return self._n_submaps - 1
 
     def place(self, submap: int, landmarks: Ints, positions: Floats, weights: Floats) -> None:
-        """Put landmarks (g,) at positions (g, d) of a submap, averaged with what is settled.
+        """Place landmarks (g,) at positions (g, d) of a submap, averaged with settled positions.
 
         Parameters
         ----------
@@ -87,7 +87,7 @@ class GlobalMap:
         landmarks : (g,) int64
         positions : (g, d) float64, frame of the submap, metres
         weights : (g,) float64
-            In iterations averaged.
+            Numbers of iterations averaged.
         """
         settled = self.table.settled_weight
         settled[landmarks[self.table.submap[landmarks] != submap]] = 0.0
@@ -99,12 +99,12 @@ class GlobalMap:
         self.table.submap[landmarks] = submap
 
     def move(self, landmarks: Ints, positions: Floats) -> None:
-        """Move mapped landmarks (k,), and what is settled of them, to positions (k, d)."""
+        """Move mapped landmarks (k,), including their settled positions, to positions (k, d)."""
         self.table.settled_position[landmarks] += positions - self.table.position[landmarks]
         self.table.position[landmarks] = positions
 
     def join(self, submap: int, landmarks: Ints, positions: Floats) -> None:
-        """Let other submaps join one where landmarks (g,), placed in it, fix how they lie."""
+        """Join other submaps to one whose landmarks (g,) determine their relative pose."""
         for other in self.submaps_of(landmarks):
             if other != submap:
                 self._join(int(other), submap, landmarks, positions)
@@ -116,7 +116,7 @@ class GlobalMap:
             self.tie(other, submap, *fit_rigid(there, positions[shared]))
 
     def _is_fixed(self, submap: int, shared: Ints) -> bool:
-        """Tell whether some landmarks leave none of their submap free to swing far."""
+        """Return whether some landmarks determine the positions of their whole submap well."""
         from relmap.core.geometry.fitting_kernels import swings
 
         members = np.flatnonzero(self.table.submap == submap)
@@ -124,7 +124,7 @@ class GlobalMap:
         return bool((swing <= LOOSE_SUBMAP).all())
 
     def tie(self, other: int, submap: int, R: Floats, t: Floats) -> None:
-        """Let a submap join another, in whose frame its own lies at R (d, d) and t (d,)."""
+        """Join a submap to another, in whose frame it lies at R (d, d) and t (d,)."""
         moved = self.table.submap == other
         for places in (self.table.position, self.table.settled_position):
             places[moved] = places[moved] @ R.T + t

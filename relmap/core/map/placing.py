@@ -1,4 +1,4 @@
-"""Where a group's relative map enters the map: at which level, for which of its landmarks."""
+"""Entering a group's relative map into the global map."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from relmap.core.state.store import ObservationStore
 
 
 class Placing:
-    """Enters groups into the map, and ends the intervals of landmarks that have left the view.
+    """Enters groups into the map, and ends the intervals of landmarks that left the view.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ class Placing:
         self._levels = levels
 
     def place(self, submap: int, level: int, placed: Floats, relative: RelativeMap) -> Ints:
-        """Enter a relative map where it is the best there is.
+        """Enter a relative map for the landmarks for which it is the best group.
 
         Parameters
         ----------
         submap : int
         level : int
-            1, 2 or 3: which pass it is.
+            The pass: 1, 2 or 3.
         placed : (n, d) float64, frame of the submap, metres
             The relative map, aligned.
         relative : RelativeMap
@@ -53,11 +53,11 @@ class Placing:
         Returns
         -------
         (k,) int64
-            The landmarks that are mapped now.
+            The newly mapped landmarks.
         """
         landmarks = relative.landmarks
         self._map.join(submap, landmarks, placed)
-        # Of a landmark whose interval began within the chart, what came before is settled.
+        # For a landmark whose interval began within the chart, the earlier positions are settled.
         begin = self._table.begin[landmarks][:, None]
         n_averaged = np.sum(relative.used & (relative.iterations >= begin), axis=1)
         reached = self._schedule.reached(landmarks, n_averaged, level)
@@ -75,7 +75,7 @@ class Placing:
         return landmarks[self._table.weight[landmarks] > 0]
 
     def leave_out_moving(self, landmarks: Ints) -> None:
-        """Take those of landmarks (k,) that are known to move off the map."""
+        """Remove those of landmarks (k,) that are dynamic from the map."""
         moving = landmarks[self._table.dynamic[landmarks]]
         if len(moving):
             self._table.take_off_map(moving)
@@ -83,22 +83,22 @@ class Placing:
             self._schedule.begin_anew(moving, self._store.n_iterations)
 
     def next_last_pass(self) -> int | None:
-        """Return the landmark that needs its last pass next; None if there is none yet.
+        """Return the next landmark that needs its last pass; None if there is none yet.
 
-        Those that need none are done with at once, so that they never make the others wait.
+        Landmarks that need none are closed at once, so that they do not delay the others.
         """
         waited = self._schedule.waited(self._store.n_iterations)
         needed = self.needs_last_pass(waited)
         if not needed.all():
             self.be_done_with(waited[~needed])
         waited = waited[needed]
-        # The group of the one seen longest is of use to most of the others.
+        # The group of the landmark seen longest serves most of the others.
         return int(waited[np.argmax(self._table.in_interval[waited])]) if len(waited) else None
 
     def needs_last_pass(self, landmarks: Ints) -> Bools:
-        """Tell whose interval holds enough for a group, does not move and is still stored; (n,).
+        """Return whose interval has enough stored observations for a group and is static; (n,).
 
-        What little is left of an interval that was cut while it lasted needs no group of its own.
+        A short remainder of an interval that was split needs no group of its own.
         """
         mapped = self._table.weight[landmarks] > 0
         enough = np.where(mapped, self._schedule.group_after, FEWEST)
@@ -107,12 +107,12 @@ class Placing:
         return np.asarray(needed & ~self._table.dynamic[landmarks])
 
     def be_done_with(self, gone: Ints) -> None:
-        """Close the intervals of landmarks that have left, and judge those that got no place."""
+        """Close the intervals of landmarks that have left, and classify those never placed."""
         judge_at_last(self._table, gone[self._table.weight[gone] == 0])
         self._close(gone)
 
     def _close(self, landmarks: Ints) -> None:
-        """End the interval of landmarks: where they are now is kept for good."""
+        """End the interval of landmarks: their current positions are settled."""
         self._table.settle(landmarks)
         self._levels.close(landmarks)
         self._schedule.begin_anew(landmarks, self._store.n_iterations)

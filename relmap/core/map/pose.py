@@ -1,4 +1,4 @@
-"""The robot's pose, computed from the map for display only: no step of the mapping reads it."""
+"""The robot's pose, computed from the map for display only; no mapping step reads it."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 def trajectory(rows: SegmentRows, positions_map: Floats, of: Ints) -> Floats:
     """Return the pose in every iteration (sections I and III).
 
-    Each is the least-squares fit of what was seen to where it is mapped.  The observations are
-    condensed: those of an iteration, as it lies in its segment, differ from the segment's points
-    by what no small motion would mend.  So the points it saw are fitted in their stead; a few
-    that were taken for others do not count.
+    Each is the least-squares fit of the observed landmarks to the map. The observations are
+    condensed: the points of the segment seen in an iteration are fitted in their place, since the
+    residuals within a segment are not explained by a small motion. The fit is robust to a few wrong
+    matches.
 
     Parameters
     ----------
     rows : SegmentRows
-        Of all iterations.
+        Rows of all iterations.
     positions_map : (m, d) float64, map frame, metres
-        NaN where a landmark is not mapped.
+        NaN for unmapped landmarks.
     of : (m,) int64
         The landmark that each number stands for, after merging.
 
     Returns
     -------
     (n_iterations, 4, 4) float64
-        ``T_map_robot``; NaN where the mapped landmarks in view fix no pose.
+        ``T_map_robot``; NaN if the mapped landmarks in view do not determine a pose.
     """
     n, d = len(rows.iteration_segment), rows.points.shape[1]
     poses = np.full((n, 4, 4), np.nan)

@@ -1,4 +1,4 @@
-"""Refining the whole map: each submap by itself, by least squares or by what its noise allows."""
+"""Refinement of the whole map, one submap at a time."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ def refine_submaps(
     weighed: WeighedObservations,
     again: bool = False,
 ) -> list[Refined]:
-    """Move all landmarks to where the observations agree best; describe each submap, in order.
+    """Move all landmarks to the joint optimum; return the refined submaps, in order.
 
     Parameters
     ----------
     global_map : GlobalMap
     rows : SegmentRows
     kept : ObservationStore, optional
-        Every observation, where bounded noise is to be made use of.
+        Every observation, to exploit bounded noise.
     weighed : WeighedObservations
-        Those with covariances of their own; then nothing is made of bounded noise.
+        Observations with covariances; bounded noise is then not exploited.
     again : bool
-        Whether the map is refined already, but for what has changed since.
+        Whether the map was refined before and has changed only partly.
     """
     table = global_map.table
     of, submaps, moving = table.landmark_of, table.submap, table.dynamic

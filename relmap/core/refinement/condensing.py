@@ -1,11 +1,11 @@
-"""Condensed segments: what short stretches of time say of the landmarks, each told once.
+"""Condensed segments: short stretches of the run, summarised once.
 
-Time is cut into consecutive segments of a few iterations.  Before the iterations of a segment are
-forgotten, they are laid on one another by least squares, whatever groups they were used in.  What
-stays is where each landmark came to lie, in which of the iterations it was seen, and where each
-iteration lies.  This is all that the joint least squares of `refinement` needs to know: near the
-best places of a segment, the sum of squares of all its observations depends on where the landmarks
-lie and on who saw them, not on the observations themselves.
+The run is divided into consecutive segments of a few iterations. Before the iterations of a segment
+are forgotten, they are aligned to each other by least squares, independently of groups. What is
+kept is the mean position of each landmark, the iterations in which it was seen, and the pose of
+each iteration in the segment. This is sufficient for the joint least squares of `refinement`: near
+the optimum of a segment, the sum of squares of its observations depends only on the landmark
+positions and the visibility.
 """
 
 from __future__ import annotations
@@ -21,43 +21,43 @@ from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 
 ROOM = 2**22
-"""Rows of segments for which there is room from the start."""
+"""Initial capacity, in rows of segments."""
 FAR = 10.0
-"""How many times as far as anything is seen a landmark may come to lie."""
+"""Largest distance of a condensed landmark, relative to the largest observed distance."""
 LENGTH = 8
 """Iterations in a segment: one bit each in the landmarks' visibility."""
 TRIMS = 3
-"""How often outliers of a segment are looked for."""
+"""Maximum number of rounds of outlier rejection in a segment."""
 NOWHERE = -1
-"""In place of the segment of an iteration that saw too little to be in one."""
+"""Marks an iteration that saw too little to belong to a segment."""
 
 SEEN = np.array([number.bit_count() for number in range(1 << LENGTH)])
-"""How many iterations a pattern of visibility says."""
+"""Return the number of iterations in a visibility pattern."""
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentRows:
-    """What segments say, as a structure of arrays: rows are landmarks in segments.
+    """Condensed segments as a structure of arrays: one row per landmark and segment.
 
     Attributes
     ----------
     landmark : (n,) int64
-        As numbered when it was seen; merging may have changed that.
+        Number at the time of observation; merging may have changed it.
     segment : (n,) int64, ascending
     points : (n, d) float64, segment frame, metres
     visible : (n,) uint8
         Bit k: seen in iteration ``first_iteration + k`` of its segment.
     first_iteration : (s,) int64
     squares : (s,) float64, square metres
-        Sum of the squared deviations of a segment's observations from its points; of landmarks that
-        were known to move it is not in there.
+        Sum of the squared deviations of a segment's observations from its points, without landmarks
+        known to move.
     freedoms : (s,) int64
-        Observed coordinates in this sum, less what was fitted to them.
+        Degrees of freedom of this sum.
     iteration_segment : (i,) int64
         Segment of each iteration, or `NOWHERE`.
     R : (i, d, d) float64
     t : (i, d) float64, metres
-        Where each iteration lies: robot frame to segment frame.
+        Pose of each iteration: robot frame to segment frame.
     """
 
     landmark: Ints
@@ -109,7 +109,7 @@ class CondensedSegments:
 
     @property
     def rows(self) -> SegmentRows:
-        """All that is condensed, as views that stay valid until more is."""
+        """All condensed rows, as views that are valid until more are added."""
         return SegmentRows(
             self._landmark.values,
             self._segment.values,
@@ -124,15 +124,15 @@ class CondensedSegments:
         )
 
     def condense(self, store: ObservationStore, before: int, dynamic: Bools) -> bool:
-        """Condense the next segment, if it is whole before an iteration; tell whether it is.
+        """Condense the next segment if it is complete before an iteration; return whether.
 
         Parameters
         ----------
         store : ObservationStore
-            Holds the iterations from `end` on.
+            Contains the iterations from `end` on.
         before : int
         dynamic : (m,) bool
-            Landmarks known to move.  They have no say in where the iterations lie.
+            Landmarks known to move; they do not influence the poses of the iterations.
         """
         if self.end + LENGTH > before:
             return False
@@ -140,9 +140,9 @@ class CondensedSegments:
         return True
 
     def with_rest(self, store: ObservationStore, dynamic: Bools) -> SegmentRows:
-        """Return the rows of all iterations seen, those still in the store included.
+        """Return the rows of all iterations, including those still in the store.
 
-        These are condensed anew each time: the last segment may not be whole yet.
+        The latter are condensed anew each time: the last segment may be incomplete.
         """
         whole = deepcopy(self)
         while whole.end < store.n_iterations:
@@ -160,7 +160,7 @@ class CondensedSegments:
         free = np.isfinite(block[steady, :, :1]).sum(axis=(0, 2)) >= 2
         while free.any():
             joined, R, t, points, visible, squares = _laid_together(block[steady], free)
-            # Wrong matches can leave a landmark or an iteration hanging by nothing.
+            # Wrong matches can leave a landmark or an iteration without support.
             reach = FAR * np.nanmax(np.abs(block[steady]))
             visible = np.where(np.abs(points).max(axis=1) <= reach, visible, 0).astype(np.uint8)
             t[np.abs(t).max(axis=1) > reach] = np.nan
@@ -192,7 +192,7 @@ class CondensedSegments:
             self._first_iteration.extend(np.array([begin]))
 
     def _make_room(self, k: int, d: int) -> None:
-        """Make room for k more iterations, in d dimensions from now on."""
+        """Reserve space for k more iterations, in d dimensions from now on."""
         if self._t.values.shape[1] != d:
             self._points = GrowingArray(np.float64, (d,), ROOM)
             self._R, self._t = GrowingArray(np.float64, (d, d)), GrowingArray(np.float64, (d,))
@@ -204,10 +204,10 @@ class CondensedSegments:
 def _laid_together(
     block: Floats, free: Bools
 ) -> tuple[Bools, Floats, Floats, Floats, NDArray[np.uint8], float]:
-    """Lay as many of the free iterations (k,) of a block (n, k, d) on one another as hold together.
+    """Align the largest consistent set of the free iterations (k,) of a block (n, k, d).
 
-    Returns which these are, where they lie, R (k, d, d) and t (k, d), the places (n, d) and
-    visibility (n,) of the landmarks, and the sum of the squared deviations from these places.
+    Returns these iterations, their poses R (k, d, d) and t (k, d), the positions (n, d) and
+    visibility (n,) of the landmarks, and the sum of the squared deviations from these positions.
     """
     from relmap.core.refinement.segment_kernels import join, settle, trim
 
@@ -224,12 +224,12 @@ def _laid_together(
 
 
 def _visibility(seen: Bools) -> NDArray[np.uint8]:
-    """Return who was seen (n, k) as bits (n,)."""
+    """Return visibility (n, k) as bits (n,)."""
     return np.packbits(seen, axis=1, bitorder="little")[:, 0]
 
 
 def _means(block: Floats, joined: Bools, R: Floats, t: Floats) -> tuple[Floats, NDArray[np.uint8]]:
-    """Return mean places (n, d) and visibility (n,) of landmarks that nothing is fitted to."""
+    """Return mean positions (n, d) and visibility (n,) of landmarks not used in the fit."""
     seen = np.isfinite(block[:, :, 0]) & joined
     placed = np.where(seen[:, :, None], np.einsum("kab,nkb->nka", R, block) + t, 0.0)
     means = placed.sum(axis=1) / np.maximum(seen.sum(axis=1), 1)[:, None]

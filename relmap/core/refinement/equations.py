@@ -1,10 +1,10 @@
-"""The joint least squares over segments of points, with one side eliminated or the other.
+"""Joint least squares over segments, eliminating either placements or landmarks.
 
-Placements eliminated leave equations that grow with the map, but not with the time spent in it;
-landmarks eliminated leave equations that do not mind how many landmarks are seen at once.  Both are
-needed: of the figure eight at density 100, 900 iterations, refining takes 0.18 s the first way and
-0.05 s the second, for 0.7 % of error; at density 200 0.93 and 0.09 s.  The live steps are of the
-second kind.
+With placements eliminated the system grows with the map, but not with the duration of the run; with
+landmarks eliminated its size does not depend on the number of landmarks seen at once. Both are
+needed: for the figure eight at density 100, 900 iterations, refinement takes 0.18 s the first way
+and 0.05 s the second, at 0.7 % more error; at density 200, 0.93 s and 0.09 s. The live steps use
+the second.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from relmap.core.refinement.rows import JointRows, levels_of, rows_of_each
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FLOPS_PER_OBSERVATION, FLOPS = 2e4, 2e9
-"""What may be spent to have one placement for each iteration: half a microsecond or so each, and
-half a second in all to begin with segments as a whole.  These are up to 1.4 times worse where much
-comes into view from scan to scan."""
+"""Budget of operations for one placement per iteration, at about half a microsecond each, and in
+all half a second for starting with segments as a whole. The latter are up to 1.4 times less
+accurate where the view changes quickly."""
 HOLD = 1e-9, 1e-6
-"""What holds an unknown in a step, as a share of what holds others and in observations: none moves
-far that hangs by nothing."""
+"""Damping of an unknown, as a fraction of its diagonal entry and in observations, so that poorly
+determined unknowns do not move far."""
 BARELY = 1e-13
-"""What keeps rounding from making a matrix indefinite, as a share of its entries.  More belongs in
-no covariance: many weak holds along a chain add up to a strong one."""
+"""Regularisation against rounding, as a fraction of the entries of a matrix. A larger value would
+bias the covariances: many weak priors along a chain add up."""
 ROUNDING = 1e-13
-"""Residual that is taken for rounding, as a share of the map's size."""
+"""Residual treated as rounding, as a fraction of the map's size."""
 
 
 class Laid(NamedTuple):
-    """Landmarks (m, d), and the rows (n, d) of each segment where it was laid on them, metres."""
+    """Landmarks (m, d), and the placed rows (n, d) of each segment, metres."""
 
     positions: Floats
     placed: Floats
@@ -51,7 +51,7 @@ class SegmentProblem:
     ----------
     rows : JointRows
     size : float
-        Of the map, metres.
+        Size of the map, metres.
     """
 
     pattern: Pattern
@@ -72,7 +72,7 @@ class SegmentProblem:
         return Laid(positions, place_each(R, t, rows.segment, rows.points))
 
     def residuals(self, state: Laid) -> Floats:
-        """Return the lengths (n,) of what is left, in units of an observation."""
+        """Return the lengths (n,) of the residuals, normalised to one observation."""
         off = state.placed - state.positions[self.rows.landmark]
         return np.asarray(np.sqrt(np.sum(off**2, axis=1) * self.rows.n_seen))
 
@@ -84,13 +84,13 @@ class SegmentProblem:
         damping: float,
         hold: tuple[float, float] = HOLD,
     ) -> NormalEquations:
-        """Return the normal equations of what is kept."""
+        """Return the normal equations of the kept unknowns."""
         raise NotImplementedError
 
     def stepped(
         self, state: Laid, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Laid:
-        """Return where landmarks and segments lie after a step."""
+        """Return the state after a step."""
         return self.laid(self._moved(state, step, weight), weight)
 
     def covariances(self, state: Laid, weight: Floats) -> Floats:
@@ -112,22 +112,22 @@ class SegmentProblem:
             self.pattern.hold(equations.matrix, share + damping, least)
 
     def _centre(self, placed: Floats) -> Floats:
-        """Return the middle (s, d) of each segment."""
+        """Return the centre (s, d) of each segment."""
         total = sums_each(placed, self.rows.segment, len(self.rows.segments))
         return np.asarray(total / np.diff(self.rows.begin)[:, None])
 
 
 class FreePlacements(SegmentProblem):
-    """The landmarks are kept; each iteration has a placement of its own, and is eliminated.
+    """Keeps the landmarks; the placement of each iteration is eliminated.
 
     Parameters
     ----------
     rows : JointRows
     size : float
     pattern : Pattern
-        Of the landmarks.
+        Pattern of the landmarks.
     anchor : (segment, bit)
-        The iteration whose placement is not free.
+        The iteration whose placement is fixed.
     """
 
     def __init__(
@@ -146,10 +146,10 @@ class FreePlacements(SegmentProblem):
         )
 
     def _placements(self, anchor: tuple[int, int]) -> tuple[Ints, Ints, Floats, Ints, Floats]:
-        """Return the rows that placements saw, each set once.
+        """Return the rows seen by placements, each distinct set once.
 
-        How many rows each saw, how many placements saw them, in which segment, and how many of them
-        are the anchor.
+        With each set: the number of its rows, of the placements that saw it, its segment, and how
+        many of the placements are the anchor.
         """
         bits = (self.rows.visible >> np.arange(LENGTH)[:, None]) & 1 > 0
         begin, seen, times, segment, fixed = self.rows.begin, [], [], [], []
@@ -190,18 +190,18 @@ class FreePlacements(SegmentProblem):
 
 
 class FreeLandmarks(SegmentProblem):
-    """Each segment has one placement and is kept; the landmarks are eliminated.
+    """Keeps one placement per segment; the landmarks are eliminated.
 
-    The iteration that makes the frame has a placement of its own, that is not free.
+    The anchor iteration, which defines the frame, has a fixed placement of its own.
 
     Parameters
     ----------
     rows : JointRows
     size : float
     level : (s,) int64
-        Of each segment.
+        Level of each segment.
     anchor : (segment, bit), optional
-        The first segment as a whole, where left out.
+        By default the whole first segment.
     """
 
     def __init__(
@@ -240,7 +240,7 @@ class FreeLandmarks(SegmentProblem):
         linear, each = self._linearised(state, weight)
         equations = self._eliminated.equations(linear, each, BARELY, with_matrix)
         right, fixed = equations.right, self._unknown[self._fixed]
-        # The anchor only makes the frame: what pulls at it pulls at its segment.
+        # The anchor only defines the frame: its observations act on its segment.
         if self._fixed != self._anchor:
             right[self._unknown[self._anchor]] += right[fixed]
         right[fixed] = 0.0
@@ -262,7 +262,7 @@ class FreeLandmarks(SegmentProblem):
         )
 
     def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
-        """Return the means of the rows, their segments turned and shifted."""
+        """Return the means of the rows after transforming their segments."""
         steps, d = step[self._unknown], self._d
         if self._fixed != self._anchor:
             steps[self._fixed] = steps[self._anchor]
@@ -273,7 +273,7 @@ class FreeLandmarks(SegmentProblem):
         return self.means(moved, weight)
 
     def means(self, placed: Floats, weight: Floats) -> Floats:
-        """Return the weighted mean (m, d) for each landmark of what was laid somewhere (k, d)."""
+        """Return the weighted mean (m, d) for each landmark of placed rows (k, d)."""
         omega, of = self._seen * weight[self._row], self.rows.landmark[self._row]
         m = len(self.rows.landmarks)
         total = np.bincount(of, weights=omega, minlength=m)
@@ -287,18 +287,18 @@ class FreeLandmarks(SegmentProblem):
 def segment_problems(
     rows: JointRows, size: float, anchor: tuple[int, int]
 ) -> list[FreePlacements | FreeLandmarks]:
-    """Return what is to be solved, one after the other: the exact problem in the end.
+    """Return the problems to solve in sequence, ending with the exact one.
 
-    Where that takes long, that of segments as a whole goes before, and where it takes too long, in
-    its stead.
+    If the exact problem is expensive, that of whole segments is solved first; if it is too
+    expensive, instead.
 
     Parameters
     ----------
     rows : JointRows
     size : float
-        Of the map, metres.
+        Size of the map, metres.
     anchor : (segment, bit)
-        The iteration whose placement makes the frame.
+        The iteration whose placement defines the frame.
     """
     d = rows.points.shape[1]
     levels = levels_of(rows.begin, rows.landmark, len(rows.landmarks))
@@ -314,14 +314,14 @@ def segment_problems(
 
 
 def exact_flops(rows: JointRows, pattern: Pattern) -> float:
-    """Return about how many operations it takes to eliminate all placements, and to solve."""
+    """Return the approximate number of operations to eliminate all placements and solve."""
     d = rows.points.shape[1]
     sizes = d * np.diff(rows.begin).astype(np.float64)
     return float(pattern.flops + 2 * LENGTH * (3 * d - 3) * np.sum(sizes**2))
 
 
 def derivatives(away: Floats) -> Floats:
-    """Return the derivatives (n, d, q) of points by a turn and a shift; (n, d) from the centre."""
+    """Return the Jacobians (n, d, q) of points by a motion; (n, d) from the centre."""
     n, d = away.shape
     J = np.zeros((n, d, 3 * d - 3))
     J[:, :, -d:] = np.eye(d)
@@ -334,7 +334,7 @@ def derivatives(away: Floats) -> Floats:
 
 
 def rotations(turns: Floats) -> Floats:
-    """Return the rotations (n, d, d) by angles (n, 1) or rotation vectors (n, 3)."""
+    """Return the rotations (n, d, d) for angles (n, 1) or rotation vectors (n, 3)."""
     if turns.shape[1] == 3:
         return np.asarray(Rotation.from_rotvec(turns).as_matrix())
     cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])

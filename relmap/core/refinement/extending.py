@@ -1,9 +1,9 @@
-"""Extending a submap to all that the condensed segments tie to it.
+"""Extending a submap by landmarks connected to it through condensed segments.
 
-A group needs several landmarks that stay in view together.  A segment needs less: two landmarks
-that are mapped (three in space) place it, and with it everything else that it saw.  So what no
-group could place, and what is in submaps of its own, is placed segment by segment, the surest
-first.  The joint least squares then does with all of it what it does with the rest.
+A group needs several landmarks that stay in view together. A segment needs less: two mapped
+landmarks (three in space) determine its pose, and so the positions of all other landmarks it saw.
+Landmarks that no group could place, and those in separate submaps, are placed segment by segment,
+the most certain first. The joint least squares then treats them like all others.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
 
 TIERS = (3.0, 10.0, 100.0)
-"""Variance of a place that a segment gives, in units of an observation's: the surest go first."""
+"""Largest variance of a position from a segment, relative to an observation, by stage."""
 STEADY, LEAST_STEADY = 3.0, 0.95
-"""Deviation up to which segments agree on a place, in units of that of the least steady of the
-mapped landmarks, but for one in twenty: landmarks are not equally noisy."""
+"""Deviation up to which segments agree on a position, relative to the 95th percentile of the mapped
+landmarks: landmarks are not equally noisy."""
 AGREEING = 0.8
-"""Share of the segments that must agree: one who stands still for half of the time moves."""
+"""Fraction of the segments that must agree: a landmark at rest half of the time is dynamic."""
 SURE = 3
-"""Segments that must agree on the place of a landmark that was taken for moving."""
+"""Segments that must agree on the position of a landmark considered dynamic."""
 SEEN_AGAIN = 2
-"""Observations without which a landmark is not placed: nothing would tell a wrong one."""
+"""Minimum number of observations to place a landmark: with fewer, errors are not detectable."""
 
 
 class _Laid(NamedTuple):
-    """The rows (n,) as their segments lie: places, variances, and how far these may deviate."""
+    """The placed rows (n,): positions, variances, and allowed deviations."""
 
     placed: Floats
     variance: Floats
@@ -41,18 +41,18 @@ class _Laid(NamedTuple):
 
 
 def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None = None) -> bool:
-    """Extend submaps, the largest first, to what segments tie to them; tell whether any grew.
+    """Extend submaps, largest first, by landmarks of their segments; return whether any grew.
 
-    Landmarks of smaller submaps come to the larger; those that were taken for moving, and keep
-    their place from segment to segment as others do, are static.
+    Landmarks of smaller submaps move to the larger one; landmarks considered dynamic that keep
+    their position from segment to segment become static.
 
     Parameters
     ----------
     global_map : GlobalMap
     rows : SegmentRows
-        Of all iterations.
+        Rows of all iterations.
     among : (m,) bool, optional
-        Landmarks that may be placed; all of them where it is not given.
+        Landmarks that may be placed; all by default.
     """
     table = global_map.table
     seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))
@@ -64,7 +64,7 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
         for suspects in (False, True):
             grew |= _extend(global_map, submap, rows, often & ~done, suspects)
         own = np.flatnonzero(table.submap == submap)
-        if len(own) < table.dimension:  # what others left of it
+        if len(own) < table.dimension:  # the remainder
             table.take_off_map(own)
         done[own] = True
     return grew
@@ -73,7 +73,7 @@ def extend_submaps(global_map: GlobalMap, rows: SegmentRows, among: Bools | None
 def _extend(
     global_map: GlobalMap, submap: int, rows: SegmentRows, free: Bools, suspects: bool
 ) -> bool:
-    """Extend one submap by free landmarks (m,), either at rest or suspected."""
+    """Extend one submap by free landmarks (m,), static or suspected to move."""
     table, tier, grew = global_map.table, 0, False
     landmark = table.now(rows.landmark)
     while tier < len(TIERS):
@@ -96,9 +96,9 @@ def _extend(
 
 
 def _lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _Laid:
-    """Lay every segment on those of its rows (n,) that are known, and tell how sure the others are.
+    """Align every segment to its known rows (n,), and return the variances of the others.
 
-    Where fewer agree than fix a segment, or less than half, the variance of all of it is infinite.
+    If too few rows agree to determine a segment, or less than half, its variances are infinite.
     """
     n, d = rows.n_segments, rows.points.shape[1]
     there, of = positions[landmark[known]], rows.segment[known]
@@ -118,14 +118,14 @@ def _lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> 
 
 
 def _upper(values: Floats, of: Ints) -> Floats:
-    """Return what most of the values (n,) of each number in `of` do not exceed."""
+    """Return a high quantile of the values (n,) of each number in `of`."""
     order = np.lexsort((values, of))
     _, first, counts = np.unique(of[order], return_index=True, return_counts=True)
     return np.asarray(values[order][first + (AGREEING * counts).astype(np.int64)])
 
 
 def _variances(rows: SegmentRows, fitted: Ints, n: int) -> Floats:
-    """Return the variance (n,) of each row of segments fitted to some rows, in an observation's."""
+    """Return the variance (n,) of each row after fitting segments, relative to an observation."""
     at, d = rows.segment[fitted], rows.points.shape[1]
     seen = rows.n_seen[fitted].astype(np.float64)
     total = np.maximum(np.bincount(at, seen, minlength=n), 1e-300)
@@ -147,7 +147,7 @@ def _variances(rows: SegmentRows, fitted: Ints, n: int) -> Floats:
 def _placed(
     table: LandmarkState, rows: SegmentRows, landmark: Ints, chosen: Ints, laid: _Laid, sure: int
 ) -> tuple[Ints, Floats, Floats]:
-    """Return landmarks (k,), places (k, d) and weights (k,) of those on which segments agree."""
+    """Return landmarks (k,), positions (k, d) and weights (k,) on which segments agree."""
     chosen = chosen[np.argsort(landmark[chosen], kind="stable")]
     numbers, first = np.unique(landmark[chosen], return_index=True)
     found: list[int] = []

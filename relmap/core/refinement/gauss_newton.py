@@ -1,4 +1,4 @@
-"""Damped Gauss-Newton with weights for what no noise explains, for any kind of landmark."""
+"""Damped, robust Gauss-Newton for any kind of landmark."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ Weigh = Callable[[Floats], Floats]
 """Weights (n,) of residuals (n,)."""
 
 WORSE = 1.001
-"""A step after which the cost is more than so many times that before was too long."""
+"""A step is too long if it multiplies the cost by more than this."""
 DAMPED, MORE, MOST = 1e-4, 10.0, 1.0
-"""What is added to the matrix's diagonal then, as a share of it, how many times more each time
-(Levenberg, 1944; Marquardt, 1963), and when the search ends."""
+"""Initial damping after a rejected step, as a fraction of the diagonal, factor of its increase, and
+limit (Levenberg, 1944; Marquardt, 1963)."""
 SLOW = 0.1
-"""A step that gains a larger share of what the one before did asks for a new factor."""
+"""A step that gains a larger fraction of the previous gain triggers a new factorisation."""
 UNSURE = 1e-7
-"""Gain that no further step is taken for, in squared standard deviations of the whole map."""
+"""Gain below which no further step is taken, in squared standard deviations of the whole map."""
 SAME, ALIKE = 0.05, 0.01
-"""Change of a weight that makes no difference, and mean change that asks for no new factor."""
+"""Largest negligible change of a weight, and mean change that needs no new factorisation."""
 
 
 class Problem(Protocol[State]):
-    """What a kind of landmark supplies.
+    """A nonlinear least-squares problem, implemented by a kind of landmark.
 
     Attributes
     ----------
     pattern : Pattern
-        Where the unknowns stand that are left when others are eliminated.
+        Sparsity pattern of the unknowns that are not eliminated.
     freedoms : int
-        How many more residuals there are than unknowns; at least 1.
+        Degrees of freedom: residuals minus unknowns; at least 1.
     rounding : float
-        Cost that is taken for rounding.
+        Cost treated as rounding.
     """
 
     pattern: Pattern
@@ -47,41 +47,41 @@ class Problem(Protocol[State]):
     rounding: float
 
     def residuals(self, state: State) -> Floats:
-        """Return the sizes (n,) of what is left of the observations, each as sure as the others."""
+        """Return the norms (n,) of the residuals, normalised to equal variance."""
         ...
 
     def equations(
         self, state: State, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
-        """Return the normal equations, of observations of weights (n,).
+        """Return the normal equations of observations with weights (n,).
 
-        The matrix's diagonal is larger by `damping`, as a share of it.
+        The diagonal of the matrix is multiplied by ``1 + damping``.
         """
         ...
 
     def stepped(
         self, state: State, equations: NormalEquations, step: Floats, weight: Floats
     ) -> State | None:
-        """Return the state after the step that solves the equations; None if it is too long."""
+        """Return the state after solving the equations; None if the step is too long."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Solution(Generic[State]):
-    """Where Gauss-Newton came to.
+    """Result of Gauss-Newton.
 
     Attributes
     ----------
     state : State
     weight : (n,) float64
     last : State, optional
-        Before the last step, if there was one.
+        State before the last step, if any.
     gain : float
-        What the last step gained, in squared standard deviations; infinite if there was none.
+        Gain of the last step, in squared standard deviations; infinite if there was none.
     converged : bool
-        Whether the next one would gain next to nothing.
+        Whether the gain of the next step would be negligible.
     factor : (size,) float64, optional
-        Of the last matrix, good enough to go on with.
+        Factor of the last matrix, for reuse.
     """
 
     state: State
@@ -93,7 +93,7 @@ class Solution(Generic[State]):
 
 
 def weighted_squares(residual: Floats, weight: Floats) -> float:
-    """Return the cost of least squares."""
+    """Return the least-squares cost."""
     return float(weight @ residual**2)
 
 
@@ -110,32 +110,30 @@ def gauss_newton(
     reuse: bool = True,
     faint: float = 0.0,
 ) -> Solution[State]:
-    """Return a state of the least cost.
-
-    Weights change with each step.
+    """Minimise the cost, updating the weights with each step.
 
     Parameters
     ----------
     problem : Problem
     state : State
-        To start from.
+        Initial state.
     weigh : callable
     rounds : int
-        Most steps.
+        Maximum number of steps.
     factor : (size,) float64, optional
-        Of a matrix that is nearly the same.
+        Factor of a nearly equal matrix.
     cost_of : callable
-        What is made least, of residuals and weights.
+        Cost as a function of residuals and weights.
     unsure, same : float
-        Gain that no further step is taken for, in squared standard deviations of the whole map, and
+        Convergence thresholds: gain of a step, in squared standard deviations of the whole map, and
         largest change of a weight.
     monotone : bool
-        Whether a step that raises the cost is taken for too long.  Where weights go from lenient to
-        strict, to raise the cost is the way out of what mismatched observations hold.
+        Whether a step that increases the cost is rejected. While weights go from lenient to strict,
+        an increase may be needed to escape from wrong matches.
     reuse : bool
-        Whether a factor is used again as long as that gains much; not where weights change a lot.
+        Whether a factor is reused while the gain is large; not useful if weights change much.
     faint : float
-        As `unsure`, of a damped step: where full ones are too long, many more would be needed.
+        As `unsure`, for damped steps: if full steps are rejected, convergence would take many more.
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
