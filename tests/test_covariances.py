@@ -144,7 +144,7 @@ def test_covariances_come_with_every_scan_or_none() -> None:
         mapper.update(np.empty((0, 2)))
         mapper.update(points, covariances=first)
         mapper.update(np.empty((0, 2)))
-        with pytest.raises(RelmapError, match=f"covariances {message} the scans before"):
+        with pytest.raises(RelmapError, match=f"covariances {message} earlier scans"):
             mapper.update(points, covariances=then)
         assert mapper.n_iterations == 3
         mapper.update(points, covariances=first)

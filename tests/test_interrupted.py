@@ -1,4 +1,4 @@
-"""Updates that are cut off half way, and threads that share a mapper."""
+"""Updates that are interrupted, and threads that share a mapper."""
 
 from __future__ import annotations
 
@@ -90,9 +90,9 @@ def test_an_interrupted_update_was_not_or_was_or_is_told(
             continue
         was_told = True
         for look in ("map", "landmarks", "trajectory", "n_iterations"):
-            with pytest.raises(RelmapError, match="interrupted half way"):
+            with pytest.raises(RelmapError, match="interrupted"):
                 getattr(mapper, look)
-        with pytest.raises(RelmapError, match="interrupted half way"):
+        with pytest.raises(RelmapError, match="interrupted"):
             mapper.save(tmp_path / "mapper.npz")
         mapper.close()
         resumed = kind.resume(path)
@@ -116,9 +116,9 @@ def test_whatever_cuts_an_update_off_is_told_and_a_refusal_is_not(
         mapper.update(POINTS[20])
     monkeypatch.undo()
     for each in (mapper, copy.deepcopy(mapper)):
-        with pytest.raises(RelmapError, match="interrupted half way"):
+        with pytest.raises(RelmapError, match="interrupted"):
             each.update(POINTS[20])
-        with pytest.raises(RelmapError, match="interrupted half way"):
+        with pytest.raises(RelmapError, match="interrupted"):
             each.finish()
 
 
@@ -151,7 +151,7 @@ def test_two_threads_that_share_a_mapper_are_refused() -> None:
     other.start()
     segmenter.begun.wait()
     for use in (lambda: mapper.update(WALLS[0]), mapper.finish, lambda: mapper.n_iterations):
-        with pytest.raises(RelmapError, match="another thread is in the middle of an update"):
+        with pytest.raises(RelmapError, match="another thread is updating this mapper"):
             use()
     segmenter.may_end.set()
     other.join()

@@ -204,13 +204,13 @@ def test_landmarks_on_one_line_stay_unmapped() -> None:
         ([[1, 2, 3], [4, np.inf, 6]], [1, 2], "points row 1.*finite"),
         ([1, 2, 3], [1], "shape"),
         ([[1, 2, 3, 4]], [1], "shape"),
-        ([[1, 2]], [1], "2 columns; the scans before had 3"),
+        ([[1, 2]], [1], "2 columns; earlier scans had 3"),
         ([["a", "b", "c"]], [1], "array of numbers"),
         ([[1, 2, 3], [1, 2]], [1, 2], "array of numbers"),
         ([[1, 2, 3]], [1, 2], "ids has shape"),
         ([[1, 2, 3], [4, 5, 6]], [7, 7], "ids holds 7 twice"),
         ([[1, 2, 3]], [1.5], "whole numbers"),
-        ([[1, 2, 3]], None, "ids came with the scans before"),
+        ([[1, 2, 3]], None, "ids came with earlier scans"),
     ],
 )
 def test_a_rejected_scan_says_why_and_changes_nothing(

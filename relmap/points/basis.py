@@ -9,7 +9,7 @@ from relmap.core.geometry.alignment import fixes_rotation
 
 
 def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
-    """Choose basis points that are spaced apart.
+    """Choose well-separated basis points.
 
     B0 is the point farthest from the centre, B1 the farthest from B0, and in space B2 the farthest
     from the line through both.
@@ -22,7 +22,7 @@ def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
     Returns
     -------
     (d,) int64 or None
-        Rows of B0, B1 (and B2); None where the points lie on one spot or, in space, on one line.
+        Rows of B0, B1 (and B2); None if the points coincide or, in space, are collinear.
     """
     if not fixes_rotation(points):
         return None
@@ -37,10 +37,10 @@ def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
 
 
 def to_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Bring every iteration of a group into the consistent basis.
+    """Transform every iteration of a group into the consistent basis.
 
-    B0 comes to the origin, B1 onto the negative x axis, and in space B2 into the xz plane, at
-    positive z.
+    B0 is the origin, B1 lies on the negative x axis, and in space B2 in the xz plane, at positive
+    z.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
     Returns
     -------
-    (g, d) float64, group frame, metres, or None where the group fixes no basis
+    (g, d) float64, group frame, metres, or None if the group determines no basis
     """
     basis = choose_basis(block[:, block.shape[1] // 2])
     if basis is None:

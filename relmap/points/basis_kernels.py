@@ -10,7 +10,7 @@ from relmap.core.linalg.compiling import compiled, helper
 
 @helper
 def _scale(axis: NDArray[np.float64]) -> None:
-    """Give an axis (d,) the length 1."""
+    """Normalise an axis (d,)."""
     square = 0.0
     for a in range(len(axis)):
         square += axis[a] * axis[a]
@@ -43,7 +43,7 @@ def _axes(
 
 @compiled
 def into_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Bring every iteration of a block (g, i, d) into the basis of some rows; see `to_basis`."""
+    """Transform each iteration of a block (g, i, d) into the basis of rows; see `to_basis`."""
     g, m, d = block.shape
     placed, axes = np.empty((g, m, d)), np.empty((d, d))
     for i in range(m):

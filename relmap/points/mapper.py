@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
 
 AROUND = 1.2
-"""How far from the robot landmarks are expected, in units of how far the scan reaches."""
+"""Expected distance of landmarks from the robot, in units of the scan's extent."""
 
 
 class PointMapper(Mapper):
@@ -34,9 +34,9 @@ class PointMapper(Mapper):
     ----------
     config : MapperConfig, optional
     journal : path, optional
-        A file to be begun that keeps every scan, so that `resume` can go on from it.
+        A new file that records every scan, so that `resume` can continue from it.
     run : dict, optional
-        What the journal should tell about the run.
+        Description of the run to store in the journal.
 
     Examples
     --------
@@ -69,33 +69,33 @@ class PointMapper(Mapper):
         covariances: ArrayLike | None = None,
         odometry: ArrayLike | None = None,
     ) -> NDArray[np.int64]:
-        """Take in the observations of one iteration.
+        """Process the observations of one iteration.
 
         Parameters
         ----------
         points : (n, 2) or (n, 3) array, robot frame, metres
             Two columns make a planar world.
         ids : (n,) array of int, optional
-            Known association; negative where a landmark was not identified.  They come with every
-            scan or with none.
+            Known association; negative for unidentified landmarks. Give ids with every scan or with
+            none.
         covariances : (n, d, d) array, robot frame, square metres, optional
-            How noisy each point is, in which direction; see `range_bearing_covariances` for
-            sensors that measure range and bearing.  `refine` weighs each observation by it.  They
-            come with every scan that sees anything or with none.
+            Noise of each point; see `range_bearing_covariances` for sensors that measure range and
+            bearing. `refine` weights the observations by it. Give covariances with every non-empty
+            scan or with none.
         odometry : (3,), (7,) or (4, 4) array, optional
-            How the robot moved since the last update, see `relmap.core.odometry.checked_odometry`;
-            that of the first is not used.
+            Motion of the robot since the last update, see `relmap.core.odometry.checked_odometry`;
+            that of the first update is not used.
 
         Returns
         -------
         (n,) int64
-            Label of the landmark of each observation; -1 where it was not identified.  A landmark
-            that is recognised later changes its label: see `landmarks_of`.
+            Label of the landmark of each observation; -1 if unidentified. A landmark that is
+            recognised later changes its label: see `landmarks_of`.
 
         Raises
         ------
         RelmapError
-            Where the scan cannot be used; the mapper is then as it was.
+            If the scan is invalid; the mapper is then unchanged.
         """
         with self._guard.change():
             points_robot = checked_points(points, self.engine.store.dimension)
@@ -114,7 +114,7 @@ class PointMapper(Mapper):
         if len(points_robot) and self._has_covariances not in (None, noise is not None):
             given = "came with" if noise is None else "did not come with"
             raise RelmapError(
-                f"covariances {given} the scans before; give them with every scan or none"
+                f"covariances {given} earlier scans; give them with every scan or none"
             )
         if self._journal is not None:
             self._journal.ready()
@@ -128,27 +128,27 @@ class PointMapper(Mapper):
 
     @property
     def _has_covariances(self) -> bool | None:
-        """Whether covariances come with the observations; None before the first of these."""
+        """Whether covariances are given with observations; None before the first one."""
         if len(self.engine.weighed):
             return True
         return False if len(self.engine.table) else None
 
     @property
     def rejected_observations(self) -> NDArray[np.int64]:
-        """Iteration, and row in its scan, of each observation (r, 2) whose id was overruled.
+        """Iteration and row of each observation (r, 2) whose id was overruled.
 
-        It lies far from where its landmark is, and so is of no landmark or of the one that was
-        expected there, as its label says.  Those of `rejected` iterations are not listed.
+        It lies far from the landmark of that id, so it was assigned to no landmark or to the one
+        expected there, as its label shows. Observations of `rejected` iterations are not listed.
         """
         return self.engine.association.overruled
 
     def refine(self) -> None:
-        """Bring all landmarks to where all observations agree best, by joint least squares.
+        """Move all landmarks to the joint least-squares solution over all observations.
 
-        The chain of groups drifts; this spreads what is left of it, after a loop was closed above
-        all, over the whole map.  Without ids, landmarks that then lie where older ones do that they
-        may be are merged (see `landmarks_of`).  From then on until the next update it is also known
-        how sure each position is.  With `keep_observations`, bounded noise is made use of.
+        The chain of groups drifts; this distributes the drift over the whole map, in particular
+        after a loop closure. Without ids, landmarks that then coincide with compatible older ones
+        are merged (see `landmarks_of`). Covariances of the positions are available until the next
+        update. With `keep_observations`, bounded noise is exploited.
         """
         with self._guard.change():
             self._note_call("refine")
@@ -156,10 +156,10 @@ class PointMapper(Mapper):
             afterwards.refine(self.engine)
 
     def finish(self) -> None:
-        """Map what is left, spread what has drifted since, and without ids tie submaps.
+        """Finish the map: map the rest, distribute the drift, and without ids join submaps.
 
-        Those that show the same place become one.  Landmarks that turn out to be the same are
-        merged on the way: see `landmarks_of`.
+        Submaps that show the same place are joined. Landmarks that turn out to be the same are
+        merged: see `landmarks_of`.
         """
         super().finish()
 
@@ -175,7 +175,7 @@ class PointMapper(Mapper):
             afterwards.leave_out_rare(self.engine)
 
     def localise(self, points: ArrayLike) -> NDArray[np.float64]:
-        """Return where a scan was taken, found from the map alone; the mapper stays as it is.
+        """Localise a scan in the map, without changing the mapper.
 
         Parameters
         ----------
@@ -184,8 +184,8 @@ class PointMapper(Mapper):
         Returns
         -------
         (4, 4) float64
-            ``T_map_robot``; NaN where less than half of the scan is in the map, or fewer than 7
-            landmarks (5 in the plane), or more than one place looks like it.
+            ``T_map_robot``; NaN if less than half of the scan or fewer than 7 landmarks (5 in the
+            plane) are in the map, or if the place is ambiguous.
 
         Raises
         ------
@@ -201,10 +201,10 @@ class PointMapper(Mapper):
         return T_map_robot
 
     def take_up(self, points: ArrayLike) -> bool:
-        """Let the next update, of this scan, go on with the map where the scan was taken.
+        """Localise a scan in the map so that the next update, of this scan, continues there.
 
-        So a log is added to a map whose last scan was taken elsewhere.  With known association
-        there is nothing to do: the ids tell.
+        Use it to add a log to a map whose last scan was taken elsewhere. With known association it
+        is not needed.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class PointMapper(Mapper):
         Returns
         -------
         bool
-            Whether the scan was found in the map; where not, nothing is changed.
+            Whether the scan was found in the map; if not, nothing is changed.
 
         Raises
         ------
@@ -221,7 +221,7 @@ class PointMapper(Mapper):
             If the scan is invalid, or a journal is kept, which could not record it.
         """
         if self._journal is not None:
-            raise RelmapError("a run that keeps a journal begins with an empty map")
+            raise RelmapError("a run with a journal must start with an empty map")
         seen = checked_points(points, self.engine.store.dimension)
         placement = self._placed(seen)
         registration = self.engine.association.registration

@@ -1,4 +1,4 @@
-"""Points as landmarks: three of them are a consistent basis, two in the plane (section III)."""
+"""Points as landmarks: three define a consistent basis, two in the plane (section III)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from relmap.points.basis import relative_map
 
 
 class PointModel:
-    """What the engine has to know of points; see `relmap.core.model.LandmarkModel`."""
+    """The point model for the engine; see `relmap.core.model.LandmarkModel`."""
 
     columns = POINTS
     keeps_observations = False
@@ -28,12 +28,12 @@ class PointModel:
         return Constellation(config.max_missed)
 
     def rows(self, seen: NDArray[np.float64], landmarks: NDArray[np.int64]) -> Rows:
-        """Return what is stored of the points (n, d) of one scan: those that were identified."""
+        """Return the stored columns of the identified points (n, d) of one scan."""
         known = landmarks >= 0
         return {"landmark": landmarks[known], "location": seen[known]}
 
     def points(self, rows: Rows) -> Shown:
-        """Return the observed points as they are."""
+        """Return the observed points unchanged."""
         return shown_points(rows)
 
     def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -41,13 +41,13 @@ class PointModel:
         return relative_map(block)
 
     def min_shared(self, dimension: int) -> int:
-        """Return how few mapped points fix a group."""
+        """Return the minimum number of mapped points that determine the pose of a group."""
         return dimension
 
     def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which points (n,) are compared with older ones: all of them."""
+        """Return which points (n,) are compared with older ones: all of them."""
         return np.ones(len(landmarks), dtype=bool)
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Tell whether a point may be an older one: nothing speaks against it."""
+        """Return that any point may be an older one."""
         return True

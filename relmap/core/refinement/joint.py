@@ -1,8 +1,8 @@
-"""Joint least squares over all condensed segments: the step that the paper lacks.
+"""Joint least squares over all condensed segments, an addition to the paper.
 
-A chain of groups drifts, and where it closes a loop only the landmarks seen again move.  Here all
-observations count at once.  Where the robot was in each iteration is a nuisance variable, no motion
-is estimated: what counts is where the landmarks come to lie relative to one another.
+A chain of groups drifts, and a loop closure moves only the landmarks seen again. Here all
+observations are used jointly. The robot pose of each iteration is a nuisance variable without a
+motion model: only the relative positions of the landmarks matter.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from relmap.core.refinement.rows import JointRows
 from relmap.core.refinement.settling import Settled, polished, settle, size_of
 
 STEADY = 3.0
-"""Median deviation up to which a landmark keeps its place, in units of what is usual."""
+"""Median deviation up to which a landmark keeps its position, relative to the usual deviation."""
 SURELY = 3.0
-"""Standard deviations by which a variance must be larger to be taken for larger."""
+"""Standard deviations by which a variance must exceed another to count as larger."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Works out the covariances of some landmarks, turned and scaled (d, d)."""
+    """Computes the covariances of some landmarks, transformed and scaled (d, d)."""
 
     problem: Any
     settled: Settled[Any]
@@ -43,41 +43,41 @@ class Spread:
     scale: NDArray[np.float64]
 
     def __call__(self) -> NDArray[np.float64]:
-        """Return the covariances, square metres; NaN of what the observations do not fix."""
+        """Return the covariances, square metres; NaN for undetermined landmarks."""
         state = self.settled.state
         found = self.problem.covariances(state, self.settled.weight)
         found = np.asarray(self.scale.T @ found[self.chosen] @ self.scale)
-        # No linear theory describes errors as large as the map.
+        # Linearisation does not describe errors as large as the map.
         extent = np.ptp(state.positions[self.chosen], axis=0).max()
         found[np.trace(found, axis1=1, axis2=2) > found.shape[1] * extent**2] = np.nan
         return found
 
     def scaled(self, factor: float) -> Spread:
-        """Return the same for standard deviations that are larger by a factor."""
+        """Return the same for standard deviations scaled by a factor."""
         return replace(self, scale=factor * self.scale)
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """A submap on which all observations agree best.
+    """A submap at the joint optimum over all observations.
 
     Attributes
     ----------
     landmarks : (m,) int64
     positions : (m, d) float64, metres
-        In the frame of the robot in the anchor iteration.
+        In the robot frame of the anchor iteration.
     anchor_iteration : int
-        The first iteration that saw enough of the landmarks to be fixed by them.
+        The first iteration whose landmarks determine its pose.
     noise_m : float
-        Standard deviation of an observed coordinate, from what is left.
+        Standard deviation of an observed coordinate, from the residuals.
     segments : SegmentResiduals
     merges : MergeResiduals
     spread : Spread
     power : float
-        Of what is left of the observations, whose sum is least; 2 is least squares.
+        Exponent p of the minimised sum of p-th powers of the residuals; 2 is least squares.
     converged : bool
-        Whether the least squares came to an end.  Where not, the positions are the best that was
-        found, no worse than those to start from.
+        Whether the least squares converged. Otherwise the positions are the best found, no worse
+        than the initial ones.
     """
 
     landmarks: NDArray[np.int64]
@@ -95,12 +95,12 @@ class Refined:
     )
 
     def __getstate__(self) -> dict[str, object]:
-        """Copy the covariances, not what they are worked out from."""
+        """Copy the covariances, not what they are computed from."""
         return self.__dict__ | {"covariances": self.covariances, "spread": None}
 
     @cached_property
     def covariances(self) -> NDArray[np.float64]:
-        """Of the errors of the positions (m, d, d), square metres, worked out when first asked."""
+        """Covariances of the position errors (m, d, d), square metres, computed on first access."""
         return self.spread()
 
 
@@ -113,29 +113,29 @@ def refine(
     suspects: NDArray[np.bool_],
     again: bool = False,
 ) -> Refined | None:
-    """Return where landmarks of one submap lie by all observations.
+    """Return the joint optimum of the landmarks of one submap over all observations.
 
     Parameters
     ----------
     rows : SegmentRows
     positions : (m, d) float64, metres
-        The chained map to start from.
+        Initial positions, from the chain of groups.
     chosen : (m,) bool
         The landmarks of the submap.
     of : (m,) int64
         The landmark that each number stands for, after merging.
     others : (m,) bool
-        Landmarks at rest that are not mapped; they tie what was seen together with them.
+        Static landmarks that are not mapped; they constrain the landmarks seen with them.
     suspects : (m,) bool
-        Landmarks taken for moving.  Those that keep their place in the refined map as well as
-        others do were taken for it because of outliers, and tie as well.
+        Landmarks considered dynamic. Those that keep their position in the refined map as well as
+        others do were misclassified because of outliers, and are used as well.
     again : bool
-        Whether the positions are refined already, but for what has changed since.
+        Whether the map was refined before and has changed only partly.
 
     Returns
     -------
     Refined or None
-        None where nothing is fixed.
+        None if the observations determine nothing.
     """
     landmark = of[rows.landmark]
     found, better = None, positions.copy()
@@ -201,7 +201,7 @@ def _cleared(
     landmark: NDArray[np.int64],
     suspects: NDArray[np.bool_],
 ) -> NDArray[np.bool_]:
-    """Tell which suspects (m,) keep their place, from segment to segment, as others do."""
+    """Return which suspects (m,) keep their position from segment to segment as others do."""
     placed, fixed = laid_on(rows, positions, chosen[landmark], landmark)
     kept = np.flatnonzero(fixed & chosen[landmark])
     usual = np.median(_lengths(placed[kept] - positions[landmark[kept]])) if len(kept) else 0.0
@@ -224,7 +224,7 @@ def laid_on(
     kept: NDArray[np.bool_],
     landmark: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return all rows (n, d) with their segments fitted to some; and whether these fix it (n,)."""
+    """Return all rows (n, d), segments fitted to some rows, and which are determined (n,)."""
     at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
     there = positions[landmark[kept]]
     R, t, fixed, _ = fit_robust_each(rows.points[kept], there, n_seen, at, rows.n_segments)
@@ -239,9 +239,9 @@ def joint_rows(
     landmark: NDArray[np.int64],
     others: NDArray[np.bool_],
 ) -> tuple[JointRows, Laid]:
-    """Return the rows of a submap, and of others seen with it; and where all of these may be.
+    """Return the rows of a submap and of others seen with it, and their initial positions.
 
-    Segments that are not fixed by the submap are left out.
+    Segments not determined by the submap are left out.
     """
     mapped = chosen[landmark]
     placed, fixed = laid_on(rows, positions, mapped, landmark)
@@ -259,7 +259,7 @@ def joint_rows(
 
 
 def _anchor(rows: JointRows) -> tuple[int, int] | None:
-    """Return segment and bit of the first iteration that its landmarks fix."""
+    """Return segment and bit of the first iteration that its landmarks determine."""
     for segment, (begin, end) in enumerate(zip(rows.begin[:-1], rows.begin[1:], strict=True)):
         for bit in range(LENGTH):
             seen = (rows.visible[begin:end] >> bit) & 1 > 0
@@ -269,11 +269,10 @@ def _anchor(rows: JointRows) -> tuple[int, int] | None:
 
 
 def _noise(rows: SegmentRows, joint: JointRows, cost: float, weight: NDArray[np.float64]) -> float:
-    """Return the standard deviation of an observed coordinate that explains what is left.
+    """Return the standard deviation of an observed coordinate that explains the residuals.
 
-    Within segments and between them alike; but where segments surely agree less with one
-    another than within, what is between them counts.  Only rows that noise explains, of weights
-    (n,) of 1, take part.
+    It is pooled from the residuals within and between segments; if the latter are significantly
+    larger, only they are used. Only inlier rows, with weights (n,) of 1, are used.
     """
     d = joint.points.shape[1]
     q = 3 * d - 3

@@ -13,10 +13,10 @@ from relmap.core.linalg.small_kernels import unset
 def breadth_first(
     start: int, begin: Ints, landmark: Ints, entry_begin: Ints, entry: Ints, segment: Ints
 ) -> tuple[Ints, Ints]:
-    """Return levels of landmarks (m,) and segments (s,), from one landmark on.
+    """Return breadth-first levels of landmarks (m,) and segments (s,) from one landmark on.
 
-    `entry` lists the rows of each landmark, from `entry_begin` (m + 1,) on.  What cannot be reached
-    stands in levels of its own, after the others.
+    `entry` lists the rows of each landmark, from `entry_begin` (m + 1,) on.  Unreachable nodes get
+    levels of their own, after the others.
     """
     m = len(entry_begin) - 1
     of_landmark, of_segment = unset(m), unset(len(begin) - 1)

@@ -1,10 +1,9 @@
-"""Refinement while the map is being built, at a bounded cost.
+"""Refinement during mapping, at bounded cost.
 
-A chain of groups is nearly as good as can be until landmarks are seen again after a long time; then
-the map has drifted on the way, and the drift must be spread over all of it.  So when enough of them
-came back one Gauss-Newton step is taken for the whole map.  What was condensed is combined into
-a bounded number of rigid bodies, the longer the longer the run, so that a step costs no more in a
-long run than in a short one.
+A chain of groups is nearly optimal until landmarks are re-observed after a long time; the
+accumulated drift must then be distributed over the map. So when enough landmarks are back in view,
+one Gauss-Newton step is taken for the whole map. Condensed segments are merged into a bounded
+number of rigid bodies, which get longer with the run, so that the cost of a step is bounded.
 """
 
 from __future__ import annotations
@@ -25,26 +24,27 @@ from relmap.core.refinement.settling import size_of
 from relmap.core.state.table import NONE
 
 SLICE_EVERY = 8
-"""Iterations from one time that there may be something to do to the next."""
+"""Minimum iterations between attempts."""
 GROWTH = 1.15
-"""How many times as long a run must be as when the last step was taken."""
+"""Factor by which the run must have grown since the last step."""
 SOUND = 0.1
-"""How far a step may move a landmark, as a share of the extent of the map."""
+"""Largest movement of a landmark in a step, as a fraction of the extent of the map."""
 BACK = 16
-"""Landmarks that must have come back into view before a step is worth while."""
+"""Landmarks that must be back in view before a step is worthwhile."""
 LEAST = 16
-"""Segments before the first step, and for which a landmark that closes a loop was out of sight."""
+"""Minimum number of segments before the first step, and of segments out of sight for a landmark to
+close a loop."""
 BODIES = 64
-"""Bodies at most; of more, each two in a row are laid together."""
+"""Maximum number of bodies; beyond it, pairs of consecutive bodies are merged."""
 WHOLE = 400
-"""Segments up to which each is a body of its own in the last step, which need not be quick."""
+"""Segments up to which each is a body of its own in the last step, which is not time-critical."""
 
 Seen = tuple[Ints, Floats, Floats]
-"""Landmarks (n,), where they are, (n, d), and how much was seen of them, (n,)."""
+"""Landmarks (n,), their positions (n, d), and observation counts (n,)."""
 
 
 class LiveRefinement:
-    """Keeps the live map near the best that was seen so far.
+    """Keeps the live map near the optimum of all observations so far.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class LiveRefinement:
         self._back = 0
 
     def advance(self) -> bool:
-        """Take a step, if it is worth while; tell whether it was taken."""
+        """Take a step if worthwhile; return whether it was taken."""
         self._note()
         if self._back <= BACK or GROWTH * self._begun >= self._noted:
             return False
@@ -77,7 +77,7 @@ class LiveRefinement:
         return True
 
     def complete(self) -> None:
-        """Take a step over all there is, as no more is to come."""
+        """Take a step over everything, as no more scans will come."""
         self._note()
         rows = self._segments.rows
         if LEAST < self._noted <= WHOLE:
@@ -87,7 +87,7 @@ class LiveRefinement:
             self._step(*self._bodies())
 
     def _note(self) -> None:
-        """Note which landmarks came back into view after a long time; add to the bodies."""
+        """Record which landmarks came back into view after a long time; extend the bodies."""
         rows = self._segments.rows
         first = int(np.searchsorted(rows.segment, self._noted))
         for segment in range(self._noted, rows.n_segments):
@@ -102,7 +102,7 @@ class LiveRefinement:
         self._noted = rows.n_segments
 
     def _add(self, seen: Seen) -> None:
-        """Lay a segment on the last body, or let it be a body, where that is full or far off."""
+        """Merge a segment into the last body, or start a new body if that is full or far away."""
         n_bodies = int(self._body[-1]) + 1 if len(self._body) else 0
         together = None
         if n_bodies and self._in_last < self._length:
@@ -119,7 +119,7 @@ class LiveRefinement:
             self._join()
 
     def _extend(self, kept: int, body: int, seen: Seen) -> None:
-        """Put a body behind so many rows."""
+        """Add a body after so many rows."""
         landmark, points, weight = seen
         before = self._points[:kept] if kept else points[:0]
         self._landmark = np.append(self._landmark[:kept], landmark)
@@ -128,7 +128,7 @@ class LiveRefinement:
         self._body = np.append(self._body[:kept], np.full(len(landmark), body))
 
     def _join(self) -> None:
-        """Lay each two bodies in a row together, where they share enough."""
+        """Merge pairs of consecutive bodies that share enough landmarks."""
         begin = np.searchsorted(self._body, np.arange(self._body[-1] + 2))
         whole = self._landmark, self._points, self._weight
         bodies = [
@@ -142,7 +142,7 @@ class LiveRefinement:
             for seen in bodies[k : k + 2] if together is None else [together]:
                 self._extend(len(self._body), kept, seen)
                 kept += 1
-        # What shares too little is not tried again with each segment.
+        # Pairs that share too little are not retried with each segment.
         self._length *= 2 if kept < len(bodies) else 1
         self._most = max(BODIES, 2 * kept)
 
@@ -151,14 +151,14 @@ class LiveRefinement:
         return landmark, self._points, self._weight, self._body
 
     def _step(self, landmark: Ints, points: Floats, seen: Floats, body: Ints) -> None:
-        """Take a Gauss-Newton step for the submap that is in view, if there is one.
+        """Take a Gauss-Newton step for the submap in view, if there is one.
 
         Parameters
         ----------
         landmark : (n,) int64
         points : (n, d) float64, frame of the body, metres
         seen : (n,) float64
-            Observations behind each.
+            Number of observations of each.
         body : (n,) int64, ascending
         """
         submaps = self._table.submap[landmark]
@@ -189,10 +189,10 @@ class LiveRefinement:
         self.move(submap, joint, placed[on], weight[on])
 
     def move(self, submap: int, rows: JointRows, placed: Floats, weight: Floats) -> None:
-        """Move the landmarks, and what was mapped meanwhile along with the latest body.
+        """Move the landmarks; landmarks mapped in the meantime move with the latest body.
 
-        A step that leaves the neighbourhood in which it holds, as wrong matches make it, is not
-        taken.
+        A step outside the range of validity of the linearisation, as wrong matches cause, is
+        rejected.
         """
         positions, members = self._table.position, rows.landmarks
         level = levels_of(rows.begin, rows.landmark, len(members))[1]
@@ -213,7 +213,7 @@ class LiveRefinement:
 
 
 def laid_together(one: Seen, other: Seen) -> Seen | None:
-    """Lay what was seen in one stretch on that of another; None where they share too little."""
+    """Align one stretch of observations to another; None if they share too little."""
     _, mine, its = np.intersect1d(one[0], other[0], return_indices=True)
     if len(mine) < one[1].shape[1]:
         return None

@@ -1,4 +1,4 @@
-"""Every single observation of a run, as far as its landmarks are refined."""
+"""The single observations of the refined landmarks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from relmap.core.refinement.rows import numbered
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Observations of some landmarks, by iterations that these fix.
+    """Observations of some landmarks, in iterations that these determine.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class Observations:
     iteration : (n,) int64, ascending
         0 to k - 1.
     iterations : (k,) int64
-        Their numbers in the run.
+        Iteration numbers in the run.
     """
 
     points: Floats
@@ -33,18 +33,18 @@ class Observations:
 
     @property
     def begin(self) -> Ints:
-        """Where the rows of each iteration begin, and where the last ends; (k + 1,)."""
+        """First row of each iteration, and the end of the last; (k + 1,)."""
         return np.searchsorted(self.iteration, np.arange(len(self.iterations) + 1))
 
     def placed_on(self, positions: Floats) -> tuple[Floats, Floats, Bools]:
-        """Return the placement of each iteration that fits landmarks (m, d) best.
+        """Return the pose of each iteration that best fits landmarks (m, d).
 
         Returns
         -------
         R : (k, d, d) float64
         t : (k, d) float64
         fixed : (k,) bool
-            Whether what was seen fixes it.
+            Whether the observations determine it.
         """
         there, unit = positions[self.landmark], np.ones(len(self.points))
         return fit_rigid_each(self.points, there, unit, self.iteration, len(self.iterations))
@@ -53,16 +53,16 @@ class Observations:
 def observations_of(
     points: Floats, seen: Ints, when: Ints, landmarks: Ints, positions: Floats
 ) -> tuple[Observations, Ints]:
-    """Return the observations of landmarks (m,) at positions (m, d), and which (k,) of all.
+    """Return the observations of landmarks (m,) at positions (m, d), and their rows (k,).
 
     Parameters
     ----------
     points : (n, d) float64, robot frame, metres
         All observations.
     seen : (n,) int64
-        Of which landmark each is, after merging.
+        Landmark of each observation, after merging.
     when : (n,) int64, ascending
-        In which iteration each was made.
+        Iteration of each observation.
     landmarks : (m,) int64, ascending
     positions : (m, d) float64, metres
     """

@@ -1,9 +1,9 @@
-"""Refinement by the shape of the noise: bounded noise has edges, and they say more than the rest.
+"""Refinement for bounded noise: least sum of p-th powers of the residuals.
 
-Least squares is best for normal noise.  Where residuals are spread more evenly, the sum of their
-p-th powers is made least instead: p = 2 is least squares, p to infinity Chebyshev's estimate.  It
-is the best for noise of density ``exp(-|x|^p)`` (Subbotin, 1923), so p is taken from the kurtosis
-of the residuals, axis by axis in the robot's frame.  Every single observation is needed for it.
+Least squares is optimal for normal noise. For residuals with lighter tails, the sum of their p-th
+powers is minimised instead: p = 2 is least squares, p to infinity Chebyshev's estimate. This is
+optimal for noise of density ``exp(-|x|^p)`` (Subbotin, 1923), so p is chosen from the kurtosis of
+the residuals, axis by axis in the robot frame. It requires every single observation.
 """
 
 from __future__ import annotations
@@ -25,37 +25,37 @@ from relmap.core.refinement.rows import levels_of
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 FIRST, LAST = 4, 16
-"""Powers of use: below, least squares is as good; above, the steps get too rough."""
+"""Range of powers: below, least squares is as good; above, the steps become inaccurate."""
 STEPS = 2
-"""Newton steps for each power on the way."""
+"""Newton steps for each intermediate power."""
 SHARES = (1.0, 0.5, 0.25)
-"""Parts of Newton's step that are tried: where little is seen the whole of it is too long."""
+"""Fractions of Newton's step that are tried: with few observations the full step is too long."""
 FAINT = 1e-4
-"""Least weight, as a share of the largest: what was seen a few times leaves no residual."""
+"""Least weight, as a fraction of the largest: landmarks seen a few times have no residual."""
 LOOSE, LOOSE_POSE = 1e-9, 1e-12
-"""What holds a landmark and a placement that hang by too little, as a share of others."""
+"""Damping of poorly determined landmarks and placements, as a fraction of the diagonal."""
 EXACT = 1e-9
-"""Residual, as a share of the map's size, that is taken for rounding."""
+"""Residual treated as rounding, as a fraction of the map's size."""
 SPARSE = 20
-"""Iterations from one in whose frame errors are given to the next."""
+"""Iterations between two frames in which errors are evaluated."""
 REPEATS = 4
-"""Simulated runs from which the gain is estimated."""
+"""Number of simulated runs from which the gain is estimated."""
 
 
 def refine_by_powers(refined: Refined, seen: Observations) -> Refined:
-    """Return where landmarks lie by the least sum of the powers that suit the residuals.
+    """Return the landmark positions that minimise the sum of powers suited to the residuals.
 
     Parameters
     ----------
     refined : Refined
-        By least squares.
+        The least-squares result.
     seen : Observations
-        Of its landmarks.
+        Observations of its landmarks.
 
     Returns
     -------
     Refined
-        As it came where no higher power suits.
+        Unchanged if no higher power suits.
     """
     solution = PowerSolution.of(seen, refined.positions)
     size = np.ptp(refined.positions, axis=0).max()
@@ -82,7 +82,7 @@ def shape_of(residuals: Floats) -> float:
 
 
 class Placed(NamedTuple):
-    """Landmarks (m, d), and the placements of iterations, R (k, d, d) and t (k, d)."""
+    """Landmarks (m, d), and the poses of iterations, R (k, d, d) and t (k, d)."""
 
     positions: Floats
     R: Floats
@@ -90,10 +90,10 @@ class Placed(NamedTuple):
 
 
 class PowerProblem:
-    """The residuals of single observations, axis by axis of the robot; a `Problem`.
+    """Residuals of single observations, per axis of the robot frame; a `Problem`.
 
-    Newton's step towards the least sum of powers is that of least squares with weights, divided by
-    the power less one.
+    Newton's step for a sum of powers is that of weighted least squares, divided by the power minus
+    one.
 
     Parameters
     ----------
@@ -116,29 +116,29 @@ class PowerProblem:
         self._eliminated = Elimination(self.pattern, kept, d * seen.begin, rows, every)
 
     def of_power(self, power: int, unit: float) -> PowerProblem:
-        """Return the same for another power, of residuals in units of about their size."""
+        """Return the same problem for another power, with residuals normalised by their size."""
         found = copy(self)
         found.power, found._unit = power, unit
         return found
 
     def of_points(self, points: Floats) -> PowerProblem:
-        """Return the same for other observations (n, d) of the same landmarks."""
+        """Return the same problem for other observations (n, d) of the same landmarks."""
         found = copy(self)
         found.seen = replace(self.seen, points=points)
         return found
 
     def left(self, state: Placed) -> Floats:
-        """Return what is left of each observation (n, d), robot frame, metres."""
+        """Return the residual of each observation (n, d), robot frame, metres."""
         at = self.seen.iteration
         away = state.positions[self.seen.landmark] - state.t[at]
         return np.asarray(self.seen.points - np.einsum("nji,nj->ni", state.R[at], away))
 
     def residuals(self, state: Placed) -> Floats:
-        """Return what is left (n d,), axis by axis."""
+        """Return the residuals (n d,), axis by axis."""
         return self.left(state).ravel()
 
     def weights(self, residual: Floats) -> Floats:
-        """Return the weights of least squares that make the sum of powers least."""
+        """Return the weights for which least squares minimises the sum of powers."""
         size = np.abs(residual)
         return np.asarray(np.maximum((size / size.max()) ** (self.power - 2), FAINT))
 
@@ -160,13 +160,13 @@ class PowerProblem:
     def stepped(
         self, state: Placed, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Placed:
-        """Return the state after a step, or the better part of it."""
+        """Return the state after a step, or after the best fraction of it."""
         placements = equations.eliminated_steps(step)
         tried = [self._moved(state, share, step, placements) for share in SHARES]
         return min(tried, key=lambda each: self.sum_of_powers(self.residuals(each)))
 
     def sum_of_powers(self, residual: Floats, _: Floats | None = None) -> float:
-        """Return what is made least."""
+        """Return the cost."""
         return float(np.sum(np.abs(residual / self._unit) ** self.power))
 
     def _moved(self, state: Placed, share: float, step: Floats, placements: Floats) -> Placed:
@@ -178,29 +178,29 @@ class PowerProblem:
 
 @dataclass(frozen=True, eq=False)
 class PowerSolution:
-    """Landmarks and placements of the least sum of powers of what is left."""
+    """Landmarks and poses that minimise the sum of powers of the residuals."""
 
     problem: PowerProblem
     state: Placed
 
     @classmethod
     def of(cls, seen: Observations, positions: Floats) -> PowerSolution:
-        """Return the solution of least squares."""
+        """Return the least-squares solution."""
         R, t, _ = seen.placed_on(positions)
         return cls(PowerProblem(seen, len(positions)), Placed(positions, R, t))
 
     @property
     def power(self) -> int:
-        """The power whose sum is least."""
+        """The minimised power."""
         return self.problem.power
 
     @property
     def left(self) -> Floats:
-        """What is left of each observation (n, d), robot frame, metres."""
+        """Residual of each observation (n, d), robot frame, metres."""
         return self.problem.left(self.state)
 
     def by_powers(self) -> PowerSolution:
-        """Return the solution of the highest power that suits, found by doubling it."""
+        """Return the solution for the highest power that suits, found by doubling it."""
         solution, power = self, FIRST
         while power <= min(shape_of(solution.left), LAST):
             for _ in range(STEPS):
@@ -209,17 +209,17 @@ class PowerSolution:
         return solution
 
     def towards(self, power: int) -> PowerSolution:
-        """Return the solution after one of Newton's steps towards a power's."""
+        """Return the solution after one Newton step towards that of a power."""
         problem = self.problem.of_power(power, float(np.abs(self.left).max()))
         cost_of = problem.sum_of_powers
         found = gauss_newton(problem, self.state, problem.weights, 1, cost_of=cost_of)
         return PowerSolution(problem, found.state)
 
     def gain(self) -> float:
-        """Return the mean squared error as a share of that of least squares.
+        """Return the mean squared error relative to that of least squares.
 
-        No formula holds where so few observations fix each placement, so runs with the same map and
-        noise of the power's own density are estimated both ways (Efron, 1979).
+        No asymptotic formula holds with so few observations per pose, so runs with the same map and
+        noise of the corresponding density are simulated and solved both ways (Efron, 1979).
         """
         rng = np.random.default_rng(0)
         left = self.left
@@ -234,7 +234,7 @@ class PowerSolution:
 
 
 def _apart(one: Placed, other: Placed) -> float:
-    """Return the mean square distance of the landmarks of two solutions, as robots see them."""
+    """Return the mean square distance of the landmarks of two solutions, in robot frames."""
     here, there = (
         np.einsum("kji,kmj->kmi", each.R[::SPARSE], each.positions - each.t[::SPARSE, None])
         for each in (one, other)

@@ -1,4 +1,4 @@
-"""Where a refined map is weak: what the segments and the merges are apart from it."""
+"""Quality of a refined map: residuals of segments and merges."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class SegmentResiduals:
     ----------
     first_iteration : (s,) int64
     middle : (s, d) float64, map frame, metres
-        Of the landmarks seen in it.
+        Mean position of the landmarks seen in it.
     residual : (s,) float64
-        What it is apart from the map, root mean square, in units of what the noise explains.
+        Root mean square deviation from the map, in units of what the noise explains.
     """
 
     first_iteration: Ints
@@ -32,14 +32,14 @@ class SegmentResiduals:
 
 @dataclass(frozen=True, eq=False)
 class MergeResiduals:
-    """How well landmarks lost and seen again fit what they were merged into.
+    """How well re-observed landmarks fit the ones they were merged into.
 
     Attributes
     ----------
     landmark, track : (k,) int64
         The landmark, and the number under which it was seen again.
     apart_m : (k,) float64
-        How far apart it was seen under this number and under all others.
+        Distance between the positions seen under this number and under all others.
     residual : (k,) float64
         The same, in units of what the noise explains.
     """
@@ -53,14 +53,14 @@ class MergeResiduals:
 def segment_residuals(
     rows: SegmentRows, joint: JointRows, placed: Floats, positions: Floats, noise_m: float
 ) -> SegmentResiduals:
-    """Compare each segment's sum of squares with what noise alone would leave of it.
+    """Compare each segment's sum of squares with its expectation under noise alone.
 
-    Outliers are reported here, however little weight the refinement gives them.
+    Outliers are reported here, even if the refinement gives them little weight.
 
     Parameters
     ----------
     placed : (n, d) float64, map frame, metres
-        The rows, each segment where it fits the map best.
+        The rows, with each segment fitted to the map.
     positions : (m, d) float64, map frame, metres
         The landmarks.
     """
@@ -78,21 +78,21 @@ def segment_residuals(
 def merge_residuals(
     landmarks: Ints, of: Ints, number: Ints, off: Floats, seen: Floats, variance: Floats
 ) -> MergeResiduals:
-    """Compare where landmarks were seen under each number that was merged into another.
+    """Compare the positions seen under each number that was merged into another.
 
     Parameters
     ----------
     landmarks : (m,) int64
     of : (n,) int64
-        Which of these each row is.
+        Index of the landmark of each row.
     number : (n,) int64
-        Under which number it was seen.
+        Number under which it was seen.
     off : (n, d) float64, metres
-        How far from where the landmark is.
+        Deviation from the position of the landmark.
     seen : (n,) float64
-        How often.
+        Number of observations.
     variance : (n,) float64, square metres
-        Of a coordinate of one observation.
+        Variance of a coordinate of one observation.
     """
     tracks, own = np.unique(number, return_inverse=True)
     landmark = np.zeros(len(tracks), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""What segments say of the landmarks of one submap, ready for the joint least squares."""
+"""The rows of the segments of one submap, prepared for the joint least squares."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class JointRows:
     points : (n, d) float64, segment frame, metres
     visible : (n,) uint8
     n_seen : (n,) float64
-        Observations behind each row.
+        Number of observations of each row.
     segment : (n,) int64, ascending
         0 to s - 1.
     landmark : (n,) int64
@@ -30,7 +30,7 @@ class JointRows:
     segments : (s,) int64
         Their numbers among all segments.
     rows : (n,) int64
-        Where these are among all rows.
+        Their indices among all rows.
     """
 
     points: Floats
@@ -44,7 +44,7 @@ class JointRows:
 
     @classmethod
     def of_landmarks(cls, rows: SegmentRows, landmark: Ints, kept: Ints) -> JointRows:
-        """Return chosen rows `kept` (n,), where all rows are of landmarks (k,)."""
+        """Return the chosen rows `kept` (n,) of all rows, with landmarks (k,)."""
         landmarks, compact = numbered(landmark[kept])
         segments, segment = numbered(rows.segment[kept])
         return cls(
@@ -60,27 +60,27 @@ class JointRows:
 
     @property
     def begin(self) -> Ints:
-        """Where the rows of each segment begin, and where the last ends; (s + 1,)."""
+        """First row of each segment, and the end of the last; (s + 1,)."""
         return np.searchsorted(self.segment, np.arange(len(self.segments) + 1))
 
 
 def rows_of_each(landmark: Ints, n: int) -> tuple[Ints, Ints]:
-    """Return where the rows of each of n landmarks begin (n + 1,) in a list of rows (k,)."""
+    """Return the first row of each of n landmarks (n + 1,) in a list of rows (k,)."""
     counts = np.bincount(landmark, minlength=n)
     return np.concatenate([[0], np.cumsum(counts)]), np.argsort(landmark, kind="stable")
 
 
 def levels_of(begin: Ints, landmark: Ints, n_landmarks: int) -> tuple[Ints, Ints]:
-    """Return levels of landmarks (m,) and of what saw them (s,), beginning at an outer landmark.
+    """Return levels of landmarks (m,) and of segments (s,), starting at an outer landmark.
 
     Neighbours are at most one level apart.
 
     Parameters
     ----------
     begin : (s + 1,) int64
-        Where the rows of each segment, or iteration, begin.
+        First row of each segment or iteration.
     landmark : (n,) int64
-        Of each row, 0 to `n_landmarks` - 1.
+        Landmark of each row, 0 to `n_landmarks` - 1.
     n_landmarks : int
     """
     from relmap.core.refinement.levels_kernels import breadth_first
@@ -89,12 +89,12 @@ def levels_of(begin: Ints, landmark: Ints, n_landmarks: int) -> tuple[Ints, Ints
     segment = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
     of_landmark, of_segment = breadth_first(0, *graph, segment)
     of_landmark, of_segment = breadth_first(int(np.argmax(of_landmark)), *graph, segment)
-    # Where one component ends, its last landmarks may stand a level beyond its last segments.
+    # At the end of a component, its last landmarks may be a level beyond its last segments.
     return of_landmark, numbered(of_segment)[1]
 
 
 def numbered(values: Ints) -> tuple[Ints, Ints]:
-    """Return what is among values (k,), ascending, and the place of each in that."""
+    """Return the distinct values of (k,), ascending, and the index of each value among them."""
     there = np.zeros(int(values.max(initial=-1)) + 1, dtype=bool)
     there[values] = True
     return np.flatnonzero(there), (np.cumsum(there) - 1)[values]

@@ -1,10 +1,10 @@
 """Normal equations with some unknowns eliminated, for any kind of landmark.
 
 Each residual depends on one body that is eliminated and on a few unknowns that are kept (Schur
-complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000).  The bodies are poses;
-or points, where so many are seen at once that eliminating the poses takes longer.  Bodies that see
-nearly the same, as poses in a row do, are a stretch: what they leave of the unknowns that are kept
-is added up densely before it goes to the sparse matrix.
+complement; Triggs et al., "Bundle adjustment - a modern synthesis", 2000).  The bodies are poses,
+or points if so many are seen at once that eliminating the poses is more expensive. Bodies that
+share most unknowns, such as consecutive poses, form a stretch: their contributions are summed in a
+dense block before they are added to the sparse matrix.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """The equations of a Gauss-Newton step.
+    """The normal equations of a Gauss-Newton step.
 
     Attributes
     ----------
     right : (u,) float64
-        In the order of elimination.
+        Right-hand side, in elimination order.
     matrix : (size,) float64
-        As the pattern lays it out; empty where it was not asked for.
+        Stored as described by the pattern; empty if not requested.
     cost : float
-        Weighted squares that are left where the bodies eliminated fit best.
+        Weighted sum of squares at the optimum of the eliminated bodies.
     eliminated_steps : callable
-        From a step (u,) to those of the bodies (p, q).
+        Maps a step (u,) to the steps of the bodies (p, q).
     """
 
     right: Floats
@@ -46,13 +46,13 @@ class NormalEquations:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals near a state, and their Jacobians.
+    """Residuals at a state, and their Jacobians.
 
     Attributes
     ----------
     off : (r,) float64
     by_eliminated : (r, q) float64
-        By a step of the body; that of a pose is a turn, and a shift.
+        Jacobian by a step of the body; for a pose, rotation and translation.
     by_kept : (r, k) float64
     """
 
@@ -62,22 +62,22 @@ class Linearised:
 
 
 class Elimination:
-    """Which residuals each body has, and where the equations stand in the matrix.
+    """The residuals of each body, and the positions of the equations in the matrix.
 
     Parameters
     ----------
     pattern : Pattern
     kept : (r, k) int64
-        The unknowns of each residual that are kept, in the order of elimination.
+        The kept unknowns of each residual, numbered in elimination order.
     begin, seen : (p + 1,) and (begin[-1],) int64
-        The residuals of each body, one body after another.
+        The residuals of each body, concatenated.
     stretch : (p,) int64, ascending
         Bodies of one stretch share no residuals with those of others.
     times : (p,) float64, optional
-        How many bodies that saw the same each stands for; 1.
+        Number of bodies with the same observations that each represents; default 1.
     free, free_in_matrix : (p,) float64, optional
-        How many of these are not fixed; all.  Where what is fixed only makes the frame, it may be
-        free in the right side.
+        How many of these are free; default all. A body that is fixed only to define the frame may
+        be free in the right-hand side.
     """
 
     def __init__(
@@ -112,17 +112,17 @@ class Elimination:
         with_matrix: bool,
         along: Floats | None = None,
     ) -> NormalEquations:
-        """Return the equations of the unknowns that are kept.
+        """Return the normal equations of the kept unknowns.
 
         Parameters
         ----------
         linear : Linearised
         weight : (r,) float64
         hold : float
-            What holds a body that hangs by too little, as a share of what holds it otherwise.
+            Damping of poorly determined bodies, as a fraction of the diagonal.
         with_matrix : bool
         along : (p, q) float64, optional
-            A direction in which nothing measures a body; none if omitted.
+            A direction in which a body is unobservable; none if omitted.
         """
         from relmap.core.refinement.schur_kernels import eliminated_steps, reduced_equations
 
@@ -139,7 +139,7 @@ class Elimination:
     def covariances(
         self, linear: Linearised, weight: Floats, hold: float, inverse: Floats
     ) -> Floats:
-        """Return the covariances (p, q, q) of the bodies, from those of what is kept."""
+        """Return the covariances (p, q, q) of the bodies, from those of the kept unknowns."""
         from relmap.core.refinement.schur_kernels import eliminated_covariances
 
         rows, bodies = self._seen(linear, weight, None)
@@ -149,7 +149,7 @@ class Elimination:
     def _seen(
         self, linear: Linearised, weight: Floats, along: Floats | None
     ) -> tuple[Rows, Bodies]:
-        """Return rows and bodies as the kernels have them."""
+        """Return rows and bodies in the form used by the kernels."""
         none = np.zeros((len(self._bodies[2]), linear.by_eliminated.shape[1]))
         rows = linear.off, linear.by_eliminated, linear.by_kept, weight, self._number
         return rows, (*self._bodies, none if along is None else along)

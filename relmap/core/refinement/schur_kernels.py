@@ -1,11 +1,12 @@
 """Normal equations with some unknowns eliminated, compiled; see `relmap.core.refinement.schur`.
 
-`rows` are the residuals off (r,), their Jacobians by the body that is eliminated (r, q) and by what
-is kept (r, k), weights (r,), and the numbers (r, k) of what is kept within the stretch.  `bodies`
-are `begin` (p + 1,) and `seen`, the rows of each body; how many bodies that saw the same it stands
-for, how many of them are free in the right side, and in the matrix, (p,) each; and `along` (p, q),
-the direction in which it is held.  `stretches` are bodies in a row: `first` (g + 1,), where each
-begins, `begin` (g + 1,) and `unknowns`, those of each that are kept, ascending.
+`rows` are the residuals (r,), their Jacobians by the eliminated body (r, q) and by the kept
+unknowns (r, k), weights (r,), and the indices (r, k) of the kept unknowns within the stretch.
+`bodies` are `begin` (p + 1,) and `seen`, the rows of each body; the number of bodies with the same
+observations that it represents, how many of them are free in the right-hand side and in the matrix,
+(p,) each; and `along` (p, q), its unobservable direction. `stretches` are consecutive bodies:
+`first` (g + 1,), the first body of each, `begin` (g + 1,) and `unknowns`, the kept unknowns of
+each, ascending.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ Bodies = tuple[Ints, Ints, Floats, Floats, Floats, Floats]
 Stretches = tuple[Ints, Ints, Ints]
 
 STIFF = 1e3
-"""What holds a body along a direction in which nothing measures it, as a share of what holds it
-otherwise."""
+"""Damping of a body along an unobservable direction, as a fraction of its other diagonal
+entries."""
 
 
 @helper
 def _hold(matrix: Floats, along: Floats, share: float) -> None:
-    """Hold a body (q, q), turn and shift, in a direction, and a little in all."""
+    """Damp a body (q, q), rotation and translation, along a direction, and slightly overall."""
     q = len(matrix)
     d, turn, shift = (q + 3) // 3, 0.0, 0.0
     for a in range(q):
@@ -48,8 +49,8 @@ def _whitened(
 ) -> None:
     """Enter the Cholesky factor (q, q) of a body's matrix.
 
-    And what couples it to the unknowns of its stretch (q, u) and pulls at it (q,), both times the
-    factor's inverse.
+    Also enter its coupling to the unknowns of its stretch (q, u) and its right-hand side (q,), both
+    multiplied by the inverse of the factor.
     """
     off, by_eliminated, by_kept, weight, number = rows
     begin, seen, _, _, _, along = bodies
@@ -75,7 +76,7 @@ def _whitened(
 
 @helper
 def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Floats, part: Floats) -> float:
-    """Add what the rows of a body say of what is kept; return their weighted squares."""
+    """Add the contributions of a body's rows to the kept unknowns; return their cost."""
     off, _, by_kept, weight, number = rows
     begin, seen, times, _, _, _ = bodies
     squares = 0.0
@@ -93,9 +94,9 @@ def _add_rows(rows: Rows, bodies: Bodies, i: int, right: Floats, part: Floats) -
 
 @helper
 def _eliminated(coupling: Floats, free: Floats) -> Floats:
-    """Return what eliminating bodies, so many of each free (n,), adds to the matrix (u, u).
+    """Return what eliminated bodies, so many of each free (n,), add to the matrix (u, u).
 
-    What couples them, times their factor's inverse (n * q, u), is changed.
+    The coupling, multiplied by the inverse factor (n * q, u), is overwritten.
     """
     u = coupling.shape[1]
     for r in range(len(coupling)):
@@ -120,22 +121,22 @@ def reduced_equations(
     values: Floats,
     right: Floats,
 ) -> tuple[float, Floats]:
-    """Add the normal equations that are left of what is kept when the bodies are eliminated.
+    """Add the reduced normal equations after eliminating the bodies.
 
     Parameters
     ----------
     hold : float
-        What holds a body that hangs by too little, as a share of what holds it otherwise.
-    layout : as `relmap.core.linalg.cholesky_kernels` has it
+        Damping of poorly determined bodies, as a fraction of the diagonal.
+    layout : see `relmap.core.linalg.cholesky_kernels`
     values : float64
-        The matrix, added to in place; nothing is added if it is empty.
+        The matrix, updated in place unless it is empty.
     right : (u,) float64
-        Added to.
+        Updated in place.
 
     Returns
     -------
     cost : float
-        Weighted squares that are left with the bodies where they fit best.
+        Weighted sum of squares at the optimum of the bodies.
     roots : (p, q, q) float64
         Cholesky factor of the matrix of each body.
     """
@@ -170,9 +171,9 @@ def reduced_equations(
 
 @compiled
 def eliminated_steps(rows: Rows, bodies: Bodies, kept: Ints, step: Floats, roots: Floats) -> Floats:
-    """Return the steps (p, q) of the bodies that belong to a step (u,) of what is kept.
+    """Return the steps (p, q) of the bodies for a step (u,) of the kept unknowns.
 
-    `kept` (r, k) are the unknowns of each row that are kept, `roots` as from `reduced_equations`.
+    `kept` (r, k) are the kept unknowns of each row, `roots` as from `reduced_equations`.
     """
     off, by_eliminated, by_kept, weight, _ = rows
     begin, seen, _, free, _, _ = bodies
@@ -195,7 +196,7 @@ def eliminated_steps(rows: Rows, bodies: Bodies, kept: Ints, step: Floats, roots
 def eliminated_covariances(
     rows: Rows, bodies: Bodies, stretches: Stretches, hold: float, layout: Layout, inverse: Floats
 ) -> Floats:
-    """Return the covariances (p, q, q) of the bodies, from the inverse over what is kept."""
+    """Return the covariances (p, q, q) of the bodies, from the inverse over the kept unknowns."""
     first, begin, unknowns = stretches
     q, place = rows[1].shape[1], np.empty_like(layout[1])
     found = np.empty((first[-1], q, q))

@@ -12,21 +12,21 @@ from relmap.core.linalg.order_kernels import median
 from relmap.core.linalg.small_kernels import diagonalise, identity
 
 LEVERAGE = 20.0
-"""How many times as far as what ties an iteration to its segment its other points may lie."""
+"""Largest distance of an iteration's points, relative to those that align it to its segment."""
 ROUNDS = 10
-"""Rounds of fits within a segment; each leaves about a fifth of the error before it."""
+"""Rounds of alignment in a segment; each reduces the error about fivefold."""
 OUTLIER = 10.0
-"""Deviation of an observation, in medians of its segment, above which it is left out."""
+"""Deviation of an observation, in medians of its segment, above which it is an outlier."""
 EXACT = 1e-9
-"""Deviation, as a share of the extent, that is taken for rounding."""
+"""Deviation, as a fraction of the extent, treated as rounding."""
 
 
 @helper
 def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
-    """Tell whether some rows of an iteration, NaN where it saw nothing, hold all of it firmly."""
+    """Return whether some rows of an iteration, NaN where missing, determine its pose well."""
     x, y, z, _ = centre_of(here, rows)
     across, farthest = scatter[0, 0] + scatter[1, 1], 0.0
-    if here.shape[1] == 3:  # the middle one of the eigenvalues
+    if here.shape[1] == 3:  # the second largest eigenvalue
         diagonalise(scatter)
         a, b, c = scatter[0, 0], scatter[1, 1], scatter[2, 2]
         across = max(min(a, b), min(max(a, b), c))
@@ -39,7 +39,7 @@ def _is_tied(here: Floats, rows: Bools, scatter: Floats) -> bool:
 
 @compiled
 def join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Floats, Floats]:
-    """Fit one iteration after another to those before, from the seed outwards, while they hold."""
+    """Align iterations to the earlier ones, from the seed outwards, while well determined."""
     n, k, d = block.shape
     R, t, joined = np.zeros((k, d, d)), np.zeros((k, d)), np.zeros(k, dtype=np.bool_)
     placed, here, rows = np.empty((n, k, d)), np.empty((n, d)), np.zeros(n, dtype=np.bool_)
@@ -73,7 +73,7 @@ def join(block: Floats, seen: Bools, free: Bools, seed: int) -> tuple[Bools, Flo
 
 @helper
 def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the mean places (n, d), their counts (n,), and all deviations (n, k, d)."""
+    """Return the mean positions (n, d), their counts (n,), and all deviations (n, k, d)."""
     n, k, d = block.shape
     mean, counts, deviation = np.zeros((n, d)), np.zeros(n), np.zeros((n, k, d))
     for i in range(n):
@@ -97,9 +97,9 @@ def _mean_of(block: Floats, seen: Bools, R: Floats, t: Floats) -> tuple[Floats, 
 def settle(
     block: Floats, seen: Bools, joined: Bools, R: Floats, t: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Bring iterations to where all of the segment agree best; R and t are changed.
+    """Align the iterations of a segment jointly; R and t are updated in place.
 
-    Each is fitted to the mean of all, in turns (generalised Procrustes analysis; Gower, 1975).
+    Each is fitted to the mean of all, alternately (generalised Procrustes analysis; Gower, 1975).
     """
     n, k, d = block.shape
     here, rows = np.empty((n, d)), np.empty(n, dtype=np.bool_)
@@ -120,9 +120,9 @@ def settle(
 
 @compiled
 def trim(deviation: Floats, mean: Floats, counts: Floats, seen: Bools) -> bool:
-    """Leave out the worst observation of each iteration, if it deviates too much; tell if any did.
+    """Drop the worst observation of each iteration if it is an outlier; return whether any is.
 
-    The others may deviate because of it.
+    Only the worst, because the others may deviate because of it.
     """
     n, k, d = deviation.shape
     squares, listed, n_listed, extent = np.zeros((n, k)), np.empty(n * k), 0, 0.0

@@ -1,4 +1,4 @@
-"""The robust joint least squares over segments: weights for what no noise explains."""
+"""Robust joint least squares over segments."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from relmap.core.refinement.gauss_newton import SAME, WORSE, Problem, gauss_newt
 Weights = Callable[[Floats, float], Floats]
 
 ROUNDS, FEW_ROUNDS = 100, 10
-"""Steps at most, and from where another problem that is nearly the same has settled."""
+"""Maximum number of steps, from scratch and starting from the solution of a similar problem."""
 FAINT = 0.03
-"""Gain of a damped step, in squared standard deviations of the whole map, that is the last."""
+"""Gain of a damped step, in squared standard deviations of the whole map, below which to stop."""
 WORTH_SAYING = 1.0
-"""Gain of the last step, in squared standard deviations of the whole map, above which it is said
-that it did not settle."""
+"""Gain of the last step, in squared standard deviations of the whole map, above which a warning
+says that it did not converge."""
 
 
 class HasPositions(Protocol):
@@ -29,7 +29,7 @@ class HasPositions(Protocol):
 
     @property
     def positions(self) -> Floats:
-        """Where the landmarks are."""
+        """The landmark positions."""
         ...
 
 
@@ -38,17 +38,16 @@ State = TypeVar("State", bound=HasPositions)
 
 @dataclass(frozen=True, eq=False)
 class Settled(Generic[State]):
-    """What the robust joint least squares came to.
+    """Result of the robust joint least squares.
 
     Attributes
     ----------
     state : tuple
-        With the positions of the landmarks, as the problem has it.
+        State of the problem, including the landmark positions.
     weight : (n,) float64
-        Of an observation of each row.
+        Weight of one observation of each row.
     converged : bool
-        Whether it settled.  Where not, the state is the best that was found, which may be that to
-        start from.
+        Whether it converged. Otherwise the state is the best found, possibly the initial one.
     """
 
     state: State
@@ -57,12 +56,13 @@ class Settled(Generic[State]):
 
 
 def settle(problem: Problem[State], start: State) -> Settled[State]:
-    """Return the state of the least robust cost, no worse than the one to start from.
+    """Return the state of least robust cost, no worse than the initial one.
 
-    The first weights are those of the start: a few wrong matches would drag a map that is solved
-    for without weights to where no weights bring it back from.  Lenient weights spread a drift over
-    a loop; then what still fits nowhere is let go.  The limit of what noise explains never grows:
-    many wrong matches that count a little raise the noise, and so each other's weights.
+    The first weights come from the initial state: an unweighted solution could be pulled by a few
+    wrong matches to where reweighting cannot recover. Lenient weights first distribute the drift
+    over a loop; strict weights then reject remaining outliers. The inlier threshold never grows:
+    many wrong matches with small weights would raise the noise estimate, and so each other's
+    weights.
     """
     d, size = start.positions.shape[1], size_of(start.positions)
     residual = problem.residuals(start)
@@ -89,10 +89,10 @@ def settle(problem: Problem[State], start: State) -> Settled[State]:
 
 
 def polished(problem: SegmentProblem, settled: Settled[Laid]) -> Settled[Laid]:
-    """Return the state of the least cost near one that another problem has settled in.
+    """Return the state of least cost near the solution of another problem.
 
-    The residuals are those of segments as a whole, which this problem need not make less: what
-    counts is its own cost.
+    The residuals are those of whole segments, which this problem need not reduce: only its own cost
+    matters.
     """
 
     def cost(state: Laid) -> float:
@@ -104,5 +104,5 @@ def polished(problem: SegmentProblem, settled: Settled[Laid]) -> Settled[Laid]:
 
 
 def size_of(positions: Floats) -> float:
-    """Return how far from their middle positions (m, d) lie, metres."""
+    """Return the root mean square distance of positions (m, d) from their mean, metres."""
     return float(np.abs(positions - positions.mean(axis=0)).max())

@@ -1,7 +1,7 @@
-"""Refinement by single observations, each weighed by the covariance that came with it.
+"""Refinement by single observations, weighted by their given covariances.
 
-Observations that differ in how noisy they are, and in which direction, leave no segment that says
-what they said.  So they are kept, and the map of the segments is what this begins with.
+Observations with different, anisotropic noise cannot be summarised by segments. So they are kept,
+and the map refined by segments is the initial estimate.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ Array = NDArray[np.float64]
 def refine_weighed(
     refined: Refined, weighed: WeighedObservations, of: NDArray[np.int64]
 ) -> Refined:
-    """Return where landmarks lie by observations that are weighed by their covariances.
+    """Return the landmark positions by observations weighted with their covariances.
 
     Parameters
     ----------
     refined : Refined
-        By segments.
+        The map refined by segments.
     weighed : WeighedObservations
     of : (k,) int64
         The landmark that each number stands for, after merging.
@@ -65,16 +65,16 @@ def refine_weighed(
 
 
 class WeighedProblem:
-    """The residuals of single observations in their standard deviations; a `Problem`.
+    """Residuals of single observations in standard deviations; a `Problem`.
 
     Parameters
     ----------
     seen : Observations
     covariance : (n, d, d) float64, robot frame, square metres
     positions : (m, d) float64, metres
-        About where the landmarks are.
+        Approximate positions of the landmarks.
     anchor : int
-        The iteration whose placement makes the frame.
+        The iteration whose pose defines the frame.
     """
 
     def __init__(
@@ -101,18 +101,18 @@ class WeighedProblem:
         )
 
     def start(self, positions: Array) -> Placed:
-        """Return the state in which each iteration fits landmarks (m, d) best, about."""
+        """Return the state with an approximate pose of each iteration for landmarks (m, d)."""
         weight, seen = np.sum(self._root**2, axis=(1, 2)), self.seen
         there = positions[seen.landmark]
         R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
         return Placed(positions, R, t)
 
     def freedoms_of(self, explained: Array) -> float:
-        """Return how many more residuals there are than unknowns, of observations (n,) of 1."""
+        """Return the degrees of freedom of the observations (n,) with weight 1."""
         return float(max(explained.sum() * self.seen.points.shape[1] - self._fixed, 1))
 
     def residuals(self, state: Placed) -> Array:
-        """Return the lengths (n,) of what is left, in standard deviations."""
+        """Return the norms (n,) of the residuals, in standard deviations."""
         return np.asarray(np.linalg.norm(self._left(state)[0], axis=1))
 
     def equations(
@@ -135,7 +135,7 @@ class WeighedProblem:
         return Placed(positions, rotations(turn) @ state.R, state.t + shift)
 
     def covariances(self, state: Placed, weight: Array) -> Array:
-        """Return the covariances (m, d, d) of the landmarks where the given ones are right."""
+        """Return the covariances (m, d, d) of the landmarks, trusting the given ones."""
         matrix = self._equations(state, weight, True, BARELY).matrix
         self.pattern.hold(matrix, BARELY, 0.0)
         self.pattern.factorise(matrix)
@@ -151,9 +151,9 @@ class WeighedProblem:
         return self._eliminated.equations(linear, np.repeat(weight, d), hold, with_matrix)
 
     def _left(self, state: Placed) -> tuple[Array, Array, Array]:
-        """Return what is left (n, d), its derivative (n, d, d) by the landmark, and the ways there.
+        """Return residuals (n, d), their Jacobians (n, d, d) by the landmark, and rays.
 
-        The first two in standard deviations; the ways (n, d) from robot to landmark, map frame.
+        The first two in standard deviations; the rays (n, d) from robot to landmark, map frame.
         """
         at = self.seen.iteration
         away = state.positions[self.seen.landmark] - state.t[at]

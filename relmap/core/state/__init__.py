@@ -1,1 +1,1 @@
-"""What is known: landmarks, observations, and who is due."""
+"""State of the engine: landmarks, observations, schedule."""

@@ -1,7 +1,6 @@
-"""What is known of each landmark: the columns of the table, one row a landmark.
+"""The columns of the landmark table.
 
-Each with what a new row holds, and what becomes of it when a landmark turns out to be an older one
-seen again.
+Each has the value of a new row and the rule applied when a landmark is merged into an older one.
 """
 
 from __future__ import annotations
@@ -13,15 +12,15 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 NEVER = -(2**62)
-"""Iteration in which a landmark not seen yet was last seen."""
+"""Last iteration of a landmark that was never seen."""
 NONE = -1
-"""In place of a group, a submap, a moving bin or a cell: the landmark is in none."""
+"""Value for a landmark without group, submap, moving bin or cell."""
 
 Merge = Literal["old", "new", "least", "most", "sum"]
 
 
 class Column(NamedTuple):
-    """What a column holds.
+    """Description of a column.
 
     Attributes
     ----------
@@ -29,8 +28,8 @@ class Column(NamedTuple):
     fill : scalar
         Value of a new row.
     merged : str
-        What the old landmark has after a merge: its own value, the new one's, or the least, the
-        most or the sum of both.
+        Value of the older landmark after a merge: its own, the new one's, or the minimum, maximum
+        or sum of both.
     vector : bool
         Whether a row has one value for each coordinate.
     """
@@ -42,22 +41,22 @@ class Column(NamedTuple):
 
 
 COLUMNS = {
-    # who it is: a new row is a landmark of its own
+    # identity: a new row is a landmark of its own
     "landmark_of": Column(np.int64, NONE, "old"),
-    # first and last iteration in which it was seen under its own number, and how often
+    # first and last iteration seen under its own number, and observation count
     "track_begin": Column(np.int64, 0, "old"),
     "track_end": Column(np.int64, NEVER, "old"),
     "track_observations": Column(np.int64, 0, "old"),
-    # sightings; `first` and `since` of a new row are the present iteration
+    # observations; `first` and `since` of a new row are the current iteration
     "first": Column(np.int64, 0, "least"),
     "last": Column(np.int64, NEVER, "most"),
     "since": Column(np.int64, 0, "old"),
     "observations": Column(np.int64, 0, "sum"),
-    # the present interval, in which the landmark is in view
+    # the current interval, in which the landmark is in view
     "begin": Column(np.int64, 0, "new"),
     "in_interval": Column(np.int64, 0, "new"),
     "is_gone": Column(np.bool_, False, "new"),
-    # the group that its position comes from
+    # the group that provides its position
     "level": Column(np.int64, 0, "new"),
     "highest_level": Column(np.int64, 0, "most"),
     "averaged": Column(np.int64, 0, "new"),
@@ -76,11 +75,11 @@ COLUMNS = {
     "settled_position": Column(np.float64, 0.0, "old", vector=True),
     "settled_weight": Column(np.float64, 0.0, "old"),
     "submap": Column(np.int64, NONE, "old"),
-    # looking for it among older ones, and where it is found
+    # re-observation: last comparison with older landmarks, and spatial index
     "asked_level": Column(np.int64, 0, "new"),
     "cell": Column(np.int64, NONE, "old"),
     "next_in_cell": Column(np.int64, NONE, "old"),
-    # the condensed segment in which it was seen last
+    # the condensed segment that saw it last
     "last_segment": Column(np.int64, NONE, "old"),
 }
 

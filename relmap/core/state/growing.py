@@ -12,17 +12,17 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 FEW = 16
-"""Rows that an array begins with, and by how many times its room grows at first."""
+"""Initial rows of an array, and initial growth factor of its capacity."""
 MANY = 2**18
-"""Rows for which an array that lasts as long as the map has room, once it has many."""
+"""Capacity, once an array is large, of one that lasts as long as the map."""
 
 
 class GrowingArray(Generic[Scalar]):
-    """A numpy array that makes more room when it is full.
+    """A numpy array that grows when it is full.
 
-    To copy a large array takes long, for it is all new pages, but room that is not used takes no
-    memory: the operating system gives pages when they are written.  So the room grows in large
-    steps until it is the one that is expected, and doubles from there.
+    Copying a large array is slow, but unused capacity costs no memory: the operating system
+    allocates pages on first write. So the capacity grows in large steps up to the expected size,
+    and doubles from there.
 
     Parameters
     ----------
@@ -30,24 +30,24 @@ class GrowingArray(Generic[Scalar]):
     width : tuple of int
         Shape of one row; ``()`` for a column of scalars.
     room : int
-        Rows that are expected, about.
+        Approximate number of expected rows.
     """
 
     _sixteenths = itertools.cycle(range(16, 32))
 
     def __init__(self, dtype: DTypeLike, width: tuple[int, ...] = (), room: int = MANY) -> None:
-        # Of different sizes, so that arrays that grow together are not full in the same iteration.
+        # Different sizes, so that arrays that grow together are not full in the same iteration.
         self._expected = room * next(self._sixteenths) // 16
         self._rows: NDArray[Any] = np.empty((min(FEW, room), *width), dtype=dtype)
         self._begin = 0
         self._end = 0
 
     def hold(self, rows: NDArray[Any]) -> None:
-        """Hold other rows (n, *width), which are not copied, in place of those there are."""
+        """Replace the rows by others (n, *width), which are not copied."""
         self._rows, self._begin, self._end = rows, 0, len(rows)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copy what is used alone."""
+        """Copy only the used part."""
         rows = {"_rows": self.values.copy(), "_begin": 0, "_end": len(self)}
         return rows | {"_expected": self._expected}
 
@@ -57,7 +57,7 @@ class GrowingArray(Generic[Scalar]):
 
     @property
     def values(self) -> NDArray[Scalar]:
-        """The rows (n, *width), a view that stays valid until the next `extend`."""
+        """The rows (n, *width), a view that is valid until the next `extend`."""
         return self._rows[self._begin : self._end]
 
     def extend(self, rows: NDArray[Any]) -> None:
@@ -67,7 +67,7 @@ class GrowingArray(Generic[Scalar]):
         self._end += len(rows)
 
     def drop(self, n: int) -> None:
-        """Forget the first `n` rows."""
+        """Drop the first `n` rows."""
         self._begin += n
 
     def resize(self, n: int, fill: Any) -> None:
@@ -81,7 +81,7 @@ class GrowingArray(Generic[Scalar]):
     def _make_room(self, more: int) -> None:
         end = self._end + more
         if end > len(self._rows):
-            # Room is made at the front first: what was dropped there is no longer needed.
+            # Space is reclaimed at the front first, where rows were dropped.
             n = len(self)
             size = len(self._rows)
             if n + more > size // 2:

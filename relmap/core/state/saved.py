@@ -1,8 +1,8 @@
-"""The state of an engine as named columns: what is to be saved, and how it is taken up again.
+"""The state of an engine as named columns, for saving and restoring.
 
-A part of the engine says in `STATE` which of its attributes are state, by ``_attribute``, saved
-without the underscore, or ``name=attribute``; of a dataclass that says nothing it is all fields.
-The kind of an attribute is given by its annotation in the class, or else by that of a new part.
+A part of the engine lists its state attributes in `STATE`, as ``_attribute``, saved without the
+underscore, or ``name=attribute``; for a dataclass without `STATE` it is all fields. The type of an
+attribute is given by its annotation in the class, or else by its value in a new part.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from relmap.core.arrays import Ints
 from relmap.core.state.growing import GrowingArray
 
 PLAIN = {bool: (bool,), int: (int,), float: (float, int), str: (str,), NoneType: ()}
-"""Kinds of plain values, and what of JSON each may be."""
+"""Types of plain values, and their allowed JSON types."""
 
 
 class OtherColumnsError(ValueError):
-    """A state lacks columns, or has some that no part asks for."""
+    """A state lacks columns, or has unknown ones."""
 
 
 @cache
 def _members(cls: Any) -> dict[str, tuple[str, Any]]:
-    """Return attribute and annotation, if any, of each piece of a part's state, by name."""
+    """Return attribute and annotation, if any, of each state entry of a part, by name."""
     found, hints = {}, get_type_hints(cls)
     for entry in cls.STATE.split() if hasattr(cls, "STATE") else [f.name for f in fields(cls)]:
         name, _, attribute = entry.rpartition("=")
@@ -42,7 +42,7 @@ def _members(cls: Any) -> dict[str, tuple[str, Any]]:
 
 
 def _kind(hint: Any, now: Any) -> tuple[type, tuple[Any, ...]]:
-    """Return the type that an annotation tells, None apart, and its arguments."""
+    """Return the type of an annotation, without None, and its arguments."""
     if hint is None:
         return type(now), ()
     kinds = [kind for kind in get_args(hint) if kind is not NoneType]
@@ -57,7 +57,7 @@ class StateWriter:
     Attributes
     ----------
     columns : dict
-        Arrays, and what is fit for JSON, by names such as ``landmarks/position``.
+        Arrays and JSON values, by names such as ``landmarks/position``.
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class StateWriter:
         self._done: list[Any] = []
 
     def add(self, part: Any, prefix: str = "") -> None:
-        """Add a part or a record; what belongs to two parts is added once."""
+        """Add a part or a record; an object shared by two parts is added once."""
         if any(part is other for other in self._done):
             return
         self._done += [part] if hasattr(type(part), "STATE") else []
@@ -104,7 +104,7 @@ class StateWriter:
 
 
 def _rows(lists: dict[int, Any]) -> Ints:
-    """Return the numbers (n, 2) in a dictionary: key and value, or key and each of a list."""
+    """Return the numbers (n, 2) in a dictionary: key and value, or key and each list entry."""
     rows = [
         (key, item)
         for key, value in lists.items()
@@ -114,14 +114,14 @@ def _rows(lists: dict[int, Any]) -> Ints:
 
 
 class StateReader:
-    """Gives new parts the state that columns tell.
+    """Restores the state of new parts from columns.
 
-    What does not fit raises ValueError, or another of the errors that wrong values lead to.
+    Invalid columns raise ValueError or another error caused by wrong values.
 
     Parameters
     ----------
     columns : dict
-        As of a `StateWriter`.
+        As written by a `StateWriter`.
     """
 
     def __init__(self, columns: dict[str, Any]) -> None:
@@ -129,12 +129,12 @@ class StateReader:
         self._done: list[Any] = []
 
     def end(self) -> None:
-        """Make sure that nothing is left over."""
+        """Check that no column is left over."""
         if self._columns:
-            raise OtherColumnsError(f"{min(self._columns)} is not known")
+            raise OtherColumnsError(f"{min(self._columns)} is unknown")
 
     def restore(self, part: Any, prefix: str = "") -> None:
-        """Let a new part take up its state."""
+        """Restore the state of a new part."""
         if any(part is other for other in self._done):
             return
         self._done.append(part)
@@ -199,7 +199,7 @@ class StateReader:
         return found
 
     def _records(self, name: str, cls: type) -> dict[int, Any]:
-        """Return records, each column written one after the other."""
+        """Return records, whose columns are stored concatenated."""
         numbers = self._array(f"{name}/number", np.int64, 1).tolist()
         columns = []
         for key, (_, hint) in _members(cls).items():

@@ -9,25 +9,25 @@ from relmap.core.config import MapperConfig
 from relmap.core.state.table import LandmarkState
 
 WAIT = 2
-"""How long level 3 waits for others to leave the view too, in units of level 1's observations."""
+"""Delay of level 3 until others leave the view too, in units of level 1's observations."""
 LONGEST_INTERVAL = 128
-"""Iterations that are kept at most, however long a landmark has found no group."""
+"""Maximum number of iterations kept, even if a landmark has found no group."""
 RIPE = 0.75
-"""Share of the longest interval from which one is whole when a neighbour's is."""
+"""Fraction of the longest interval above which one is complete when a neighbour's is."""
 
 
 class GroupingSchedule:
-    """The interval in which each landmark is being seen, and so who is due at which level.
+    """The current interval of each landmark, and which landmarks are due at which level.
 
-    A landmark is due at level 1 after a few observations, at level 2 when there are enough to tell
-    whether it moves, and at level 3 when it has left the view and its whole interval is known.
+    A landmark is due at level 1 after a few observations, at level 2 when there are enough to
+    detect motion, and at level 3 when it has left the view and its whole interval is known.
 
     Parameters
     ----------
     table : LandmarkState
     config : MapperConfig
-        When each level is due; level 3 waits for the end of the interval, but not longer than
-        `third_pass` says: what stays in view has one interval after the other.
+        When each level is due; level 3 waits for the end of the interval, but at most `third_pass`:
+        the observations of a landmark that stays in view are split into several intervals.
     """
 
     STATE = "_in_view _due _gone"
@@ -45,22 +45,22 @@ class GroupingSchedule:
 
     @property
     def in_view(self) -> Ints:
-        """Landmarks in view, those missed for a moment included."""
+        """Landmarks in view, including those missed for a moment."""
         return self._in_view
 
     @property
     def gone(self) -> Ints:
-        """Those that have left the view and wait for level 3, in the order of leaving; (k,)."""
+        """Landmarks that have left the view and wait for level 3, in the order of leaving; (k,)."""
         self._gone = self._gone[self._table.is_gone[self._gone]]
         return self._gone
 
     def needed_from(self, end: int) -> int:
-        """Return the first iteration that a group may still need, `end` being the next to come."""
+        """Return the first iteration that a group may still need; `end` is the next iteration."""
         begins = self._table.begin[np.concatenate([self._in_view, self.gone])]
         return max(int(begins.min(initial=end)), end - LONGEST_INTERVAL)
 
     def see(self, landmarks: Ints, iteration: int) -> Ints:
-        """Note who is seen in this iteration; return who has left the view with it."""
+        """Record which landmarks are seen in this iteration; return those that left in it."""
         table = self._table
         arrived = landmarks[iteration - table.last[landmarks] > self._max_missed + 1]
         if len(arrived):
@@ -76,18 +76,18 @@ class GroupingSchedule:
         return left
 
     def note_due(self, landmarks: Ints) -> None:
-        """Queue those of the landmarks seen in this iteration that have become due.
+        """Queue the landmarks seen in this iteration that have become due.
 
-        One whose group fails for lack of others is due again after as many more observations.
+        A landmark whose group fails is due again after as many more observations.
         """
         ready = landmarks[self._table.in_interval[landmarks] % self.group_after == 0]
         ready = ready[self.level_due(ready) > 0]
         self._due = np.concatenate([self._due, ready[~np.isin(ready, self._due)]])
 
     def next_due(self) -> tuple[int, int] | None:
-        """Take a landmark off the queue that is still due, and its level.
+        """Remove a landmark that is still due from the queue; return it with its level.
 
-        The lower levels come first, and then the ones seen longest.
+        Lower levels come first, then the landmarks seen longest.
         """
         level = self.level_due(self._due)
         self._due, level = self._due[level > 0], level[level > 0]
@@ -100,28 +100,28 @@ class GroupingSchedule:
         return seed, int(level[first])
 
     def level_due(self, landmarks: Ints) -> Ints:
-        """Return the level (n,) that landmarks in view should have by now; 0 if they have it."""
+        """Return the level (n,) that landmarks in view should have by now; 0 if reached."""
         level = np.searchsorted(self._thresholds, self._table.in_interval[landmarks], side="right")
         return np.where(level > self._table.level[landmarks], level, 0)
 
     def waited(self, iteration: int) -> Ints:
-        """Return who is due at level 3 for having left the view so long ago; (k,)."""
+        """Return the landmarks due at level 3 because they left the view so long ago; (k,)."""
         gone, last = self.gone, self._table.last
         if not len(gone) or iteration - last[gone[0]] < self._wait:
             return gone[:0]
         return gone[iteration - last[gone] >= self._wait]
 
     def end(self) -> None:
-        """Let everything in view have left it: nothing more is to come."""
+        """Mark everything in view as left: no more scans will come."""
         stayed = self._in_view[~self._table.is_gone[self._in_view]]
         self._gone = np.concatenate([self.gone, stayed])
         self._table.is_gone[self._in_view] = True
 
     def reached(self, landmarks: Ints, n_averaged: Ints, level: int) -> Ints:
-        """Return the level (n,) that a group of some level gives to the landmarks it averaged.
+        """Return the level (n,) that a group of some level gives to its landmarks.
 
-        The third is for whole intervals only, and one that holds less than half of a landmark's
-        observations, as far as they are kept, gives it no more than the first.
+        Level 3 requires the whole interval; a group with less than half of a landmark's stored
+        observations gives it only level 1.
         """
         counts = self._table.in_interval[landmarks]
         whole = self._table.is_gone[landmarks] | (counts >= RIPE * self._thresholds[-1])
@@ -129,13 +129,13 @@ class GroupingSchedule:
         return np.where(2 * n_averaged >= np.minimum(counts, LONGEST_INTERVAL), reached, 1)
 
     def merge(self, new: int, old: int) -> None:
-        """Let an old landmark wait in place of a new one, which turned out to be it."""
+        """Let an older landmark wait in place of the new one that was merged into it."""
         self._in_view = self._in_view[self._in_view != old]
         for waiting in (self._in_view, self._due, self._gone):
             waiting[waiting == new] = old
 
     def begin_anew(self, landmarks: Ints, iteration: int) -> None:
-        """End the interval of landmarks; those in view begin another."""
+        """End the interval of landmarks; those in view begin a new one."""
         self._table.is_gone[landmarks] = False
         self._table.begin[landmarks] = iteration
         self._table.in_interval[landmarks] = 0

@@ -18,14 +18,14 @@ POINTS: Rows = {"landmark": np.empty(0, dtype=np.int64), "location": np.empty((0
 
 
 class Shown(NamedTuple):
-    """The points at rest that some observations show.
+    """The static points that some observations show.
 
     Attributes
     ----------
     landmarks : (k,) int64
     points_robot : (k, d) float64, robot frame, metres
     per_row : (n,) int64 or None
-        How many points each observation shows; None where each shows one.
+        Number of points that each observation shows; None if each shows one.
     """
 
     landmarks: Ints
@@ -34,26 +34,26 @@ class Shown(NamedTuple):
 
 
 def shown_points(rows: Rows) -> Shown:
-    """Return the points that observations of points show: themselves."""
+    """Return the points shown by observations of points: the observations themselves."""
     return Shown(rows["landmark"], rows["location"])
 
 
 class ObservationStore:
-    """Observations in the robot frame, as they were seen: one row for each, in order of iteration.
+    """Observations in the robot frame, untransformed: one row each, in order of iteration.
 
-    The paper keeps a table of iterations per landmark.  Here one structure of arrays holds them
-    in the order in which they came, which serves every landmark at once: a block of members by
-    iterations is gathered in time proportional to what was seen in those iterations, whatever the
-    size of the map.
+    The paper keeps a table of iterations per landmark.  Here one structure of arrays holds them in
+    order of arrival for all landmarks: a block of members by iterations is gathered in time
+    proportional to the number of observations in those iterations, independent of the size of the
+    map.
 
     Parameters
     ----------
     columns : dict of array
-        What is known of an observation: columns without rows.
+        The columns of an observation, without rows.
     show : callable
-        Returns the points at rest that rows show; see `relmap.core.model.LandmarkModel`.
+        Returns the static points that rows show; see `relmap.core.model.LandmarkModel`.
     keeps : bool
-        Whether rows that no group needs any more are kept.
+        Whether rows are kept after the last group that needs them.
     """
 
     _columns: dict[str, GrowingArray[Any]]
@@ -80,12 +80,12 @@ class ObservationStore:
 
     @property
     def dimension(self) -> int:
-        """2 in a planar world, 3 in space, 0 before anything was seen."""
+        """2 in a planar world, 3 in space, 0 before any observation."""
         return int(self.points(self._first_iteration, self._first_iteration).shape[1])
 
     @property
     def n_iterations(self) -> int:
-        """Number of iterations seen, empty and forgotten ones included."""
+        """Number of iterations, including empty and forgotten ones."""
         return self._stored_from + len(self._offsets) - 1
 
     @property
@@ -95,13 +95,13 @@ class ObservationStore:
 
     @property
     def iterations(self) -> Ints:
-        """When each observation stored was made; (n,) ascending."""
+        """Iteration of each stored observation; (n,) ascending."""
         return np.repeat(
             np.arange(self._stored_from, self.n_iterations), np.diff(self._offsets.values)
         )
 
     def between(self, begin: int, end: int) -> tuple[slice, Ints]:
-        """Return the rows of iterations `begin` to `end`, and the iteration of each."""
+        """Return the rows of iterations `begin` to `end`, and their iterations."""
         rows, offsets = self._rows(begin, end)
         return rows, np.repeat(np.arange(begin, end), np.diff(offsets))
 
@@ -110,7 +110,7 @@ class ObservationStore:
         return self._columns[name].values
 
     def append(self, landmark: Ints, location: Floats, **others: NDArray[Any]) -> None:
-        """Store one iteration: n observations of landmarks, where they were seen, and what else."""
+        """Store one iteration: landmarks and locations of n observations, and further columns."""
         if len(landmark):
             for name, values in {"landmark": landmark, "location": location, **others}.items():
                 if self._columns[name].values.shape[1:] != values.shape[1:]:
@@ -120,7 +120,7 @@ class ObservationStore:
         self._offsets.extend(self._offsets.values[-1:] + len(landmark))
 
     def forget(self, before: int) -> None:
-        """Let go of the iterations before one that no group needs; their rows are dropped or kept.
+        """Forget the iterations before one; their rows are dropped or kept.
 
         Parameters
         ----------
@@ -138,12 +138,12 @@ class ObservationStore:
             self._stored_from = before
 
     def merge(self, new: int, old: int) -> None:
-        """Give the observations of a landmark that are not forgotten to an older one."""
+        """Reassign the stored observations of a landmark to an older one."""
         landmark = self.column("landmark")[self._rows(self._first_iteration, self.n_iterations)[0]]
         landmark[landmark == new] = old
 
     def part(self, landmark: int, track: int, begin: int, end: int) -> None:
-        """Give what is not forgotten of a landmark, in iterations `begin` to `end`, to a track."""
+        """Reassign a landmark's stored observations of iterations `begin` to `end` to a track."""
         rows, when = self.between(self._first_iteration, self.n_iterations)
         landmarks = self.column("landmark")[rows]
         landmarks[(landmarks == landmark) & (when >= begin) & (when < end)] = track
@@ -158,15 +158,15 @@ class ObservationStore:
         return self._shown(begin, end)[0].points_robot
 
     def seen_with(self, seed: int, begin: int, end: int) -> tuple[Ints, Ints, Floats]:
-        """Return everything seen in those of the iterations `begin` to `end` that show a seed.
+        """Return all observations of those iterations from `begin` to `end` that show a seed.
 
         Returns
         -------
         landmarks : (n,) int64
-            The seed, then the others as they were first seen.
+            The seed, then the others in order of first observation.
         iterations : (i,) int64, ascending
         block : (n, i, d) float64, robot frame, metres
-            NaN where a landmark was not seen.
+            NaN where missing.
         """
         from relmap.core.grouping.chart_kernels import chart_block
 
@@ -179,14 +179,14 @@ class ObservationStore:
         return landmarks[order], columns + begin, block[order]
 
     def _rows(self, begin: int, end: int) -> tuple[slice, Ints]:
-        """Return the rows of some iterations, and where those of each begin and the last end."""
+        """Return the rows of some iterations, and where those of each begin and end."""
         first = begin - self._stored_from
         offsets = self._offsets.values[first : end - self._stored_from + 1]
         base = self._offsets.values[0]
         return slice(int(offsets[0] - base), int(offsets[-1] - base)), offsets - offsets[0]
 
     def _shown(self, begin: int, end: int) -> tuple[Shown, Ints]:
-        """Return what some iterations show, and where the points of each begin and the last end."""
+        """Return the points of some iterations, and where those of each begin and end."""
         rows, offsets = self._rows(begin, end)
         shown = self._show({name: column.values[rows] for name, column in self._columns.items()})
         if shown.per_row is None:

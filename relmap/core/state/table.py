@@ -1,7 +1,7 @@
-"""The landmark table: everything known of each landmark, one row a landmark.
+"""The landmark table: one row per landmark.
 
-The parts of the engine are functions of, or thin views on, its columns (see `columns`); none keeps
-an array over the landmarks of its own.
+The parts of the engine are functions of its columns, or thin views on them (see `columns`); none
+keeps per-landmark arrays of its own.
 """
 
 from __future__ import annotations
@@ -17,64 +17,64 @@ from relmap.core.state.columns import COLUMNS, MERGED, NONE
 __all__ = ["NONE", "LandmarkState"]
 
 ROWS = 2**11
-"""Rows that the columns begin with, about."""
+"""Approximate initial capacity of the columns."""
 
 AHEAD = 64
-"""Rows that are made ready at a time."""
+"""Rows initialised at a time."""
 
 
 class LandmarkState:
-    """One row for each landmark, in the order of first sight.
+    """One row per landmark, in order of first observation.
 
-    Row `k` keeps the number `k` for good.  A landmark that turns out to be an older one goes on in
-    that one's row; `landmark_of` tells.
+    Row `k` keeps the number `k`. A landmark merged into an older one continues in that one's row,
+    given by `landmark_of`.
 
     Attributes
     ----------
     landmark_of : (n,) int64
-        The landmark that each row stands for: itself, unless it was merged into an older one.
+        The landmark that each row represents: itself, unless it was merged into an older one.
     track_begin, track_end, track_observations : (n,) int64
-        First and last iteration in which it was seen under its own number, merged or not, and how
-        often.
+        First and last iteration in which it was seen under its own number, merged or not, and the
+        number of observations.
     first, last : (n,) int64
-        Iterations in which a landmark was seen first, and last; `NEVER`.
+        Iterations in which a landmark was first and last seen; `NEVER`.
     since : (n,) int64
-        First iteration of the latest stretch without a merge.
+        First iteration since the last merge.
     observations : (n,) int64
         Number of observations.
     begin, in_interval : (n,) int64
-        Iteration in which the present interval began, and number of observations in it.
+        First iteration of the current interval, and number of observations in it.
     is_gone : (n,) bool
         Whether it has left the view and waits for its last group.
     level, highest_level : (n,) int64
-        Grouping level, 0 to 3, reached in the present interval, and in any.
+        Grouping level, 0 to 3, reached in the current interval, and in any.
     averaged : (n,) int64
-        Observations of the present interval behind the position.
+        Observations of the current interval averaged into the position.
     group : (n,) int64
-        Group that the position comes from in the present interval, or `NONE`.
+        Group that provides the position in the current interval, or `NONE`.
     dynamic : (n,) bool
-        Whether it was seen moving, and has not settled since.
+        Whether it is dynamic.
     restless : (n,) bool
-        Whether it moved when last looked at.
+        Whether it moved in the last test.
     strikes, struck_until, moved_until, tested_until : (n,) int64
-        How many groups in a row saw it move; and the last iterations of these groups, in which it
-        moved at all, and in which it was tested.
+        Number of consecutive groups that saw it move; and the last iterations of these groups, of
+        any motion, and of any test.
     moving_bin : (n,) int64
         Bin of a dynamic landmark that moves together with others, or `NONE`.
     position : (n, d) float64, frame of the submap, metres
-        NaN where it is not mapped.
+        NaN if unmapped.
     weight : (n,) float64
-        Iterations averaged into the position; 0 where it is not mapped.
+        Iterations averaged into the position; 0 if unmapped.
     settled_position, settled_weight : (n, d) and (n,) float64
-        The same of intervals that are over.
+        The same for completed intervals.
     submap : (n,) int64
-        The submap it is in, or `NONE`.
+        Its submap, or `NONE`.
     asked_level : (n,) int64
-        Level at which it was last looked for among older ones.
+        Level at which it was last compared with older landmarks.
     cell, next_in_cell : (n,) int64
         Place in the spatial index.
     last_segment : (n,) int64
-        Condensed segment in which it was seen last, or `NONE`.
+        Condensed segment that saw it last, or `NONE`.
     """
 
     landmark_of: Ints
@@ -121,18 +121,18 @@ class LandmarkState:
         return len(self.landmark_of)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Copy the rows there are, not the room for more."""
+        """Copy the rows, not the spare capacity."""
         rooms = {name: getattr(self, name).copy() for name in COLUMNS}
         return {"_rooms": rooms, "_merged_into": self._merged_into}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take up the rows of another table."""
+        """Take over the rows of another table."""
         self.__dict__.update(state)
         self._filled = len(self._rooms["landmark_of"])
         self._show(len(self._rooms["landmark_of"]))
 
     def restored(self) -> None:
-        """Make the columns there are now the rooms."""
+        """Make the current columns the buffers."""
         self._rooms = {name: getattr(self, name) for name in COLUMNS}
         self._filled = len(self)
         if len({len(room) for room in self._rooms.values()}) > 1:
@@ -142,16 +142,16 @@ class LandmarkState:
 
     @property
     def dimension(self) -> int:
-        """Number of coordinates of a position; 0 before anything was seen."""
+        """Number of coordinates of a position; 0 before any observation."""
         return int(self.position.shape[1])
 
     @property
     def is_own(self) -> Bools:
-        """Whether each row is a landmark still, not merged into another; (n,)."""
+        """Whether each row is still a landmark, not merged into another; (n,)."""
         return np.asarray(self.landmark_of == np.arange(len(self)))
 
     def resize(self, n: int, iteration: int, dimension: int) -> None:
-        """Add rows up to `n` for landmarks that are first seen in this iteration.
+        """Add rows up to `n` for landmarks first seen in this iteration.
 
         Parameters
         ----------
@@ -173,9 +173,9 @@ class LandmarkState:
             column[before:] = iteration
 
     def enter(self, landmarks: Ints, points: Floats, iteration: int) -> Ints:
-        """Add rows for those of landmarks (k,) seen now, at points (k, d), that are new.
+        """Add rows for the new ones of landmarks (k,) seen now at points (k, d).
 
-        Returns who they are after merging.
+        Returns the landmarks after merging.
         """
         self.resize(int(landmarks.max(initial=-1)) + 1, iteration, points.shape[1])
         self.track_end[landmarks] = iteration
@@ -183,34 +183,34 @@ class LandmarkState:
         return self.now(landmarks)
 
     def now(self, landmarks: Ints) -> Ints:
-        """Return what landmarks (any shape), as they were numbered, are after merging; -1 stays."""
+        """Return the landmarks (any shape) after merging, given their numbers; -1 stays."""
         merged = landmarks.copy()
         merged[landmarks >= 0] = self.landmark_of[landmarks[landmarks >= 0]]
         return merged
 
     def see(self, landmarks: Ints, iteration: int) -> None:
-        """Note which landmarks (k,) are seen."""
+        """Record which landmarks (k,) are seen."""
         self.last[landmarks] = iteration
         self.observations[landmarks] += 1
         self.in_interval[landmarks] += 1
 
     def settle(self, landmarks: Ints) -> None:
-        """Keep the positions of landmarks (k,): what is placed later is averaged with them."""
+        """Settle the positions of landmarks (k,): later positions are averaged with them."""
         mapped = landmarks[self.weight[landmarks] > 0]
         self.settled_position[mapped] = self.position[mapped]
         self.settled_weight[mapped] = self.weight[mapped]
 
     def take_off_map(self, landmarks: Ints) -> None:
-        """Take landmarks (k,) off the map."""
+        """Unmap landmarks (k,)."""
         self.position[landmarks] = np.nan
         self.weight[landmarks] = self.settled_weight[landmarks] = 0.0
         self.submap[landmarks] = NONE
 
     def merge(self, new: int, old: int) -> None:
-        """Let an old landmark go on in place of a new one, which turned out to be it.
+        """Merge a new landmark into the older one that it is.
 
-        The position is the average of both; what the new one has in its present interval goes on
-        to be replaced by better groups.
+        The position is the average of both; the part from the current interval is still replaced by
+        better groups.
         """
         rows = [new, *self._merged_into.pop(new, [])]
         self.landmark_of[rows] = old
@@ -228,11 +228,11 @@ class LandmarkState:
         self.is_gone[new] = False
 
     def members(self, landmark: int) -> list[int]:
-        """Return the numbers that stand for a landmark, its own first."""
+        """Return the numbers that represent a landmark, its own first."""
         return [landmark, *self._merged_into.get(landmark, [])]
 
     def part(self, track: int) -> None:
-        """Let a track that was merged into a landmark be one of its own again, not mapped yet."""
+        """Make a track that was merged into a landmark a landmark of its own again, unmapped."""
         landmark = int(self.landmark_of[track])
         self._merged_into[landmark].remove(track)
         self.landmark_of[track] = track
@@ -245,7 +245,7 @@ class LandmarkState:
         self.observations[landmark] -= self.track_observations[track]
 
     def is_later(self, new: int, old: int) -> bool:
-        """Tell whether one landmark was seen after another was last, and never while it was."""
+        """Return whether one landmark was first seen after another was last, without overlap."""
         if self.last[old] < self.first[new]:
             return True
         alone = new not in self._merged_into and old not in self._merged_into
@@ -263,14 +263,14 @@ class LandmarkState:
 
     def _begin(self, dimension: int) -> None:
         self._filled = 0
-        # Of different sizes, so that no two columns are full in the same iteration.
+        # Different sizes, so that no two columns are full in the same iteration.
         for k, (name, column) in enumerate(COLUMNS.items()):
             shape = (ROWS + k * ROWS // len(COLUMNS), *([dimension] if column.vector else []))
             self._rooms[name] = np.empty(shape, column.dtype)
         self._show(0)
 
     def _fill(self, n: int) -> None:
-        """Make rows up to `n` those of new landmarks, some before they are needed."""
+        """Initialise rows up to `n` for new landmarks, some in advance."""
         for name, column in COLUMNS.items():
             if n > len(self._rooms[name]):
                 self._grow(name, n)
@@ -288,7 +288,7 @@ class LandmarkState:
 
 
 def _average(positions: Floats, weights: Floats, new: int, old: int) -> None:
-    """Average the position of one landmark, if it has one, into another's."""
+    """Average one landmark's position, if any, into another's."""
     if weights[new] == 0:
         return
     both = weights[[new, old]]
