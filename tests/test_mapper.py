@@ -271,7 +271,7 @@ def test_accepts_what_sensors_give() -> None:
         ({"group_after": 0}, "group_after is 0"),
         ({"group_after": 2.5}, "group_after is 2.5"),
         ({"group_after": 10**10}, "whole number, 1 or more, up to 1000000000"),
-        ({"third_pass": 10**5000}, "third_pass is a number of thousands of digits"),
+        ({"third_pass": 10**5000}, "third_pass is a number with thousands of digits"),
         ({"bridge_m": 10**400}, "bridge_m is 1000.*up to 1000000000"),
         ({"max_missed": True}, "max_missed is True"),
         ({"gate_m": -1.0}, "gate_m is -1.0"),
