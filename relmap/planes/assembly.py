@@ -1,4 +1,4 @@
-"""From landmarks to walls: which tracks are one wall, where its line is, and how far it goes."""
+"""From landmarks to walls: which tracks are one wall, its line, and its extent."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from relmap.planes.motion_factors import MotionFactors
 
 FLAT_M = 0.003
 SHARP_M = 0.01
-"""How sure a wall and its corner can be at best, if there is any noise: nothing real is quite flat
-or sharp."""
+"""Least standard deviations of a wall and of its corner, with noisy data: no real wall is perfectly
+flat or sharp."""
 BLUNT = 3.0
-"""How much less sure a corner is than its wall, to begin with."""
+"""Initial ratio of the standard deviation of a corner to that of its wall."""
 OFTEN = 4
-"""Sights that make a corner."""
+"""Observations required for a corner."""
 
 
 @dataclass(frozen=True, eq=False)
 class WallNumbers:
-    """Which wall each track of a wall is, and which of its corners each number is.
+    """Assignment of tracks to walls, and of corner numbers to corners.
 
     Attributes
     ----------
     wall_of : (p,) int64
-        Of each plane track; by the lowest number of the tracks of a wall.
+        Wall of each plane track, identified by the lowest track number of the wall.
     corner_of : (c,) int64
-        Of each corner, after merging.
+        Corner of each corner number, after merging.
     """
 
     wall_of: NDArray[np.int64]
     corner_of: NDArray[np.int64]
 
     def same_as(self, other: WallNumbers) -> bool:
-        """Tell whether nothing differs."""
+        """Return whether two assignments are equal."""
         return np.array_equal(self.wall_of, other.wall_of) and np.array_equal(
             self.corner_of, other.corner_of
         )
@@ -53,7 +53,7 @@ class WallNumbers:
 
 
 def first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each of n walls the first of those that pairs (k, 2) join it to."""
+    """Return for each of n walls the first of those joined to it by pairs (k, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -66,25 +66,25 @@ def first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
 
 @dataclass(frozen=True, eq=False)
 class Assembled:
-    """Walls and poses on which all that was seen agrees.
+    """Walls and poses that fit all observations.
 
     Attributes
     ----------
     given : WallEquations
-        Compact numbers: of iterations, walls and corners.
+        Equations with compact numbers of iterations, walls and corners.
     typical_m : float
-        Noise of a typical observation of a wall, by itself.
+        Noise of a typical single observation of a wall.
     state : Walls
     iterations, walls, corners : int64 arrays
-        What the compact numbers stand for.
+        Original numbers of the compact ones.
     rows : (n,) int64
         Rows of the history.
     all_corners : (m,) int64
         Every corner ever numbered.
     settled : bool
-        Whether the last solution came to rest.
+        Whether the last solution converged.
     reach : (w, 2) float64 or None, metres
-        From where to where each wall goes, along it; None where what was seen of it tells.
+        Extent of each wall along itself; None if given by the observations.
     """
 
     given: WallEquations
@@ -107,7 +107,7 @@ class Assembled:
 
     @property
     def corner_at(self) -> NDArray[np.float64]:
-        """Where the corners are; (c, 2), map frame, metres."""
+        """Positions of the corners; (c, 2), map frame, metres."""
         wall, state = self.corner_wall, self.state
         normal, along = directions(state.angle[wall])
         return (
@@ -116,12 +116,12 @@ class Assembled:
 
     @property
     def corner_sd(self) -> NDArray[np.float64]:
-        """How sure the average behind each corner is, along its wall; (c,) metres."""
+        """Standard deviation of the average of each corner along its wall; (c,) metres."""
         weight = np.bincount(self.given.corner, 1 / self.given.corner_sd**2)
         return np.asarray(1 / np.sqrt(weight))
 
     def only(self, kept: NDArray[np.bool_]) -> Assembled:
-        """Return what some of the rows (n,) showed, with all poses, without solving again."""
+        """Return the walls of some rows (n,) with all poses, without solving again."""
         given, state = self.given, self.state
         seen = kept[given.corner_row]
         walls, wall = np.unique(given.wall[kept], return_inverse=True)
@@ -155,7 +155,7 @@ class Assembled:
         )
 
     def poses(self, n: int) -> NDArray[np.float64]:
-        """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where there is none."""
+        """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where unknown."""
         poses = np.full((n, 4, 4), np.nan)
         poses[self.iterations] = np.eye(4)
         c, s = np.cos(self.state.yaw), np.sin(self.state.yaw)
@@ -166,7 +166,7 @@ class Assembled:
 
 
 def directions(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return unit vectors (n, 2) of normals at these angles, and along the walls, right to left."""
+    """Return unit normals (n, 2) at these angles, and directions along the walls, right to left."""
     normal = np.column_stack([np.cos(angle), np.sin(angle)])
     return normal, np.column_stack([normal[:, 1], -normal[:, 0]])
 
@@ -177,21 +177,21 @@ def assemble(
     poses: NDArray[np.float64],
     moving: NDArray[np.bool_],
 ) -> Assembled | None:
-    """Lay everything seen of walls where the poses put it.
+    """Place all observations of walls by given poses.
 
     Parameters
     ----------
     history : PlaneHistory
     numbers : WallNumbers
     poses : (i, 4, 4) float64
-        ``T_map_robot``; NaN where there is none.
+        ``T_map_robot``; NaN where unknown.
     moving : (p,) bool
-        Plane tracks that say nothing, for they move.
+        Plane tracks ignored because they move.
 
     Returns
     -------
     Assembled or None
-        None where no iteration has a pose.
+        None if no iteration has a pose.
     """
     usable = np.isfinite(poses[history.iteration, 0, 0]) & ~moving[history.plane]
     wall = numbers.wall_of[history.plane]
@@ -216,7 +216,7 @@ def assemble(
 def _corners(
     corner: NDArray[np.int64], corner_of: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return row and end of each sight of a corner seen often; those corners, and which it is."""
+    """Return row and end of each observation of frequent corners; these corners, and the index."""
     row, end = np.nonzero(corner >= 0)
     which = corner_of[corner[row, end]]
     row, end, which = (each[which >= 0] for each in (row, end, which))
@@ -227,7 +227,7 @@ def _corners(
 
 
 def laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
-    """Return walls and corners as the average of what was seen of them, by given poses."""
+    """Return walls and corners as averages of their observations, by given poses."""
     R, t = poses[:, :2, :2], poses[:, :2, 3]
     placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)
     placed += t[given.iteration][:, None]

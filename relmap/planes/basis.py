@@ -9,11 +9,11 @@ from relmap.core.geometry.alignment import fixes_rotation
 
 
 def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Average a group's locations in a basis that neither turning nor moving changes.
+    """Average a group's locations in a basis invariant to rotation and translation.
 
-    In every iteration everything is rotated by the same amount, so that the line through the two
-    points farthest apart is at 0 degrees, and averaged.  The pair lies on one wall, as in Fig. 2,
-    where only one is there; the farther apart it is, the less its noise turns the rest.
+    Every iteration is rotated so that the line through the two points farthest apart is at 0
+    degrees, and then averaged. If there is only one wall, the pair lies on it, as in Fig. 2; the
+    larger the distance, the smaller the effect of noise on the rotation.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
     Returns
     -------
-    (g, 2) float64, group frame, metres, or None where the group fixes no basis
+    (g, 2) float64, group frame, metres, or None if the group determines no basis
     """
     middle = block[:, block.shape[1] // 2]
     if not fixes_rotation(middle):
@@ -31,7 +31,7 @@ def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
     first, second = np.unravel_index(np.argmax(apart), apart.shape)
     axis = block[second] - block[first]
     length = np.linalg.norm(axis, axis=1)
-    fixed = length > 0  # two ends may fall together now and then
+    fixed = length > 0  # two ends may coincide
     axis = axis[fixed] / length[fixed, None]
     relative = (block - block[first])[:, fixed]
     x = (relative * axis).sum(axis=2)

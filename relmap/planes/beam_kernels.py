@@ -1,4 +1,4 @@
-"""What beams of two scans say of a motion between them, compiled.
+"""Agreement of the beams of two scans for a motion between them, compiled.
 
 A scan is `points` (n, 2), robot frame, sorted by their `bearings` (n,) from `origin` (2,), where
 the sensor is; `solid` (n,) tells which are on walls.  A motion is yaw, x, y from the frame of the
@@ -18,19 +18,19 @@ Array = NDArray[np.float64]
 Fan = tuple[Array, Array, Array, NDArray[np.bool_]]
 
 BESIDE = 3
-"""Beams on either side of a point that it is compared with the surface between."""
+"""Number of beams on either side of a point whose surface it is compared with."""
 GAP_M, GAP = 0.3, 0.1
-"""Between beams farther apart, this and so much of the range, there is no surface."""
+"""Beams farther apart than this plus so much of the range do not share a surface."""
 GAP_RAD = 0.1
-"""Between bearings farther apart nothing was looked at."""
+"""Bearings farther apart than this are outside the field of view."""
 
 
 @helper
 def _surfaces(seen: Fan) -> Array:
     """Return what lies between each beam and the one before, (n, 6).
 
-    Where the beam before ended, the way to where this one did, one over its squared length, -1
-    where it is a gap, and the range of the shorter one.
+    The end of the previous beam, the vector from it to the end of this one, the inverse of its
+    squared length or -1 for a gap, and the range of the shorter beam.
     """
     points, _, origin, _ = seen
     found = np.zeros((len(points), 6))
@@ -52,7 +52,7 @@ def _surfaces(seen: Fan) -> Array:
 
 @helper
 def _squared_distance(x: float, y: float, surface: Array) -> float:
-    """Return the squared distance of a point from a surface, or where it is a gap from its ends."""
+    """Return the squared distance of a point from a surface, or from the ends of a gap."""
     x, y = x - surface[0], y - surface[1]
     ux, uy = surface[2], surface[3]
     if surface[4] < 0:
@@ -65,10 +65,10 @@ def _squared_distance(x: float, y: float, surface: Array) -> float:
 def _compare(
     seen: Fan, surfaces: Array, other: Fan, motion: Array, near_m: float, step: int, sums: Array
 ) -> None:
-    """Add up how many points of `other`, brought into the frame of `seen`, agree with its beams.
+    """Count the points of `other`, transformed into the frame of `seen`, that agree with its beams.
 
-    `sums` are those on a surface that was seen, those of walls before one, where a beam passed
-    through, those that nothing is known of, and those where nothing was looked at.
+    `sums` are the points on a surface that was seen, the wall points in front of one, where a beam
+    passed through, the undecided ones, and those out of view.
     """
     _, bearings, origin, _ = seen
     c, s, n, i = math.cos(motion[0]), math.sin(motion[0]), len(bearings), 0
@@ -77,7 +77,7 @@ def _compare(
         y = s * other[0][k, 0] + c * other[0][k, 1] + motion[2]
         dx, dy = x - origin[0], y - origin[1]
         bearing = math.atan2(dy, dx)
-        while i < n and bearings[i] < bearing:  # bearings change little from beam to beam
+        while i < n and bearings[i] < bearing:  # bearings change slowly from beam to beam
             i += 1
         while i > 0 and bearings[i - 1] >= bearing:
             i -= 1
@@ -99,7 +99,7 @@ def _compare(
 def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int) -> Array:
     """Return how many points of both scans agree, contradict, are undecided, and out of view.
 
-    (k, 4), for each of k motions; of every so many beams one is looked at.
+    Shape (k, 4), for each of k motions; the beams are subsampled.
     """
     sums = np.zeros((len(motions), 4))
     before, after = _surfaces(earlier), _surfaces(later)
@@ -116,7 +116,7 @@ def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int)
 
 @compiled
 def on_walls(points: Array, ends: Array, near_m: float) -> NDArray[np.bool_]:
-    """Tell which points (n, 2) are on walls, by their ends (m, 2, 2)."""
+    """Return which points (n, 2) lie on walls, given their ends (m, 2, 2)."""
     solid = np.zeros(len(points), dtype=np.bool_)
     for j in range(len(ends)):
         ax, ay = ends[j, 0, 0], ends[j, 0, 1]

@@ -1,7 +1,7 @@
-"""Beams of a laser: the points of a scan in order, and what they say of a motion.
+"""Beams of a laser: the ordered points of a scan, used to verify motions.
 
-A motion is computed from walls; beams accept or refuse it.  They agree where the points of one scan
-lie on surfaces of the other, and contradict where a beam passed through what is there.
+A motion is computed from walls and verified by beams. They agree where the points of one scan lie
+on surfaces of the other, and contradict where a beam passed through such a surface.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from relmap.core.scan import FARTHEST_M, numbers
 from relmap.core.state.growing import GrowingArray
 
 NEAR_M = 0.12
-"""Points nearer to a surface agree with it; those twice as far before one contradict it."""
+"""A point nearer to a surface agrees with it; one twice as far in front of it contradicts it."""
 PER_SCAN = 2000
-"""Of more beams of a scan only one in so many is kept: a cloud has a hundred thousand."""
+"""Maximum number of beams kept per scan, by subsampling: a cloud has a hundred thousand."""
 
 
 @dataclass(frozen=True, eq=False)
 class Beams:
-    """The points of one scan, in the order of their bearings; robot frame, metres.
+    """The points of one scan, sorted by bearing; robot frame, metres.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Beams:
     bearings : (n,) float64, ascending
         Seen from the sensor, radians.
     origin : (2,) float64
-        Where the sensor is.
+        Position of the sensor.
     solid : (n,) bool
         Which points are on walls: people and clutter may have moved.
     """
@@ -68,16 +68,16 @@ class Beams:
 
 @dataclass(frozen=True, eq=False)
 class ToldBeams:
-    """Where the beams of one scan ended, as given to a mapper; robot frame, metres.
+    """The end points of the beams of one scan, as given to a mapper; robot frame, metres.
 
     Attributes
     ----------
     points : (n, 2) float32
     origin : (2,) float64
-        Where the sensor is.
+        Position of the sensor.
     in_order : bool
-        Whether they are those of a 2-D laser, which judge motions, or a cloud's, which only tell
-        what is seen through.
+        Whether they come from a 2-D laser, whose beams verify motions; those of a cloud only mark
+        free space.
     """
 
     points: NDArray[np.float32]
@@ -86,14 +86,14 @@ class ToldBeams:
 
     @classmethod
     def checked(cls, points: Any, origin: Any) -> ToldBeams:
-        """Return beams that end at points: (n, 2) of a laser, (n, 3) of a cloud.
+        """Return beams given their end points: (n, 2) of a laser, (n, 3) of a cloud.
 
-        Of more than `PER_SCAN` only one in so many is kept.
+        Subsampled to at most `PER_SCAN`.
 
         Raises
         ------
         RelmapError
-            Where a shape is wrong or a value is not finite.
+            If a shape is wrong or a value is not finite.
         """
         points = numbers(points, "beams", "an (n, 2) or (n, 3) array of numbers")
         origin = numbers(origin, "origin", "x and y of the sensor")
@@ -108,13 +108,13 @@ class ToldBeams:
         return cls(points[::every, :2].astype(np.float32), origin, points.shape[1] == 2)
 
     def to_bytes(self) -> bytes:
-        """Return them as a journal keeps them: in order or not, origin and points."""
+        """Return the values stored in a journal: order flag, origin and points."""
         about = np.array([self.in_order, *self.origin], dtype="<f8")
         return about.tobytes() + self.points.astype("<f4").tobytes()
 
     @classmethod
     def from_bytes(cls, kept: bytes) -> ToldBeams:
-        """Return beams that were kept."""
+        """Return beams from stored values."""
         about, points = np.frombuffer(kept[:24], "<f8"), np.frombuffer(kept[24:], "<f4")
         return cls(points.astype(np.float32).reshape(-1, 2), about[1:].copy(), bool(about[0]))
 
@@ -126,7 +126,7 @@ class PlacedBeams(NamedTuple):
     ----------
     begins, ends : (n, 2) float64, metres
     scan : (n,) int64, ascending
-        Of which pose each is.
+        Index of the pose of each beam.
     """
 
     begins: NDArray[np.float64]
@@ -135,7 +135,7 @@ class PlacedBeams(NamedTuple):
 
 
 class BeamStore:
-    """Where the beams of every scan ended, as they were given: 8 bytes each."""
+    """The end points of the beams of every scan, 8 bytes each."""
 
     _points: GrowingArray[np.float32]
     STATE = "_points _offsets _origins _in_order"
@@ -159,25 +159,25 @@ class BeamStore:
         return len(self._points)
 
     def of(self, scan: int, ends: NDArray[np.float64]) -> Beams:
-        """Return the beams of a laser scan, of which these are the ends of walls (m, 2, 2).
+        """Return the beams of a laser scan, given the ends of its walls (m, 2, 2).
 
-        None where they are not in order, as those of a cloud.
+        None if they are not ordered, as for a cloud.
         """
         begin, end = self._offsets.values[scan : scan + 2].tolist()
         end = end if self._in_order.values[scan] else begin
         return Beams.of(self._points.values[begin:end], self._origins.values[scan], ends)
 
     def placed(self, poses: NDArray[np.float64], span: tuple[int, int], most: int) -> PlacedBeams:
-        """Return where beams of some scans begin and end by their poses.
+        """Return begin and end points of the beams of some scans, by their poses.
 
         Parameters
         ----------
         poses : (k, 4, 4) float64
-            ``T_map_robot`` of the scans of the span; what has none, NaN, is left out.
+            ``T_map_robot`` of the scans of the span; scans with NaN are left out.
         span : (int, int)
             The first scan, and one after the last.
         most : int
-            Of more beams only one in so many is returned.
+            Maximum number of beams, by subsampling.
         """
         offsets = self._offsets.values[span[0] : span[1] + 1]
         every = max(int(-(-(offsets[-1] - offsets[0]) // most)), 1)
@@ -197,7 +197,7 @@ def compared(
     """Return how many points agree, contradict, are undecided, and are out of view; (k, 4).
 
     For each of the motions (k, 3), yaw, x, y, from the frame of the earlier scan into that of the
-    later one; of every so many beams one is looked at.
+    later one; the beams are subsampled.
     """
     from relmap.planes import beam_kernels
 

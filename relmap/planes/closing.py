@@ -1,9 +1,9 @@
-"""Closing loops where the map has drifted: two scans of one place, long apart, are matched.
+"""Loop closure under drift: two scans of one place, far apart in time, are matched.
 
-It is the registration of `placement` once more, between a scan and an earlier one that was made
-nearby as far as the map knows.  Single scans may deceive: each scan of the later visit has one
-vote, however many earlier ones it matches, and only what several vote for counts; and only that the
-walls matched are the same, not the motion.
+This uses the registration of `placement` between a scan and an earlier one taken nearby according
+to the map. Since single scans may be ambiguous, each scan of the later visit has one vote, however
+many earlier ones it matches, and several votes must agree. Only the identity of the matched walls
+is used, not the motion.
 """
 
 from __future__ import annotations
@@ -20,33 +20,33 @@ from relmap.planes.placement import PlanarMotion, place, worth
 from relmap.planes.tracks import PlaneTracks, wrapped
 
 COMPARED = 400
-"""About so many scans, evenly spaced, are compared with earlier ones."""
+"""Approximate number of scans, evenly spaced, compared with earlier ones."""
 LONG_AGO_M = 15.0
-"""How far a robot goes until a place is seen again rather than still."""
+"""Distance travelled after which a place counts as revisited."""
 VISIT_M = 5.0
 VISITS = 4
-"""Of the scans on so long a way one is compared, of so many such visits."""
+"""One scan per so much distance is compared, for so many visits."""
 NEAR_M = 4.0
 TURNED_RAD = np.deg2rad(50.0)
-"""How far apart two scans are at most that are compared, as far as the map knows."""
+"""Largest distance between two compared scans, according to the map."""
 ENOUGH = 3
-"""Walls that must match."""
+"""Minimum number of matching walls."""
 SHARE = 0.5
-"""Share of the walls and corners of the poorer scan that must match."""
+"""Fraction of the walls and corners of the poorer scan that must match."""
 VOTES = 3
-"""Scans of the later visit that must agree on how far the map has drifted since the earlier one."""
+"""Scans of the later visit that must agree on the drift since the earlier one."""
 LATER_M, EARLIER_M = 7.0, 14.0
-"""How long the way between scans of one visit is at most, of the later and of the earlier one."""
+"""Largest distance travelled between scans of one visit, for the later and the earlier visit."""
 DRIFT_M = 0.2
 DRIFT_RAD = np.deg2rad(4.0)
-"""How far they may differ and still agree."""
+"""Largest difference between agreeing drifts."""
 
 CLOSED = np.zeros(3), np.empty((0, 2), dtype=np.int64)
-"""Of two scans that share walls already: no drift, and nothing new to join."""
+"""For two scans that already share walls: no drift, and nothing new to join."""
 
 Loop = tuple[float, float, NDArray[np.float64], NDArray[np.int64]]
-"""A later and an earlier scan, by how far the robot had gone, metres; how far the map has drifted
-between them; and the walls that match."""
+"""A later and an earlier scan, by distance travelled in metres; the drift between them; and the
+matching walls."""
 
 
 def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
@@ -62,21 +62,21 @@ def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.
 
 
 def _known(assembled: Assembled, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return of which pairs of scans (k, 2) enough walls are the same already; (k,)."""
+    """Return which pairs of scans (k, 2) already share enough walls; (k,)."""
     seen = seen_in(assembled)
     both = seen[:, pairs[:, 0]].multiply(seen[:, pairs[:, 1]]).sum(axis=0)
     return np.asarray(both >= ENOUGH)
 
 
 def voted(found: list[Loop]) -> NDArray[np.int64]:
-    """Return pairs (k, 2) of walls, different ones, of all loops that enough scans vote for."""
+    """Return pairs (k, 2) of distinct walls joined by loops with enough votes."""
     pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
     return np.asarray(unique[unique[:, 0] != unique[:, 1]])
 
 
 def votes(loop: Loop, found: list[Loop]) -> int:
-    """Count the scans of the later visit that agree with a loop, its own among them."""
+    """Count the scans of the later visit that agree with a loop, including its own."""
     i, j, drift, _ = loop
     agreeing = set[float]()
     for other, earlier, its_drift, _ in found:
@@ -88,10 +88,9 @@ def votes(loop: Loop, found: list[Loop]) -> int:
 
 
 def _earlier(assembled: Assembled) -> NDArray[np.int64]:
-    """Return scans (k, 2), a later and an earlier one, that are to be compared.
+    """Return pairs of a later and an earlier scan (k, 2) to compare.
 
-    Of each visit long ago the scan nearest to the later one, as far as the map knows; of the
-    nearest visits.
+    For each of the nearest earlier visits, the scan nearest to the later one according to the map.
     """
     state, iterations, way_m = assembled.state, assembled.iterations, gone_m(assembled)
     later = np.arange(0, len(iterations), 1 + len(iterations) // COMPARED)
@@ -103,14 +102,14 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     cost = near["v"] + turned
     kept = (way_m[i] - way_m[before] > LONG_AGO_M) & (turned < TURNED_RAD)
     pairs, cost = np.column_stack([i, before])[kept], cost[kept]
-    # The best scan of each visit, and then the best visits of each later scan.
+    # The best scan of each visit, then the best visits of each later scan.
     visit = (way_m[pairs[:, 1]] // VISIT_M).astype(np.int64)
     pairs, cost = _best(pairs, cost, pairs[:, 0] * (1 + iterations[-1]) + visit, 1)
     return _best(pairs, cost, pairs[:, 0], VISITS)[0]
 
 
 def gone_m(assembled: Assembled) -> NDArray[np.float64]:
-    """Return how far the robot has gone up to each scan of a map (i,), metres."""
+    """Return the distance travelled up to each scan of a map (i,), metres."""
     steps = np.linalg.norm(np.diff(assembled.state.t, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -118,7 +117,7 @@ def gone_m(assembled: Assembled) -> NDArray[np.float64]:
 def _best(
     pairs: NDArray[np.int64], cost: NDArray[np.float64], group: NDArray[np.int64], most: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the pairs (k, 2) that cost least of each group (k,), so many at most."""
+    """Return the pairs (k, 2) of least cost of each group (k,), up to a maximum."""
     order = np.lexsort((pairs[:, 1], cost, group))
     group = group[order]
     order = order[np.arange(len(group)) - np.searchsorted(group, group) < most]
@@ -133,7 +132,7 @@ def _matched(
     Returns
     -------
     drift : (3,) float64
-        yaw, x, y by which the motion found differs from the map's, in the map's axes.
+        yaw, x, y between the motion found and the map's, in map axes.
     walls : (k, 2) int64
     """
     begin, end = np.searchsorted(assembled.given.iteration, [[j, i], [j + 1, i + 1]])
@@ -159,14 +158,14 @@ def _matched(
 
 
 def _observation(assembled: Assembled, history: PlaneHistory) -> PlaneObservation:
-    """Return all that was seen, scan after scan."""
+    """Return all observations, scan after scan."""
     rows = assembled.rows
     kind = (history.corner[rows] >= 0).astype(np.int8)
     return PlaneObservation.of(history.ends[rows], kind, history.sd[rows], history.z_extent[rows])
 
 
 def _motion(assembled: Assembled, j: int, i: int) -> PlanarMotion:
-    """Return the motion from the frame of one iteration into another's, by the map."""
+    """Return the motion from the frame of one iteration to another's, according to the map."""
     state = assembled.state
     c, s = np.cos(state.yaw[i]), np.sin(state.yaw[i])
     x, y = state.t[j] - state.t[i]

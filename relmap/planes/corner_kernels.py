@@ -10,27 +10,26 @@ from relmap.core.arrays import Floats
 from relmap.core.linalg.compiling import compiled, helper
 
 FEWEST = 8
-"""Common iterations without which nothing is said."""
+"""Minimum number of common iterations."""
 SKEW = 0.5
-"""Sine of the angle between two walls below which nothing is said: two ends that the view cuts go
-together there, where the robot goes straight on."""
+"""Sine of the smallest usable angle between two walls: for smaller ones, two ends cut by the view
+move together while the robot goes straight."""
 MOVED_M = 0.5
-"""How far one of two ends must have moved, as the robot sees it, before a steady pair tells that
-both are static."""
+"""Minimum motion of one of two ends, as seen by the robot, for a steady pair to be static."""
 NOISY_M = 0.05
-"""A pair that deviates by more for noise alone says nothing."""
+"""A pair with a larger deviation due to noise alone is not informative."""
 EXACT_M = 0.01
-"""Deviations below this are as good as none."""
+"""Deviations below this count as zero."""
 BLUNT = 3.0
-"""How much less sure an end is along its wall than the wall is across."""
+"""Ratio of the standard deviation of an end along its wall to that across it."""
 
 
 @compiled
 def midpoint_pairs(first: Floats, second: Floats, size: float, other_size: float) -> Floats:
     """Return the four pairs of estimated midpoints in each iteration (k, 2, 2, 2), metres.
 
-    From the first wall's midpoint, by its right or left end, to the second's, by its right or left
-    end; the first wall's normal along x.
+    From the first wall's midpoint, estimated from its right or left end, to the second's, likewise;
+    the first wall's normal is along x.
     """
     pairs = np.empty((len(first), 2, 2, 2))
     for k in range(len(first)):
@@ -81,7 +80,7 @@ def deviations(pairs: Floats) -> Floats:
 
 @helper
 def _skew(first: Floats, second: Floats) -> float:
-    """Return the sine of the angle between two walls, in the middle one of some iterations."""
+    """Return the sine of the angle between two walls, in the middle iteration."""
     k = len(first) // 2
     x, y = first[k, 1, 0] - first[k, 0, 0], first[k, 1, 1] - first[k, 0, 1]
     v, w = second[k, 1, 0] - second[k, 0, 0], second[k, 1, 1] - second[k, 0, 1]
@@ -90,7 +89,7 @@ def _skew(first: Floats, second: Floats) -> float:
 
 @helper
 def _moved(ends: Floats, e: int) -> float:
-    """Return how far one end (k, 2, 2) was from where it was first, at most; robot frame."""
+    """Return the largest displacement of one end (k, 2, 2) from its first position; robot frame."""
     farthest = 0.0
     for k in range(len(ends)):
         away = math.hypot(ends[k, e, 0] - ends[0, e, 0], ends[k, e, 1] - ends[0, e, 1])
@@ -100,7 +99,7 @@ def _moved(ends: Floats, e: int) -> float:
 
 @helper
 def _expected(first: Floats, second: Floats, size: float, sd: float, other_sd: float) -> float:
-    """Return the deviation that noise gives a pair of corners: of both ends, and of the turn."""
+    """Return the deviation of a pair of corners due to noise: of both ends, and of the rotation."""
     k = len(first) // 2
     x = (second[k, 0, 0] + second[k, 1, 0] - first[k, 0, 0] - first[k, 1, 0]) / 2
     y = (second[k, 0, 1] + second[k, 1, 1] - first[k, 0, 1] - first[k, 1, 1]) / 2
@@ -110,7 +109,7 @@ def _expected(first: Floats, second: Floats, size: float, sd: float, other_sd: f
 
 @helper
 def _common(first: Floats, second: Floats) -> tuple[Floats, Floats]:
-    """Return the ends of two walls (k, 2, 2) in the iterations in which both were seen."""
+    """Return the ends of two walls (k, 2, 2) in their common iterations."""
     n, at = 0, np.empty(len(first), dtype=np.int64)
     for k in range(len(first)):
         if not (math.isnan(first[k, 0, 0]) or math.isnan(second[k, 0, 0])):
@@ -126,17 +125,17 @@ def relative_deviations(block: Floats, sd: Floats, wall: int) -> tuple[Floats, F
     Parameters
     ----------
     block : (w, k, 2, 2) float64, robot frame, metres
-        Ends of walls in the iterations of an interval; NaN where one was not seen.
+        Ends of walls in the iterations of an interval; NaN where missing.
     sd : (w,) float64, metres
-        How sure the distances of the walls are.
+        Standard deviations of the distances of the walls.
     wall : int
 
     Returns
     -------
     deviation : (w, 2, 2) float64, metres
-        Of each of the four pairs with each wall; infinite where nothing is said.
+        For the four pairs with each wall; infinite if not informative.
     expected : (w,) float64, metres
-        What noise alone gives.
+        Deviation due to noise alone.
     """
     n = len(block)
     found, by_noise = np.full((n, 2, 2), np.inf), np.full(n, np.inf)
@@ -145,7 +144,7 @@ def relative_deviations(block: Floats, sd: Floats, wall: int) -> tuple[Floats, F
         if len(first) < FEWEST or other == wall:
             continue
         size, other_size = largest(first), largest(second)
-        # The longer wall turns least by noise: it is the one at 0 degrees.
+        # The rotation of the longer wall is less noisy: it defines 0 degrees.
         if size >= other_size:
             expected = _expected(first, second, size, sd[wall], sd[other])
             spread = deviations(midpoint_pairs(first, second, size, other_size))

@@ -1,9 +1,9 @@
-"""Which ends of walls are static: the four midpoint pairs of Fig. 4, over a common interval.
+"""Static ends of walls: the four midpoint pairs of Fig. 4, over a common interval.
 
-For two walls midpoints are estimated from either end of either, and a size that is fixed over the
-interval; the pair that deviates least over time is that of static ends.  Types of ends, where a
-scan tells them, go first: an end that is cut by the view is not asked.  Where none are given,
-deviation alone decides.  A typed corner that moves is left to the engine, which tells who moves.
+For two walls, midpoints are estimated from either end of each, with a size that is fixed over the
+interval; the pair with the least deviation over time has the static ends. End types given with a
+scan take precedence: an end cut by the view is not tested. Without types the deviation alone
+decides. A typed corner that moves is left to the engine's motion detection.
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ CUT, CORNER, UNKNOWN = 0, 1, 2
 INTERVAL = 12
 """Iterations over which pairs are compared."""
 STEADY = 1.6
-"""A pair that deviates by no more, in units of what noise gives, is one of static ends."""
+"""Deviation, relative to that due to noise, up to which a pair has static ends."""
 MOVES, MOVES_M = 4.0, 0.3
 WITNESSES = 2
-"""An end moves that deviates by more from all ends that are known as corners, so many at least."""
+"""Deviation above which an end moves, relative to all ends known as corners, and their minimum
+number."""
 
 
 @dataclass(frozen=True, eq=False)
 class ComparedEnds:
-    """Findings of an interval on the ends of walls.
+    """Results of an interval for the ends of walls.
 
     Attributes
     ----------
     walls : (w,) int64, ascending
     static, moving : (w, 2) bool
-        Of the right and the left end; neither if nothing is known.
+        For the right and the left end; both false if unknown.
     """
 
     walls: NDArray[np.int64]
@@ -47,15 +48,15 @@ def compared_ends(
     sd: NDArray[np.float64],
     kind: NDArray[np.int8],
 ) -> ComparedEnds:
-    """Test the ends of all walls seen in an interval; an end whose kind changed in it is unknown.
+    """Test the ends of all walls seen in an interval; an end whose kind changed is unknown.
 
     Parameters
     ----------
     iteration, wall : (n,) int64
-        When each observation was made, and of which wall.
+        Iteration and wall of each observation.
     ends : (n, 2, 2) float64, robot frame, metres
     sd : (n,) float64, metres
-        How sure the distances are.
+        Standard deviations of the distances.
     kind : (n, 2) int8
         `CUT`, `CORNER` or `UNKNOWN`.
     """

@@ -1,4 +1,4 @@
-"""What is known of walls, what is solved for, and in which direction too little is known."""
+"""Observations of walls, the state that is solved for, and its unobservable directions."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from relmap.planes.motion_factors import MotionFactors
 
 PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
-"""Walls whose directions spread by less do not tell where they were seen from, along themselves."""
+"""Smallest spread of wall directions that determines the position along the walls."""
 
 
 @dataclass(frozen=True, eq=False)
 class WallEquations:
-    """What is known of walls; n observed walls, k observed corners.
+    """Observations of walls; n observed walls, k observed corners.
 
     Attributes
     ----------
@@ -24,15 +24,15 @@ class WallEquations:
     sd : (n,) float64, metres
         Standard deviation of the distance to a wall at its middle.
     corner_row : (k,) int64
-        The row of each observed corner's wall.
+        Row of the wall of each observed corner.
     corner_end : (k,) int64
         0 for the right end, 1 for the left one.
     corner : (k,) int64
-        Each is of one wall.
+        Corner number; each belongs to one wall.
     corner_sd : (k,) float64, metres
         Standard deviation along the wall.
     odometry : MotionFactors
-        Where walls alone do not tell the motion.
+        Used where walls alone do not determine the motion.
     """
 
     iteration: NDArray[np.int64]
@@ -47,24 +47,24 @@ class WallEquations:
 
     @property
     def n_iterations(self) -> int:
-        """How many iterations there are."""
+        """Number of iterations."""
         return 1 + int(max(self.iteration[-1], self.odometry.both.max(initial=0)))
 
 
 @dataclass(eq=False)
 class Walls:
-    """Lines, and how far along them corners are; the state that is solved for.
+    """Poses, wall lines, and positions of corners along them: the state that is solved for.
 
     Attributes
     ----------
     yaw : (i,) float64, t : (i, 2) float64
-        Where each iteration was: ``T_map_robot``.
+        Pose of each iteration: ``T_map_robot``.
     centre : (w, 2) float64
         A fixed point near each wall.
     angle, across : (w,) float64
         Direction of the normal, and distance of the line from the centre.
     along : (c,) float64
-        Place of each corner along its wall, from the centre.
+        Position of each corner along its wall, from the centre.
     """
 
     yaw: NDArray[np.float64]
@@ -76,16 +76,17 @@ class Walls:
 
 
 def open_along(given: WallEquations) -> NDArray[np.float64]:
-    """Return the direction (i, 2), robot frame, in which an iteration does not tell where it was.
+    """Return the unobservable direction (i, 2) of each iteration, robot frame.
 
-    That of its walls, where they are parallel and none shows a corner; 0 elsewhere, and where
-    odometry tells.  Walls that are parallel but for their noise would invent a constraint there.
+    The direction of its walls if they are parallel and show no corner; 0 otherwise, and where
+    odometry is used. Without this, the noise of nearly parallel walls would create a false
+    constraint.
     """
     n = given.n_iterations
     along = given.ends[:, 1] - given.ends[:, 0]
     x, y = (along / np.linalg.norm(along, axis=1, keepdims=True)).T
     xx, xy, yy = (np.bincount(given.iteration, v, minlength=n) for v in (x * x, x * y, y * y))
-    # The axes of the sum of the directions' outer products, and the smaller eigenvalue.
+    # The principal axes of the sum of the directions' outer products, and the smaller eigenvalue.
     spread = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)
     angle = np.arctan2(2 * xy, xx - yy) / 2
     is_open = spread < PARALLEL
@@ -95,13 +96,13 @@ def open_along(given: WallEquations) -> NDArray[np.float64]:
 
 
 def between_neighbours(state: Walls, along: NDArray[np.float64]) -> Walls:
-    """Return the state with open iterations at even speed between others (motion model).
+    """Return the state with unobservable positions interpolated at constant speed (motion model).
 
     Parameters
     ----------
     state : Walls
     along : (i, 2) float64
-        As from `open_along`.
+        As returned by `open_along`.
     """
     is_open = along.any(axis=1)
     known = np.flatnonzero(~is_open)

@@ -1,4 +1,4 @@
-"""``planes.csv``: the walls of a result folder, written and read."""
+"""Reading and writing ``planes.csv``, the walls of a result folder."""
 
 from __future__ import annotations
 
@@ -41,24 +41,23 @@ COLUMNS: dict[str, Kind] = {
 
 @dataclass(frozen=True, eq=False)
 class DrawnSubmap:
-    """A submap as files and pictures show it.
+    """A submap for files and pictures.
 
     Attributes
     ----------
     iterations : (k,) int64
-        The log's own numbers.
+        Iteration numbers of the log.
     stamps_s : (k,) float64
     poses : (k, 4, 4) float64
         ``T_submap_robot``.
     planes : PlaneTable
-        Mapped in its frame.
+        Walls in its frame.
     points : (n, 2) float64, frame of the submap, metres
-        Where some of the beams ended.
+        End points of some of the beams.
     point_scan : (n,) int64, ascending
-        Place in `poses` of the scan that each of them is of.
+        Index in `poses` of the scan of each point.
     weak : (w,) int64
-        Places in `poses` of the scans before which too little was seen to tell how far the robot
-        went.
+        Indices in `poses` of the scans whose motion since the previous one is not fully determined.
     """
 
     iterations: NDArray[np.int64]
@@ -74,16 +73,14 @@ class DrawnSubmap:
 class PlaneResult(Result):
     """A result whose landmarks are the corners of walls.
 
-    Its tracks tell the wall of every one seen: `row` counts the walls of a scan, `landmark` is the
-    number of the wall.
+    In its tracks, `row` is the index of a wall in its scan and `landmark` the number of the wall.
 
     Attributes
     ----------
     planes : PlaneTable
-        Iterations are the log's own numbers.
+        With the iteration numbers of the log.
     drawn : tuple of DrawnSubmap
-        Parts of the run that nothing ties to one another, the map itself first; empty in a result
-        that was read.
+        The submaps, the map itself first; empty for a result read from files.
     """
 
     planes: PlaneTable
@@ -101,7 +98,7 @@ def write_planes(folder: Path, table: PlaneTable) -> None:
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     n = len(table.plane)
     kind = np.where(table.corner >= 0, CORNER, OPEN)
@@ -124,22 +121,22 @@ def write_planes(folder: Path, table: PlaneTable) -> None:
 def write_submaps(
     folder: Path, submaps: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
 ) -> None:
-    """Write the times (k,) and poses (k, 4, 4) of all submaps but the first: ``submap-K.tum``.
+    """Write times (k,) and poses (k, 4, 4) of all submaps except the first: ``submap-K.tum``.
 
     Raises
     ------
     RelmapError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
         write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
 
 
 def submap_files(folder: Path) -> list[str]:
-    """Return the names of the files of submaps that are in a folder."""
+    """Return the names of the submap files in a folder."""
     try:
         return sorted(path.name for path in folder.glob("submap-*.tum"))
-    except OSError:  # no folder can have this name: writing there reports it
+    except OSError:  # a folder cannot have this name: the error is reported on writing
         return []
 
 
@@ -149,7 +146,7 @@ def read_planes(folder: Path) -> PlaneTable:
     Raises
     ------
     RelmapError
-        Where it is missing or not what `write_planes` writes.
+        If it is missing or was not written by `write_planes`.
     """
     table = read_table(folder / PLANES, COLUMNS)
     ends = np.column_stack([table[name] for name in ("x0", "y0", "x1", "y1")])
@@ -167,15 +164,15 @@ def read_planes(folder: Path) -> PlaneTable:
 
 
 def read_any(folder: Path) -> Result:
-    """Read a result folder; of walls a `PlaneResult`.
+    """Read a result folder; for walls a `PlaneResult`.
 
     Raises
     ------
     RelmapError
-        Where a file is missing or not what was written.
+        If a file is missing or invalid.
     """
     result = read_result(folder)
-    # Planes in space stand in a file of that name, too.
+    # Planes in space use a file of the same name.
     if not (folder / PLANES).exists() or result.summary.get("variant") == "planes3d":
         return result
     return PlaneResult(**vars(result), planes=read_planes(folder))

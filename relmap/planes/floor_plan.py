@@ -1,8 +1,8 @@
-"""The floor plan: the walls of a submap that are there, each of them once and as long as it is.
+"""The floor plan: existing walls of a submap, without duplicates and at full length.
 
-A wall is drawn where scans saw it and beams ended on it rather than went through; the poses serve
-to judge that, not to place anything.  Where two walls look the same way side by side, the one that
-was seen more stands.
+A wall is drawn where scans saw it and beams ended on it instead of passing through; the poses are
+used for this test only, not to place walls. Of two adjacent walls that face the same way, the one
+observed more often is kept.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from relmap.planes.regrouping import regrouped
 from relmap.planes.submaps import WallSubmap
 
 SEEN = 3
-"""Sights of a stretch of a wall that is there; the one seen most has as many as a wall needs."""
+"""Observations of a stretch of wall required to draw it; one stretch needs as many as a wall."""
 AGAINST = 0.7
-"""Beams that say no wall is there, for each that ends on it, that are believed."""
+"""Largest ratio of beams against a wall to beams that end on it."""
 SOLID = 0.7
-"""Least share of the beams towards a wall that must end on it."""
+"""Smallest fraction of the beams towards a wall that must end on it."""
 GAP_M = 0.5
-"""A gap longer than this is one, though no beam went through."""
+"""A gap longer than this is kept even if no beam passed through."""
 DOUBLED_M, PARALLEL = 0.12, np.cos(np.deg2rad(12.0))
-"""A wall is the double of another that is no farther off and turned by no more (cosine)."""
+"""Distance and rotation (cosine) up to which a wall is a duplicate of another."""
 
 
 def floor_plan(
@@ -38,16 +38,16 @@ def floor_plan(
     beams: BeamStore,
     moving: NDArray[np.bool_],
 ) -> tuple[WallSubmap, WallNumbers, NDArray[np.int64]]:
-    """Return a submap with the walls of its floor plan alone; one without walls as it is.
+    """Return a submap with only the walls of its floor plan; one without walls unchanged.
 
     Parameters
     ----------
     submap : WallSubmap
     numbers : WallNumbers
-        The association in it.
+        Its association.
     history : PlaneHistory
     beams : BeamStore
-        Where there are none, what scans saw of walls has to do.
+        If empty, only the observed walls are used.
     moving : (p,) bool
         Plane tracks that move.
 
@@ -56,7 +56,7 @@ def floor_plan(
     submap : WallSubmap
     numbers : WallNumbers
     moved : (m,) int64
-        Tracks that turned out to have moved.
+        Tracks found to have moved.
     """
     if submap.assembled is None:
         return submap, numbers, np.empty(0, dtype=np.int64)
@@ -69,7 +69,7 @@ def floor_plan(
 
 
 def _standing(walls: Stretches) -> NDArray[np.bool_]:
-    """Tell where walls are (b,): seen, not seen through, and not the double of a stronger one."""
+    """Return where walls exist (b,): seen, not seen through, and no duplicate of a stronger one."""
     hits, against = _around(walls.hits, 1), _around(walls.against, 1)
     no_wall = (against > AGAINST * hits) & (against > 1)
     there = (walls.seen >= SEEN) & ~no_wall
@@ -81,12 +81,12 @@ def _standing(walls: Stretches) -> NDArray[np.bool_]:
 
 
 def _around(counts: NDArray[np.int64], beside: int) -> NDArray[np.int64]:
-    """Return counts with those of some stretches on either side; rims keep walls apart."""
+    """Return counts summed over neighbouring stretches; margins separate the walls."""
     return np.asarray(np.convolve(counts, np.ones(2 * beside + 1, dtype=np.int64), "same"))
 
 
 def _doubled(walls: Stretches, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell where a wall (b,) lies beside another that looks the same way and was seen more."""
+    """Return where a wall (b,) duplicates a wall that faces the same way and was seen more."""
     wall, half = walls.wall, BIN_M * np.diff(walls.first) / 2
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
     middle = walls.base + (walls.low + half)[:, None] * walls.along
@@ -111,7 +111,7 @@ def _doubled(walls: Stretches, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def _small_gaps(
     walls: Stretches, there: NDArray[np.bool_], known: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Tell which stretches (b,) are gaps within a wall of which it is not known that they are."""
+    """Return which stretches (b,) are gaps in a wall without evidence of an opening."""
     begin, end = _runs(~there & ~known)
     inside = (begin > 0) & (end < len(there)) & (BIN_M * (end - begin) <= GAP_M)
     begin, end = begin[inside], end[inside]
@@ -123,13 +123,13 @@ def _small_gaps(
 
 
 def _runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where runs of True begin and where they end."""
+    """Return begin and end of each run of True."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
 
 def _pieces(walls: Stretches, there: NDArray[np.bool_]) -> Pieces:
-    """Return the parts of walls that are there, without those that are hardly so."""
+    """Return the existing parts of walls, without marginal ones."""
     begin, end = _runs(there)
     sums = [np.append(0, np.cumsum(counts)) for counts in (walls.hits, walls.against)]
     hits, against = (total[end] - total[begin] for total in sums)

@@ -1,4 +1,4 @@
-"""The map that the groups give: where walls lie by it, the association, and what moves."""
+"""The map from groups: walls, association and moving landmarks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from relmap.planes.submaps import WallSubmap, among_all, chained_poses
 
 @dataclass(frozen=True, eq=False)
 class GroupedMap:
-    """The findings of the engine on corners, as findings on walls.
+    """Results of the engine for corners, converted to walls.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class GroupedMap:
 
     @property
     def numbers(self) -> WallNumbers:
-        """The association: walls whose corners the engine merged are one."""
+        """The association: walls whose corners the engine merged are one wall."""
         wall_end = self.walls.wall_end
         corner_of, merged = np.arange(len(wall_end)), self.engine.table.landmark_of[::2] // 2
         corner_of[: len(merged)] = merged
@@ -42,12 +42,12 @@ class GroupedMap:
 
     @property
     def unmerged(self) -> WallNumbers:
-        """The association before any merge, except where submaps were tied."""
+        """The association before any merge, except for joined submaps."""
         wall_of = first_of(self.walls.n_planes, self.walls.links.same_walls)
         return WallNumbers(wall_of, np.arange(len(self.walls.wall_end)))
 
     def at_rest(self, numbers: WallNumbers) -> WallNumbers:
-        """Return the association with corners that were seen moving left out (-1)."""
+        """Return the association without corners that were seen moving (-1)."""
         corner_of = numbers.corner_of.copy()
         corner_of[self.moving_corners] = -1
         return WallNumbers(numbers.wall_of, corner_of)
@@ -55,7 +55,7 @@ class GroupedMap:
     def with_those_of(
         self, span: tuple[int, int], numbers: WallNumbers, others: WallNumbers
     ) -> WallNumbers:
-        """Return the association: in one submap as others have it."""
+        """Return the association, with that of others within one submap."""
         there = self.history.plane[self.history.within(span)]
         own = np.isin(np.arange(self.walls.n_planes), there)
         corner = own[self.walls.wall_end // 2]
@@ -71,7 +71,7 @@ class GroupedMap:
 
     @property
     def moving_walls(self) -> NDArray[np.bool_]:
-        """Which plane tracks were seen moving: all their known corners do; (p,)."""
+        """Whether plane tracks were seen moving: all their known corners move; (p,)."""
         table, n = self.engine.table, self.walls.n_planes
         dynamic = table.dynamic[::2] | table.dynamic[1::2]
         at_rest = (table.weight[::2] > 0) & ~dynamic
@@ -80,10 +80,9 @@ class GroupedMap:
         return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))
 
     def submaps(self, numbers: WallNumbers, moving: NDArray[np.bool_]) -> list[WallSubmap]:
-        """Return the submaps without plane tracks (p,) that move, those of most scans first.
+        """Return the submaps without moving plane tracks (p,), those with most scans first.
 
-        A motion from scan to scan bridges between groups; where none placed any scan of a submap,
-        it maps nothing.
+        Scan-to-scan motions bridge between groups; a submap without any group maps nothing.
         """
         history, paths, found = self.history, self._paths, list[WallSubmap]()
         for span in history.spans:
@@ -96,7 +95,7 @@ class GroupedMap:
 
     @cached_property
     def _paths(self) -> list[NDArray[np.float64]]:
-        """The poses (i, 4, 4) that each of the engine's submaps tells, the largest first."""
+        """The poses (i, 4, 4) from each of the engine's submaps, the largest first."""
         table, rows = self.engine.table, self.engine.rows
         submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)
         paths = []

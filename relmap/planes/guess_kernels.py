@@ -1,6 +1,6 @@
 """Motions that walls and corners of two scans imply, compiled.
 
-`tracks` and `seen` are as `relmap.planes.matching_kernels` has them; a motion is yaw, x, y.
+`tracks` and `seen` are as in `relmap.planes.matching_kernels`; a motion is yaw, x, y.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from relmap.core.linalg.order_kernels import ordered
 from relmap.planes.matching_kernels import Seen, Tracks, half_turn
 
 USUAL_RAD = np.deg2rad(60.0)
-"""By how much a turn differs from the one before, about."""
+"""Typical difference between consecutive rotations."""
 ALIKE_RAD = np.deg2rad(3.0)
-"""Turns that differ by less tell the same motion."""
+"""Rotations that differ by less are one hypothesis."""
 PARALLEL_RAD = np.deg2rad(6.0)
-"""How far two walls may be from parallel and yet be the same."""
+"""Largest angle between two observations of the same wall."""
 CROSSING = np.sin(np.deg2rad(25.0))
-"""Walls that cross by less do not fix a place."""
+"""Walls that cross at a smaller angle do not determine a position."""
 CELL_M = 0.08
-"""Motions of one turn that differ by less are one guess."""
+"""Motions with the same rotation that differ by less are one hypothesis."""
 LINES = 40
-"""Longest pairs of walls, of one turn, that ways are computed from."""
+"""Number of longest wall pairs, per rotation, from which translations are computed."""
 MOST = 1000
-"""Ways of one turn that are looked at."""
+"""Number of translations evaluated per rotation."""
 AGREE_M = 0.15
-"""A wall that is off by less agrees with a way."""
+"""Largest offset of a wall that agrees with a translation."""
 
 
 @helper
 def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tuple[Floats, Floats]:
-    """Return the turn of each track into each wall, and the length that tells it; (n, m) each."""
+    """Return the rotation from each track to each wall, and its supporting length; (n, m)."""
     angle, offset, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
     n, m = len(angle), len(size)
@@ -52,9 +52,9 @@ def _turned(tracks: Tracks, seen: Seen, reach_m: float, reach_rad: float) -> tup
 
 @helper
 def _support(turn: Floats, weight: Floats, chosen: float) -> tuple[float, float]:
-    """Return how much of the walls' length is parallel after a turn, and by how much it is off.
+    """Return the wall length that is parallel after a rotation, and the mean deviation.
 
-    Each wall seen counts once, for the longest track that is parallel to it then.
+    Each observed wall counts once, with the longest track parallel to it.
     """
     total, off_total = 0.0, 0.0
     for j in range(turn.shape[1]):
@@ -73,9 +73,9 @@ def _support(turn: Floats, weight: Floats, chosen: float) -> tuple[float, float]
 def turns(
     tracks: Tracks, seen: Seen, before: float, reach_m: float, reach_rad: float, most: int
 ) -> Floats:
-    """Return the turns that bring most of the walls' length to be parallel, best first; (k,).
+    """Return the rotations that make most wall length parallel, best first; (k,).
 
-    The nearer a turn is to the one before, the more it counts.
+    Rotations close to the previous one are preferred.
     """
     turn, weight = _turned(tracks, seen, reach_m, reach_rad)
     every, mean, size = turn.ravel(), turn.ravel().copy(), weight.ravel()
@@ -103,7 +103,7 @@ def turns(
 
 @helper
 def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
-    """Return what pairs of parallel walls say of the way: normal, distance and size; (k, 4)."""
+    """Return the constraints (k, 4) of parallel pairs of walls: normal, distance, size."""
     angle, _, ends, _, _ = tracks
     wall_ends, _, normal, size, _, _ = seen
     n, m = len(angle), len(size)
@@ -131,7 +131,7 @@ def _lines(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
 
 @helper
 def _rows(of: Floats, which: Ints, most: int) -> Floats:
-    """Return the first rows of those chosen (k,)."""
+    """Return the first of the chosen rows (k,)."""
     found = np.empty((min(len(which), most), of.shape[1]))
     for i in range(len(found)):
         for k in range(of.shape[1]):
@@ -141,7 +141,7 @@ def _rows(of: Floats, which: Ints, most: int) -> Floats:
 
 @helper
 def _noted(found: Floats, count: int, x: float, y: float, reach_m: float, taken: Bools) -> int:
-    """Note a way that is within reach and not noted yet; return how many there are."""
+    """Add a translation if it is in range and new; return the number of translations."""
     if not math.hypot(x, y) < reach_m or count == len(found):
         return count
     i, j = int((x + reach_m) / CELL_M), int((y + reach_m) / CELL_M)
@@ -156,7 +156,7 @@ def _noted(found: Floats, count: int, x: float, y: float, reach_m: float, taken:
 def _corners(
     tracks: Tracks, seen: Seen, yaw: float, reach_m: float, found: Floats, taken: Bools
 ) -> int:
-    """Note the ways of one turn that bring a corner onto a corner; return how many there are."""
+    """Add translations that match two corners for one rotation; return the number."""
     angle, _, _, _, corner_at = tracks
     wall_ends, _, normal, _, _, static = seen
     c, s, count = math.cos(yaw), math.sin(yaw), 0
@@ -168,17 +168,17 @@ def _corners(
             for e in range(2):
                 a, b = corner_at[i, e, 0], corner_at[i, e, 1]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
-                if static[j, e]:  # of a track without that corner x and y are NaN
+                if static[j, e]:  # x and y are NaN for a track without that corner
                     count = _noted(found, count, x, y, reach_m, taken)
     return count
 
 
 @helper
 def _places(tracks: Tracks, seen: Seen, yaw: float, reach_m: float) -> Floats:
-    """Return the ways (k, 2) of one turn that corners, and walls that cross, imply.
+    """Return the translations (k, 2) implied by corners and crossing walls for one rotation.
 
-    And to go at right angles to each wall.  Those that most of the walls agree with, by length,
-    come first.
+    Translations perpendicular to each wall are included. They are sorted by the length of agreeing
+    walls.
     """
     cells = np.int64(2 * math.ceil(reach_m / CELL_M) + 1)
     taken = np.zeros((cells, cells), dtype=np.bool_)
@@ -212,7 +212,7 @@ def implied(
     n_turns: int,
     each: int,
 ) -> Floats:
-    """Return the motions (k, 3) that walls and corners of a scan imply: so many of each turn."""
+    """Return the motions (k, 3) implied by walls and corners of a scan, so many per rotation."""
     motions, count = np.empty((n_turns * each, 3)), 0
     for yaw in turns(tracks, seen, before, reach_m, reach_rad, n_turns):
         ways = _places(tracks, seen, yaw, reach_m)

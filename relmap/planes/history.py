@@ -1,4 +1,4 @@
-"""A view on all observations of walls, and on how the robot went from scan to scan."""
+"""A view of all observations of walls, and of the motions from scan to scan."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from relmap.planes.steps import Steps
 
 @dataclass(frozen=True, eq=False)
 class PlaneHistory:
-    """Columns of the store of observations (Fig. 3), and what the registration found of each scan.
+    """Columns of the observation store (Fig. 3), and registration results of each scan.
 
     Attributes
     ----------
     iteration : (n,) int64, ascending
     plane : (n,) int64
-        Number of the wall, as when it was seen.
+        Number of the wall at the time of observation.
     ends : (n, 2, 2) float64, robot frame, metres
         Its right and left end.
     sd : (n,) float64, metres
-        How sure the distance of its middle is.
+        Standard deviation of the distance of its midpoint.
     z_extent : (n, 2) float64, metres
         Lowest and highest z.
     corner : (n, 2) int64
-        Corner that either end is; -1 where it is not static.
+        Corner at either end; -1 if the end is not static.
     motion : (i, 3) float64
-        From the robot frame before into that of each iteration: yaw, x, y; rough.
+        From the previous robot frame to that of each iteration: yaw, x, y; approximate.
     submap : (i,) int64
-        Submap of each iteration; -1 where nothing ties it to any.
+        Submap of each iteration; -1 for none.
     odometry : Steps, optional
-        What odometry adds, where there is any that is believed.
+        Odometry, if available and accepted.
     """
 
     iteration: NDArray[np.int64]
@@ -47,14 +47,14 @@ class PlaneHistory:
 
     @property
     def n_iterations(self) -> int:
-        """How many scans were seen, those without walls included."""
+        """Number of scans, including those without walls."""
         return len(self.motion)
 
     @property
     def spans(self) -> list[tuple[int, int]]:
-        """First iteration of each submap and one after its last, those of most iterations first.
+        """First iteration and end of each submap, those with most iterations first.
 
-        Some in between may belong to no submap or to others.
+        Iterations in between may belong to other submaps or none.
         """
         own = np.flatnonzero(self.submap >= 0)
         number, first, count = np.unique(self.submap[own], return_index=True, return_counts=True)
@@ -63,7 +63,7 @@ class PlaneHistory:
         return [(a, b) for a, b in spans[np.lexsort((number, -count))].tolist()]
 
     def own(self, span: tuple[int, int]) -> NDArray[np.bool_]:
-        """Tell which iterations (k,) of the span of a submap are its own."""
+        """Return which iterations (k,) of the span of a submap belong to it."""
         return np.asarray(self.submap[slice(*span)] == self.submap[span[0]])
 
     def within(self, span: tuple[int, int]) -> NDArray[np.int64]:

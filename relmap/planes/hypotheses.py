@@ -1,9 +1,9 @@
-"""Motions of consecutive scans judged together: what one pair of scans cannot tell, others may.
+"""Multiple-hypothesis evaluation of the motions of consecutive scans.
 
-Each scan has several candidate motions from the one before.  A hypothesis chooses one for each scan
-of a run, or a break; the likeliest hypotheses are kept from scan to scan (Reid, An algorithm for
-tracking multiple targets, IEEE Trans. Automatic Control 24, 1979).  A motion is as likely as the
-hypotheses that agree on it, some scans later.
+Each scan has several candidate motions from the one before.  A hypothesis selects one for each scan
+of a run, or a break; the most likely hypotheses are kept from scan to scan (Reid, An algorithm for
+tracking multiple targets, IEEE Trans. Automatic Control 24, 1979).  The likelihood of a motion is
+that of the hypotheses that contain it, some scans later.
 
 The weights were fitted to pairs of consecutive scans of ten logs of real lasers.
 """
@@ -21,22 +21,25 @@ from relmap.planes.motions import after, others
 from relmap.planes.odometry import Expected
 
 MOST = 40
-"""Hypotheses that are kept."""
+"""Maximum number of hypotheses."""
 LATER = 3
-"""Scans after which a motion is judged."""
+"""Delay, in scans, after which a motion is judged."""
 FOUND, PAIR = 4.8, 0.9
-"""Log odds that some motion is right rather than a break, and weight of what the two scans tell."""
+"""Log odds that some motion is right rather than a break, and weight of the evidence of the two
+scans."""
 BEFORE, LOWEST, HIGHEST = 0.35, -8.0, 10.0
 """Weight of the evidence of the scan before the last one for the motion from there, bounded."""
 ASTRAY, AGAINST = -2.5, 0.38
-"""The same where it would lie elsewhere, and by the logarithm of the share that contradicts."""
+"""The same for a motion that settles elsewhere, with the logarithm of the contradicting
+fraction."""
 HARDLY = 0.01
-"""What is added to that share."""
+"""Constant added to that fraction."""
 CHANGE, CHANGE_M, MOST_CHANGE = -0.7, 0.2, 1.5
-"""How unlikely a change of the step is, with heavy tails, for robots stop; of what scale; and at
-most, where the motion before is not known."""
+"""Log likelihood of a change of the step, with heavy tails because robots stop; its scale; and the
+limit if the previous motion is unknown."""
 MARGIN = 15.0
-"""Hypotheses less likely than the best by this in log odds are not looked at closely."""
+"""Hypotheses less likely than the best by more than this, in log odds, are not evaluated
+further."""
 
 Judge = Callable[[NDArray[np.float64]], tuple[float, float, bool]]
 """Evidence of a scan and the one two before for a motion (3,); see `Search.judged`."""
@@ -51,7 +54,7 @@ class Layer:
     weight : (h,) float64
         Log likelihood, up to a constant.
     parent : (h,) int64
-        Which hypothesis of the layer before each one goes on with.
+        Parent hypothesis in the previous layer.
     motion : (h, 3) float64
         The motion into the scan; NaN for a break.
     """
@@ -63,14 +66,14 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """How likely motions into one scan are.
+    """Likelihood of the motions into one scan.
 
     Attributes
     ----------
     motions : (h, 3) float64
-        Those of the hypotheses; NaN for a break.
+        Motions of the hypotheses; NaN for a break.
     share : (h,) float64
-        Of the likelihood.
+        Share of the total likelihood.
     """
 
     motions: NDArray[np.float64]
@@ -78,7 +81,7 @@ class Verdict:
 
     @property
     def best(self) -> NDArray[np.float64] | None:
-        """The motion (3,) of the likeliest hypothesis that has any; None where none has."""
+        """The motion (3,) of the most likely hypothesis with a motion; None if there is none."""
         known = np.isfinite(self.motions[:, 0])
         if not known.any():
             return None
@@ -92,19 +95,19 @@ class Verdict:
 
 
 class Hypotheses:
-    """The likeliest motions into the scans of a run, one scan after the other.
+    """The most likely motions into the scans of a run, one scan after the other.
 
     Parameters
     ----------
     before : (3,) float64
-        The motion into the scan that the run begins with; NaN where none is believed.
+        The motion into the first scan of the run; NaN if none is accepted.
     """
 
     def __init__(self, before: NDArray[np.float64]) -> None:
         self._layers = [Layer(np.zeros(1), np.zeros(1, dtype=np.int64), before[None])]
 
     def __len__(self) -> int:
-        """Return the number of scans, the first one included."""
+        """Return the number of scans, including the first one."""
         return len(self._layers)
 
     def go_on(
@@ -114,17 +117,17 @@ class Hypotheses:
         judge: Judge | None,
         expected: Expected | None = None,
     ) -> None:
-        """Take in the candidates of the next scan.
+        """Add the candidates of the next scan.
 
         Parameters
         ----------
         found : Candidates
         usual : (3,) float64
-            How the robot went before.
+            Usual motion of the robot.
         judge : callable or None
-            What the scan two before tells; None where it tells nothing.
+            Evidence of the scan two before; None if it has none.
         expected : Expected, optional
-            What odometry tells; else robots go on as before.
+            Motion expected from odometry; otherwise constant motion is assumed.
         """
         last = self._layers[-1]
         weight = last.weight[:, None] + FOUND + PAIR * found.evidence
@@ -142,7 +145,7 @@ class Hypotheses:
         self._layers.append(Layer(every.ravel()[order], parent, motions[choice]))
 
     def verdict(self, scan: int) -> Verdict:
-        """Return how likely the motions into a scan are, counted from the first one."""
+        """Return the likelihood of the motions into a scan, counted from the first one."""
         last = self._layers[-1]
         row = np.arange(len(last.weight))
         for layer in reversed(self._layers[scan + 1 :]):
@@ -154,7 +157,7 @@ class Hypotheses:
 def _change(
     before: NDArray[np.float64], motions: NDArray[np.float64], usual: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return how much the step changes from those before (h, 3) to motions (k, 3); (h, k)."""
+    """Return the change of the step from previous motions (h, 3) to motions (k, 3); (h, k)."""
     known = np.isfinite(before[:, :1])
     step = np.where(known, before[:, 1:], usual[1:])[:, None] - motions[:, 1:]
     change = np.log1p((step**2).sum(axis=2) / CHANGE_M**2)
@@ -164,7 +167,7 @@ def _change(
 def _two_back(
     last: Layer, found: Candidates, looked_at: NDArray[np.bool_], judge: Judge
 ) -> NDArray[np.float64]:
-    """Return the evidence of the scan two before for each motion under each hypothesis; (h, k)."""
+    """Return the evidence of the scan two before for each motion and hypothesis; (h, k)."""
     told = np.zeros(looked_at.shape)
     known = np.isfinite(last.motion[:, 0])
     unique, which = np.unique(last.motion[known], axis=0, return_inverse=True)

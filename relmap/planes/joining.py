@@ -1,7 +1,7 @@
-"""Walls seen again: tracks that lie on one another, once the map is refined, are one wall.
+"""Joining walls seen again: tracks that coincide in the refined map are one wall.
 
-Corners associate walls where the map has drifted (`merging`).  Where it has not, so do lines: two
-tracks with one normal and one offset that overlap along the wall show the same wall, corner or not.
+Corners associate walls after drift (`merging`). Without drift lines suffice: two tracks with the
+same normal and offset that overlap along the wall are the same wall, with or without corners.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from relmap.planes.assembly import Assembled, WallNumbers, directions, first_of
 TURN_RAD = np.deg2rad(6.0)
 ACROSS_M = 0.15
 BESIDE_M = 0.05
-"""The same for two that were seen side by side in one scan."""
+"""The same for two that were seen in one scan."""
 OVERLAP = 0.3
-"""Share of the shorter one that must lie on the longer one."""
+"""Fraction of the shorter one that must overlap the longer one."""
 BLOCK = 256
-"""Walls that are compared with all others at a time."""
+"""Walls compared with all others at a time."""
 CORNER_M = 0.35
-"""How far two corners at one end of a wall may be apart."""
+"""Largest distance between two corners at one end of a wall."""
 BEYOND_M = 0.3
-"""A wall seen so far beyond a corner, more often than not, has no corner there."""
+"""A wall that is mostly seen to continue this far beyond a corner has no corner there."""
 OUTLYING = 0.05
-"""Share of the sights of a wall that go farther than it does."""
+"""Fraction of the observations of a wall that extend beyond its end."""
 
 
 def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
-    """Return the association, with tracks on one line joined, and false corners left out (-1)."""
+    """Return the association with collinear tracks joined, and false corners removed (-1)."""
     low, high = wall_extents(assembled)
     first = first_of(len(assembled.walls), _pairs(assembled, low, high))
     corner_of = joined_corners(assembled, first)
@@ -56,7 +56,7 @@ def _renamed(
 
 
 def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far each wall was seen along itself, from its centre: right and left; (w,)."""
+    """Return the extent of each wall along itself, from its centre: right and left; (w,)."""
     from relmap.core.linalg.order_kernels import quantiles
 
     given, state = assembled.given, assembled.state
@@ -73,7 +73,7 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
 def _pairs(
     assembled: Assembled, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """Return pairs (k, 2) of walls that lie on one another."""
+    """Return pairs (k, 2) of walls that coincide."""
     state = assembled.state
     normal, along = directions(state.angle)
     base = state.centre + state.across[:, None] * normal
@@ -87,7 +87,7 @@ def _pairs(
     tilt = (along[b] * normal[a]).sum(axis=1)
     across = (offset * normal[a]).sum(axis=1) + (middle - shift) * tilt
     if not len(a):
-        return np.empty((0, 2), dtype=np.int64)  # scipy's sparse arrays index nothing badly
+        return np.empty((0, 2), dtype=np.int64)  # not supported by scipy's sparse arrays
     both = np.asarray(seen_together(assembled)[a, b] > 0).reshape(-1)
     limit = np.where(both, BESIDE_M, ACROSS_M)
     on_one_another = (end - begin >= OVERLAP * shorter) & (np.abs(across) <= limit)
@@ -97,7 +97,7 @@ def _pairs(
 def _near(
     middle: NDArray[np.float64], half: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return pairs a < b of walls (w,) that look the same way and may touch, by their middles."""
+    """Return pairs a < b of walls (w,) that face the same way and may touch, by their midpoints."""
     a, b = [], []
     for begin in range(0, len(half), BLOCK):
         rows = slice(begin, begin + BLOCK)
@@ -119,13 +119,13 @@ def seen_in(assembled: Assembled) -> Any:
 
 
 def seen_together(assembled: Assembled) -> Any:
-    """Return in how many scans each wall was seen with each other; a sparse array (w, w)."""
+    """Return in how many scans each pair of walls was seen together; a sparse array (w, w)."""
     seen = seen_in(assembled)
     return (seen @ seen.T).tocsr()
 
 
 def joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for every corner ever numbered which one it is; -1 where it is none."""
+    """Return the corner of every corner number; -1 if it is none."""
     given, corners = assembled.given, assembled.corners
     every = np.arange(1 + int(max(corners.max(initial=-1), assembled.all_corners.max(initial=-1))))
     if not len(corners):
@@ -156,11 +156,11 @@ def _times_seen_beyond(
     wall: NDArray[np.int64],
     place: NDArray[np.float64],
 ) -> NDArray[np.int64]:
-    """Count how often the walls (c,) of corners were seen to go on beyond their places (c,)."""
+    """Count how often the walls (c,) of corners were seen beyond the corners' positions (c,)."""
     own = wall_of[assembled.given.wall]
     along = directions(assembled.state.angle[own])[1]
     reach = np.einsum("nei,ni->ne", placed_ends(assembled), along)
-    # Corners in the order of their walls, and along these: each sight spans a run of them.
+    # Corners sorted by wall and position: each observation spans a consecutive range of them.
     apart_m = 2 * float(max(np.abs(reach).max(), np.abs(place).max())) + 1.0
     key = wall * apart_m + place
     order = np.argsort(key, kind="stable")
@@ -175,7 +175,7 @@ def _times_seen_beyond(
 
 
 def placed_ends(assembled: Assembled) -> NDArray[np.float64]:
-    """Return the ends (n, 2, 2) of what was seen in the map's frame."""
+    """Return the ends (n, 2, 2) of the observations in the map frame."""
     given, state = assembled.given, assembled.state
     c, s = np.cos(state.yaw), np.sin(state.yaw)
     R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)

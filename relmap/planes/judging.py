@@ -1,4 +1,4 @@
-"""What walls and beams say of motions: log odds that each is right."""
+"""Evidence of walls and beams for motions: log odds that each is right."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from relmap.planes.beams import Beams
 from relmap.planes.placement import Match
 
 AGREES = 0.25
-"""Least share of the points that must agree."""
+"""Smallest fraction of points that must agree."""
 MATCHED, MATCHES, AGREEING, CONTRADICTING, NONE = 6.8, 4.2, 4.0, -57.0, -2.0
-"""Log odds of a motion by the share of the walls that match, by how many do, by the points that
-agree and that contradict, and without any: of a logistic regression on pairs of scans."""
+"""Coefficients of the log odds of a motion: fraction and number of matching walls, agreeing and
+contradicting points, constant; from a logistic regression on pairs of scans."""
 MANY = 15.0
-"""Walls and corners of which more tell no more."""
+"""Number of walls and corners above which the count saturates."""
 PAIR_AGREES, HARDLY = 0.15, 0.01
-"""The same for two scans by themselves, and what is added to the share that contradicts."""
+"""The same for two scans alone, and the constant added to the contradicting fraction."""
 PAIR = np.array([6.7, 2.8, 2.5, -1.8, -13.6])
-"""The same by the share of walls and corners that match, by how many do, by the points that agree,
-by the logarithm of those that contradict, and without any."""
+"""Coefficients for two scans: fraction and number of matching walls and corners, agreeing points,
+logarithm of the contradicting ones, constant."""
 MEASURED = 2.4
-"""What is added where the way is known in all directions."""
+"""Added if the motion is determined in all directions."""
 
 
 class View(NamedTuple):
-    """Beams of an earlier scan, and the motion (3,) from its frame into that of the tracks."""
+    """Beams of an earlier scan, and the motion (3,) from its frame to that of the tracks."""
 
     beams: Beams
     motion: NDArray[np.float64]
@@ -36,18 +36,18 @@ class View(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Motions that were fitted to walls, and what walls and beams say of them.
+    """Motions fitted to walls, with the evidence of walls and beams.
 
     Attributes
     ----------
     motions : (k, 3) float64
     matches : list of Match
     agree, contradict : (k,) float64
-        Share of the points that agree, in the view that agrees best, and that contradict, in all.
+        Fraction of points that agree, in the best view, and that contradict, in all views.
     match : (k,) float64
-        How well walls agree, as a share of what could.
+        Agreement of the walls, as a fraction of the maximum.
     surprise : (k,) float64
-        How unlikely each motion is beforehand: log odds.
+        Prior improbability of each motion: log odds.
     """
 
     motions: NDArray[np.float64]
@@ -58,7 +58,7 @@ class Judged:
     surprise: NDArray[np.float64]
 
     def and_those(self, more: Judged) -> Judged:
-        """Return these motions and more."""
+        """Return these motions and others."""
         return Judged(
             np.concatenate([self.motions, more.motions]),
             self.matches + more.matches,
@@ -70,14 +70,14 @@ class Judged:
 
     @property
     def evidence(self) -> NDArray[np.float64]:
-        """How likely each motion is right, (k,): log odds."""
+        """Log odds that each motion is right, (k,)."""
         evidence = NONE + MATCHED * self.match + MATCHES * self._many - self.surprise
         evidence += AGREEING * self.agree + CONTRADICTING * self.contradict
         return np.where((self.agree >= AGREES) & (self._many > 0), evidence, -np.inf)
 
     @property
     def of_pair(self) -> NDArray[np.float64]:
-        """Evidence of two scans alone for each motion, (k,): log odds, but for `MEASURED`."""
+        """Evidence of two scans alone for each motion, (k,): log odds, without `MEASURED`."""
         against = np.log(self.contradict + HARDLY)
         told = [self.match, self._many, self.agree, against, np.ones(len(self.match))]
         known = (self.agree >= PAIR_AGREES) & (self._many > 0)
@@ -89,7 +89,7 @@ class Judged:
 
 
 class Candidates(NamedTuple):
-    """Motions of one scan into another that may be right, no two of them alike.
+    """Distinct candidate motions of one scan into another.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Candidates(NamedTuple):
     evidence : (k,) float64
         Evidence of the two scans for each: log odds.
     measured : (k,) bool
-        Whether the way is known in all directions.
+        Whether the motion is determined in all directions.
     matches : list of Match
     """
 

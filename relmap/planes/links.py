@@ -1,7 +1,7 @@
-"""Which links between a scan and those before are believed; where none is, a submap ends.
+"""Acceptance of links between scans; if no link is accepted, a submap ends.
 
-A motion that nothing measured would be invented, and one that few walls tell may be wrong: from
-there on the whole map would lie elsewhere.  So the run breaks, and goes on in a frame of its own.
+An unmeasured motion would be arbitrary, and one supported by few walls may be wrong, displacing the
+rest of the map. So the run breaks and continues in a new frame.
 """
 
 from __future__ import annotations
@@ -15,25 +15,26 @@ from relmap.planes.placement import LEVER_M, Match, PlanarMotion, worth
 from relmap.planes.tracks import PlaneTracks
 
 SUPPORTED = 0.375
-"""Share of the walls and corners of the poorer side that must agree on a motion."""
+"""Fraction of the walls and corners of the poorer side that must agree on a motion."""
 EXPECTED, NEAR_M, NEAR_RAD = 0.3, 0.25, np.deg2rad(5.0)
-"""The same for going on as before, which is a motion so near the usual one."""
+"""The same for a motion close to the usual one."""
 JUMP_M, JUMP = 0.5, 3.0
 """A step longer than this and so many usual ones is a jump."""
 USUAL, KNOWN = 200, 5
-"""Last steps that tell which are usual, and how few do not."""
+"""Number of last steps that define the usual step, and the minimum number."""
 CROSSING = np.sin(np.deg2rad(10.0)) ** 2
-"""Walls whose directions spread less than by this hold no motion along themselves."""
+"""Smallest spread of wall directions that determines the motion along the walls."""
 STEADY = 5
-"""Scans whose typical motion the robot is expected to go on with."""
+"""Number of scans whose typical motion is used as the prediction."""
 VARYING = 20
-"""So many steps tell how much the speed varies."""
+"""Number of steps from which the variation of the speed is estimated."""
 UNSURE = 0.05
-"""Share of a step that is not known at least, where the robot is taken to go on as before."""
+"""Minimum uncertainty of a predicted step, as a fraction of it."""
 VARYING_M = 0.15
-"""Steps that vary by more are not bridged where nothing measures them."""
+"""Steps that vary by more are not bridged if unmeasured."""
 TORN_M = 1.0
-"""A map is torn where it disagrees with a link, or with weak links in a row, by more."""
+"""Disagreement of a map with a link, or with consecutive weak links, above which the map is
+torn."""
 
 
 def believed(
@@ -42,9 +43,9 @@ def believed(
     found: tuple[PlanarMotion, Match],
     usual: PlanarMotion,
 ) -> bool:
-    """Tell whether enough of the walls expected and of those seen agree on a motion.
+    """Return whether enough of the expected and of the observed walls agree on a motion.
 
-    One that does not is nothing: it may be a speck, or just have come into view.
+    A single disagreeing wall is tolerated: it may be clutter, or have just come into view.
     """
     motion, match = found
     recent = tracks.missed == tracks.missed.min(initial=0)
@@ -55,13 +56,13 @@ def believed(
 
 
 def usual_motion(motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return how a robot went last (3,): the median of some of its motions (n, 3) so far."""
+    """Return the recent motion of the robot (3,): the median of its last motions (n, 3)."""
     last = np.sort(motions[-STEADY:], axis=0)
     return np.asarray(last[len(last) // 2]) if len(last) else np.zeros(3)
 
 
 def farthest_m(before: NDArray[np.float64]) -> float:
-    """Return how far a robot goes at most from one scan to the next, metres.
+    """Return the longest plausible step from one scan to the next, metres.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def farthest_m(before: NDArray[np.float64]) -> float:
 
 
 def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) -> bool:
-    """Tell whether matched walls tell the whole motion: by a corner, or as they cross."""
+    """Return whether matched walls determine the whole motion: by a corner, or by crossing."""
     known = np.isfinite(tracks.corner_at[match.tracks, :, 0])
     if (known & seen.static[match.walls]).any():
         return True
@@ -84,10 +85,10 @@ def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) ->
 
 
 def unsure_m(before: NDArray[np.float64]) -> float:
-    """Return by how much the length of a step may be off where nothing measures it, metres.
+    """Return the possible error of the length of an unmeasured step, metres.
 
-    It is taken for the median of the last motions that were measured, of those (n, 3) so far: that
-    is the less sure the more they differ.
+    The step is predicted as the median of the last measured motions, of all (n, 3) so far; its
+    uncertainty is their variation.
     """
     if not len(before):
         return np.inf
@@ -100,15 +101,15 @@ def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[int, float]:
-    """Return at how many links a path is torn, and how far off it is at the others on average.
+    """Return the number of links at which a path is torn, and the mean error at the others.
 
-    As the motions that were measured from scan to scan have it; metres.
+    Compared with the motions measured from scan to scan; metres.
 
     Parameters
     ----------
     poses : (k, 4, 4) float64
     motions : (k, 3) float64
-        yaw, x, y from the robot frame before into that of each iteration.
+        yaw, x, y from the previous robot frame to that of each iteration.
     """
     off_m = _off_m(poses, motions)
     off_m = off_m[np.isfinite(off_m)]
@@ -119,15 +120,15 @@ def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tu
 def torn_links(
     poses: NDArray[np.float64], motions: NDArray[np.float64], weak: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Return before which scans (t,) a path goes another way than its links.
+    """Return the scans (t,) before which a path deviates from its links.
 
     Parameters
     ----------
     poses : (k, 4, 4) float64
     motions : (k, 3) float64
-        yaw, x, y from the robot frame before into that of each iteration.
+        yaw, x, y from the previous robot frame to that of each iteration.
     weak : (w,) int64
-        Links that may be off by as much as a torn map.
+        Links with errors as large as those of a torn map.
     """
     way_m, turn = _off(poses, motions)
     torn = (way_m > APART_M) | (turn > APART_RAD)
@@ -136,7 +137,7 @@ def torn_links(
 
 
 def _off_m(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by how much a path disagrees with each of its links, NaN where it is not known."""
+    """Return the disagreement of a path with each of its links, NaN where unknown."""
     way_m, turn = _off(poses, motions)
     return np.asarray(way_m + LEVER_M * turn)
 
@@ -144,7 +145,7 @@ def _off_m(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[
 def _off(
     poses: NDArray[np.float64], motions: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the same by the way, metres, and by the turn, radians."""
+    """Return the same for translation, metres, and rotation, radians."""
     relative = np.linalg.inv(poses[1:]) @ poses[:-1]
     turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
     way_m = np.hypot(*(relative[:, :2, 3] - motions[1:, 1:]).T)
@@ -154,13 +155,13 @@ def _off(
 def stretched_m(
     poses: NDArray[np.float64], before: NDArray[np.float64], weak: NDArray[np.int64]
 ) -> float:
-    """Return by how much the way over weak links in a row differs most between two paths, metres.
+    """Return the largest difference between two paths over consecutive weak links, metres.
 
     Parameters
     ----------
     poses, before : (k, 4, 4) float64
     weak : (w,) int64, ascending
-        Iterations before which too little was seen; those of other submaps are passed over.
+        Iterations with a weak link to the previous one; those of other submaps are skipped.
     """
     weak = weak[(weak > 0) & (weak < len(poses))]
     if not len(weak):
@@ -174,9 +175,9 @@ def stretched_m(
 
 
 def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:
-    """Return how much the directions (k, 2) of the walls of each of n scans spread, (n,).
+    """Return the spread (n,) of the wall directions (k, 2) of each of n scans.
 
-    The smaller eigenvalue of the sum of the directions' outer products.
+    This is the smaller eigenvalue of the sum of the directions' outer products.
     """
     x, y = along.T
     xx, xy, yy = (np.bincount(of, v, minlength=n) for v in (x * x, x * y, y * y))

@@ -1,4 +1,4 @@
-"""`PlaneMapper`: the engine, with the corners of walls for landmarks."""
+"""`PlaneMapper`: the engine with the corners of walls as landmarks."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
 
 CUTS = 2
-"""How often submaps are cut where they are torn, and refined again."""
+"""Maximum number of rounds of cutting torn submaps and refining again."""
 
 
 class Segmenter(Protocol):
-    """What finds planes in points; see `relmap.segmentation.PlaneSegmenter`."""
+    """Interface for finding planes in points; see `relmap.segmentation.PlaneSegmenter`."""
 
     planes_: Any
 
@@ -49,17 +49,17 @@ class Segmenter(Protocol):
 
 
 class PlaneMapper(Mapper):
-    """Maps walls in 2½-D: vertical planes, and a robot that moves in the plane.
+    """Maps walls in 2½-D: vertical planes, for a robot that moves in the plane.
 
     Parameters
     ----------
     config : MapperConfig, optional
     segmenter : Segmenter, optional
-        What turns points into planes; `relmap.segmentation.PlaneSegmenter` where left out.
+        Finds planes in points; by default a `relmap.segmentation.PlaneSegmenter`.
     journal : path, optional
-        A file to be begun that keeps the walls of every scan, so that `resume` can go on from it.
+        A new file that records the walls of every scan, so that `resume` can continue from it.
     run : dict, optional
-        What the journal should tell about the run.
+        Description of the run to store in the journal.
 
     Examples
     --------
@@ -105,24 +105,24 @@ class PlaneMapper(Mapper):
         beams: ArrayLike | None = None,
         odometry: ArrayLike | None = None,
     ) -> NDArray[np.int64]:
-        """Take in one iteration.
+        """Process one iteration.
 
         Parameters
         ----------
         points : (n, 2) or (n, 3) array, robot frame, metres; or planes
-            Points of a scan; or what a segmenter found in them: anything with `ends` and
-            `end_type` as `relmap.segmentation.Planes` has them.  Where an `end_type` is "unknown",
-            or none is there, which ends are the walls' own shows over time (Fig. 4).
+            Points of a scan, or segmented planes: any object with `ends` and `end_type` like
+            `relmap.segmentation.Planes`. If an `end_type` is "unknown" or missing, static ends are
+            detected over time (Fig. 4).
         ids : None
             Walls have no known association.
         beams : (n, 2) or (n, 3) array, robot frame, metres, optional
-            Where the beams of the scan ended; the points where these are given.  Those of a 2-D
-            laser, (n, 2), judge how the robot moved; those of a cloud only what is seen through.
+            End points of the beams of the scan; by default the points, if given. Beams of a 2-D
+            laser, (n, 2), verify the motion of the robot; those of a cloud only mark free space.
             The sensor is at the `origin` (2,) of the planes, if they have one.
         odometry : (3,), (7,) or (4, 4) array, optional
-            How the robot moved since the last update, see `relmap.core.odometry.checked_odometry`;
-            that of the first is not used.  It bridges scans that show too little, and tells the
-            way where walls leave it open; see `odometry`.
+            Motion of the robot since the last update, see `relmap.core.odometry.checked_odometry`;
+            that of the first update is not used. It bridges scans that show too little, and
+            determines the motion in directions that walls do not; see `odometry`.
 
         Returns
         -------
@@ -135,7 +135,7 @@ class PlaneMapper(Mapper):
             If the scan is invalid; the mapper is then unchanged.
         """
         if ids is not None:
-            raise RelmapError("ids were given; a plane mapper makes the association itself")
+            raise RelmapError("ids were given; a plane mapper associates walls itself")
         if not hasattr(points, "ends"):
             beams = points if beams is None else beams
             points = self._segmented(points)
@@ -164,11 +164,11 @@ class PlaneMapper(Mapper):
             afterwards.found_late(self.engine, *span)
 
     def refine(self) -> None:
-        """Bring walls, corners and poses to where all observations agree best.
+        """Move walls, corners and poses to the joint least-squares solution over all observations.
 
-        Walls that come to lie on one another are joined, which closes loops.  Where a submap
-        goes another way than a link, by more than 0.3 m or 8 degrees (1 m where the link is weak),
-        one of the two is wrong: it is cut there.
+        Walls that then coincide are joined, which closes loops. Where a submap deviates from a link
+        by more than 0.3 m or 8 degrees (1 m for a weak link), one of the two is wrong, and the
+        submap is cut there.
         """
         with self._guard.change():
             self._note_call("refine")
@@ -193,24 +193,24 @@ class PlaneMapper(Mapper):
         return found.submaps
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
-        """Return the numbers (n,) that walls, numbered by earlier updates, have now.
+        """Return the current numbers (n,) of walls, given numbers from earlier updates.
 
         Parameters
         ----------
         labels : (n,) array of int
-            As `update` returned them.
+            As returned by `update`.
 
         Raises
         ------
         RelmapError
-            Where no update has returned such a number.
+            If no update has returned such a number.
         """
         labels = checked_labels(labels, np.arange(self._planes.n_planes))
         return np.asarray(self._own_numbers.wall_of[labels])
 
     @property
     def history(self) -> PlaneHistory:
-        """A view on all observations of walls, untransformed."""
+        """A view of all observations of walls, untransformed."""
         store = self.engine.store
         return PlaneHistory(
             iteration=store.iterations,
@@ -225,53 +225,54 @@ class PlaneMapper(Mapper):
 
     @property
     def submaps(self) -> list[WallSubmap]:
-        """The parts of the run that nothing ties to one another, those of most scans first."""
+        """The unconnected parts of the run, those with most scans first."""
         return self._state[0]
 
     @property
     def planes(self) -> PlaneTable:
-        """Every wall ever seen; mapped are those of the first submap."""
+        """Every wall ever seen; those of the first submap are mapped."""
         return self.planes_of(0)
 
     def planes_of(self, number: int) -> PlaneTable:
-        """Return every wall ever seen; mapped, in its frame, are those of one submap.
+        """Return every wall ever seen; those of one submap are mapped, in its frame.
 
         Parameters
         ----------
         number : int
-            Place of the submap in `submaps`.
+            Index of the submap in `submaps`.
         """
         submaps, numbers = self._state
         assembled = submaps[number].assembled if submaps else None
         return plane_table(self.history, numbers, assembled, self._moving)
 
     def beams_of(self, number: int, most: int) -> PlacedBeams:
-        """Return where beams of a submap began and ended, in its frame.
+        """Return begin and end points of beams of a submap, in its frame.
 
         Parameters
         ----------
         number : int
-            Place of the submap in `submaps`.
+            Index of the submap in `submaps`.
         most : int
-            Of more beams only one in so many is returned.
+            Maximum number of beams, by subsampling.
         """
         submap = self.submaps[number]
         return self._planes.links.beams.placed(submap.poses, submap.span, most)
 
     @property
     def map(self) -> LandmarkMap:
-        """The mapped corners of the first submap, in ascending order of their numbers.
+        """The mapped corners of the first submap, in ascending order of numbers.
 
-        Their covariances are known once the map is refined, until the next update; (0, 3, 3) else.
+        Their covariances are available after refinement, until the next update; otherwise (0, 3,
+        3).
         """
         submaps = self.submaps
         return corner_map(submaps[0].assembled if submaps else None, self._covariances)
 
     @property
     def landmarks(self) -> LandmarkTable:
-        """Every corner ever seen, mapped or not; mapped are those of the first submap.
+        """Every corner ever seen; those of the first submap are mapped.
 
-        Before refinement `sd` is that of the average behind a corner alone, along its wall.
+        Before refinement `sd` covers only the average of a corner, along its wall.
         """
         submaps, numbers = self._state
         moving, spread = self._grouped.moving_corners, self._covariances
@@ -282,24 +283,24 @@ class PlaneMapper(Mapper):
     def groups(self) -> list[MappedGroup]:
         """The groups behind the chained map, in the order in which they were placed.
 
-        Their landmarks are corners, numbered as in `landmarks`; the midpoints beside them, which
-        have no number, are left out.  Several that turned out to be one corner have one number.
+        Their landmarks are corners, numbered as in `landmarks`, without the estimated midpoints.
+        Corners that were merged share a number.
         """
         corner_of = self._own_numbers.corner_of
         return [corner_group(group, corner_of) for group in super().groups]
 
     @property
     def group_walls(self) -> list[NDArray[np.int64]]:
-        """Numbers of the walls that each group ties to one another, in the order of mapping."""
+        """Numbers of the walls that each group connects, in the order of mapping."""
         wall = self._own_numbers.wall_of[self._planes.wall_end // 2]
         return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
 
     @property
     def refined(self) -> list[Refined]:
-        """The submaps as refined, in order; none before, and after a later update.
+        """The submaps as refined, in order; none before refinement and after a later update.
 
-        They tell how well each eight iterations, and each corner that was joined to another, fit
-        the map, and how sure the corners are, which are its landmarks.
+        They include the residuals of each eight iterations and of each joined corner, and the
+        covariances of the corners, which are the landmarks.
         """
         submaps = [] if self._refined_walls is None else self._refined_walls[0]
         history = self.history
@@ -307,7 +308,7 @@ class PlaneMapper(Mapper):
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN beyond the map."""
+        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN outside the map."""
         history, submaps = self.history, self.submaps
         if not submaps:
             return np.full((history.n_iterations, 4, 4), np.nan)
@@ -315,15 +316,15 @@ class PlaneMapper(Mapper):
 
     @property
     def weak_links(self) -> NDArray[np.int64]:
-        """Iterations (k,) before which too little was seen to tell how far the robot went."""
+        """Iterations (k,) whose motion since the previous one is not fully determined."""
         return weak_links(self.history)
 
     @property
     def odometry(self) -> OdometryUse | None:
-        """What was made of odometry so far; None where none came.
+        """How odometry was used so far; None if there was none.
 
-        `hanging` are the iterations before which walls leave the way open in some direction, or
-        show too little; `left_out` is all of it where it is wrong too often.
+        `hanging` are the iterations whose motion since the previous one walls do not fully
+        determine; `left_out` contains all iterations if odometry is wrong too often.
         """
         links, history = self._planes.links, self.history
         left_out, hanging = odometry_left_out(links, history), on_odometry(links, history)
@@ -346,7 +347,7 @@ class PlaneMapper(Mapper):
             from relmap.segmentation import PlaneSegmenter
 
             self._segmenter = PlaneSegmenter()
-        # Its outcome is kept in it: two threads would mix theirs.
+        # The segmenter stores its result: two threads would mix theirs.
         with self._guard.change(spoils=False):
             self._segmenter.fit(points)
             return self._segmenter.planes_
@@ -369,7 +370,7 @@ class PlaneMapper(Mapper):
 
     @property
     def _covariances(self) -> NDArray[np.float64] | None:
-        """Of the corners of the first submap (c, 2, 2), if refined; worked out when first asked."""
+        """Covariances (c, 2, 2) of the first submap's corners, if refined; computed on access."""
         first = next(iter(self._refined_walls[0]), None) if self._refined_walls else None
         if first is None or first.assembled is None or not first.refined:
             return None
@@ -383,7 +384,7 @@ class PlaneMapper(Mapper):
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
-        """Which plane tracks (p,) move, or are not where the refined map has them."""
+        """Whether plane tracks (p,) move, or are not where the refined map has them."""
         moving = self._grouped.moving_walls
         moving[self._moved] = True
         return moving

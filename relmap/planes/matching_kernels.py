@@ -19,21 +19,21 @@ Tracks = tuple[Floats, Floats, Floats, Floats, Floats]
 Seen = tuple[Floats, Floats, Floats, Floats, Floats, Bools]
 
 SIGMAS = 4.0
-"""Tolerance, in standard deviations of what two walls differ by."""
+"""Tolerance, in standard deviations of the difference between two walls."""
 TURN_RAD = np.deg2rad(8.0)
 ACROSS_M = 0.12
 GAP_M = 0.4
-"""How far one wall may be off in two scans, whatever the noise: walls are not quite flat, and their
-ends not quite where they are seen."""
+"""Largest deviation of a wall between two scans, independent of the noise: walls are not perfectly
+flat, and their ends are not observed exactly."""
 WIDEST_TURN_RAD = 0.5
-"""What noise may add to the tolerance of the turn at most."""
+"""Upper limit of the noise contribution to the tolerance of the rotation."""
 CLOSE = 0.3
 BEYOND = 0.3
-"""What a wall at the edge of a tolerance is worth less than one that agrees exactly."""
+"""Reduction of the score of a wall at the edge of a tolerance, relative to exact agreement."""
 NEAR_M = 0.5
-"""A corner farther off than this, along its wall, does not pull at a motion."""
+"""A corner farther off than this, along its wall, does not constrain a motion."""
 CORNER = 0.3
-"""How much a corner pulls, for 1 of an end of a wall."""
+"""Weight of a corner, relative to an end of a wall."""
 
 
 @compiled
@@ -57,13 +57,13 @@ def carried(tracks: Tracks, motion: Floats) -> Tracks:
 
 @helper
 def half_turn(angle: float) -> float:
-    """Return an angle within a half turn of 0."""
+    """Return an angle wrapped to half a turn around 0."""
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @helper
 def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
-    """Return how well each track agrees with each wall, (n, m); 0 for not at all."""
+    """Return the score of each track with each wall, (n, m); 0 for no match."""
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, normal, size, wall_sd, static = seen
     n, m = len(angle), len(size)
@@ -96,7 +96,7 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
                 if static[j, e]:
                     at = left if e else right
                     off = (ux * corner_at[i, e, 0] + uy * corner_at[i, e, 1] - at) / gap_gate
-                    if abs(off) < 1:  # not where there is no corner: NaN
+                    if abs(off) < 1:  # NaN where there is no corner
                         worth += 1 - off**2
             found[i, j] = worth
     return found
@@ -106,9 +106,9 @@ def agreement(tracks: Tracks, seen: Seen, widened: float) -> Floats:
 def _cheapest_path(
     worth: Floats, start: int, column_of: Ints, price_column: Floats, price_row: Floats
 ) -> tuple[int, Ints]:
-    """Find the shortest path from a column to a free row, and make prices follow (Dijkstra).
+    """Find the shortest path from a column to a free row, and update the prices (Dijkstra).
 
-    Returns that row, and for each row the one before it on its path.
+    Returns that row, and for each row its predecessor on the path.
     """
     n, rows = len(worth), len(price_row)
     least, before, done = np.empty(rows), unset(rows), np.zeros(rows, dtype=np.bool_)
@@ -138,10 +138,10 @@ def _cheapest_path(
 
 @helper
 def assigned(worth: Floats) -> Ints:
-    """Return the row of each column, one to one, so that the worth (n, m) sums up to most.
+    """Return the row of each column for a one-to-one assignment of maximum total score (n, m).
 
-    -1 where a column gets none or one that is worth 0.  Shortest augmenting paths (Jonker and
-    Volgenant, 1987), with rows that are worth nothing where there are more columns.
+    -1 if a column has none, or one with score 0. Shortest augmenting paths (Jonker and Volgenant,
+    1987), padded with rows of score 0 if there are more columns.
     """
     n, m = worth.shape
     rows = max(n, m)
@@ -160,7 +160,7 @@ def assigned(worth: Floats) -> Ints:
 
 @helper
 def _then(first: Floats, second: Floats) -> Floats:
-    """Return a motion followed by another."""
+    """Return the composition of two motions."""
     c, s = math.cos(second[0]), math.sin(second[0])
     x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
     both = np.empty(3)
@@ -172,7 +172,7 @@ def _then(first: Floats, second: Floats) -> Floats:
 def _pull(
     A: Floats, b: Floats, nx: float, ny: float, x: float, y: float, off: float, w: float
 ) -> None:
-    """Add to normal equations: a point (x, y) should move by `off` along (nx, ny)."""
+    """Add to the normal equations: a point (x, y) should move by `off` along (nx, ny)."""
     row = (ny * x - nx * y, nx, ny)
     for i in range(3):
         for j in range(3):
@@ -182,11 +182,11 @@ def _pull(
 
 @helper
 def correction(tracks: Tracks, seen: Seen, track_of: Ints, held: float, least_m: float) -> Floats:
-    """Return the small motion that brings tracks onto the walls that they match (least squares).
+    """Return the small motion that aligns tracks to the walls that they match (least squares).
 
     Both ends of a wall seen lie on the line of its track, and a corner seen again at its place
-    along the wall; `held` is the weight of not moving, `least_m` the noise of a corner.  The line
-    of a short track is the less sure the farther it is extended.
+    along the wall; `held` is the weight of a zero motion, `least_m` the noise of a corner. The line
+    of a short track becomes less certain with the distance from the track.
     """
     angle, offset, ends, sd, corner_at = tracks
     wall_ends, along, _, _, _, static = seen
@@ -228,9 +228,9 @@ def settled(
     held: float,
     least_m: float,
 ) -> tuple[Floats, Ints, float]:
-    """Fit a motion to what agrees with it, in rounds, and see again what agrees.
+    """Fit a motion to the walls that match, alternating with matching.
 
-    Returns the motion, the track of each wall (-1: none), and how well all agree.
+    Returns the motion, the track of each wall (-1: none), and the total score.
     """
     motion, widened = guess, roughly
     for _ in range(rounds):
@@ -253,7 +253,7 @@ def settled(
 
 @helper
 def _at_most(worth: Floats) -> float:
-    """Return what the worth (n, m) of one row for each column sums up to at most."""
+    """Return an upper bound of the total score (n, m) with one row for each column."""
     total = 0.0
     for j in range(worth.shape[1]):
         best = 0.0
@@ -265,7 +265,7 @@ def _at_most(worth: Floats) -> float:
 
 @helper
 def _entered(motion: Floats, score: float, found: Floats, best: Floats) -> None:
-    """Enter a motion among the best found so far."""
+    """Insert a motion into the best found so far."""
     at = len(best)
     while at > 0 and score > best[at - 1]:
         at -= 1
@@ -279,9 +279,9 @@ def _entered(motion: Floats, score: float, found: Floats, best: Floats) -> None:
 def guesses(
     tracks: Tracks, seen: Seen, roughly: float, reach_m: float, reach_rad: float, most: int
 ) -> tuple[Floats, Floats]:
-    """Return the motions (most, 3) that bring a corner onto a corner and make most agree.
+    """Return the motions (most, 3) with the highest scores that match two corners.
 
-    With how well at most all agree then, best first; unused rows are 0.
+    Also returns upper bounds of their scores, best first; unused rows are 0.
     """
     angle, _, _, _, corner_at = tracks
     wall_ends, _, normal, _, _, static = seen
@@ -295,7 +295,7 @@ def guesses(
             for e in range(2):
                 a, b = corner_at[i, e, 0], corner_at[i, e, 1]
                 x, y = wall_ends[j, e, 0] - c * a + s * b, wall_ends[j, e, 1] - s * a - c * b
-                # Of a track without that corner this is NaN.
+                # NaN for a track without that corner.
                 if not (static[j, e] and math.hypot(x, y) < reach_m):
                     continue
                 motion = np.empty(3)

@@ -1,4 +1,4 @@
-"""Walls as landmarks: a corner and the midpoint estimated from it are two points at rest."""
+"""Walls as landmarks: a corner and its estimated midpoint are two static points."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from relmap.planes.observation import PlaneObservation
 from relmap.planes.registration import PlaneRegistration
 
 TURN = np.cos(np.deg2rad(20.0))
-"""How far, at most, a wall may have turned where it is seen again (cosine)."""
+"""Largest rotation of a wall when it is seen again (cosine)."""
 
 
 class WallModel:
-    """What the engine has to know of walls; see `relmap.core.model.LandmarkModel`.
+    """The wall model for the engine; see `relmap.core.model.LandmarkModel`.
 
     Corner `k` is landmark `2 k`, its midpoint `2 k + 1`.
 
     Parameters
     ----------
     walls : PlaneRegistration
-        Knows which end of a wall each corner is.
+        Provides the wall end of each corner.
     """
 
     columns: ClassVar[Rows] = {
@@ -38,9 +38,9 @@ class WallModel:
         "sd": np.empty(0),
         "z_extent": np.empty((0, 2)),
     }
-    """Of an observed wall: its right and left end, untransformed; the landmark that the map hangs
-    on at either end, if any; the number of the wall, and of the corner at either end; which kind
-    of ends they are given as; how sure its distance is; its lowest and highest z."""
+    """Columns of an observed wall: right and left end, untransformed; the landmark at either end
+    used by the map, if any; the number of the wall, and of the corner at either end; the given end
+    types; the standard deviation of its distance; its lowest and highest z."""
     keeps_observations = True
     noise_spread = 3.0
     position_spread = 2.0
@@ -50,7 +50,7 @@ class WallModel:
         self._walls = walls
 
     def rows(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> Rows:
-        """Return what is stored of the walls of one scan, of which these are the numbers (m,)."""
+        """Return the stored columns of the walls of one scan, with these numbers (m,)."""
         return {
             "landmark": self._walls.landmark,
             "location": seen.ends,
@@ -62,7 +62,7 @@ class WallModel:
         }
 
     def points(self, rows: Rows) -> Shown:
-        """Return the corners that the map hangs on, and the midpoints estimated from them."""
+        """Return the corners used by the map, and their estimated midpoints."""
         from relmap.planes.model_kernels import corners_and_midpoints
 
         walls = rows["landmark"], rows["corner"], rows["location"]
@@ -77,23 +77,23 @@ class WallModel:
         return relative_map(block)
 
     def min_shared(self, dimension: int) -> int:
-        """Return how few mapped points fix a group: one corner and its midpoint."""
+        """Return the minimum number of mapped points per group: a corner and its midpoint."""
         return 2
 
     def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which points (n,) are compared with older ones: corners.
+        """Return which points (n,) are compared with older ones: corners.
 
-        The midpoints stay apart: each is at a distance of its own from the corner.
+        Midpoints are not: their distance from the corner differs between tracks.
         """
         return np.asarray(landmarks % 2 == 0)
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:
-        """Tell whether a corner may be an older one: the same end of a wall with its direction."""
+        """Return whether a corner may be an older one: the same end of a similarly directed wall."""
         corners = np.array([new, old]) // 2
         ends, submaps = self._walls.wall_end[corners], self._walls.submap_of[corners]
         if ends[0] % 2 != ends[1] % 2 or submaps[0] != submaps[1]:
             return False
         positions = table.position
         a, b = positions[new + 1] - positions[new], positions[old + 1] - positions[old]
-        # A midpoint that is not mapped tells nothing.
+        # An unmapped midpoint is not informative.
         return not a @ b < TURN * np.sqrt((a @ a) * (b @ b))

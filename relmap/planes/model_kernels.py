@@ -1,4 +1,4 @@
-"""The points at rest that walls show, compiled; see `relmap.planes.model`."""
+"""The static points that walls show, compiled; see `relmap.planes.model`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from relmap.core.linalg.compiling import compiled
 def corners_and_midpoints(
     landmark: Ints, corner: Ints, ends: Floats, half: Floats
 ) -> tuple[Ints, Floats, Ints]:
-    """Return the corners of walls, and the midpoints estimated from them (Fig. 4).
+    """Return the corners of walls, and their estimated midpoints (Fig. 4).
 
     Parameters
     ----------
@@ -22,12 +22,12 @@ def corners_and_midpoints(
         Landmark and corner at either end of each wall; -1 for none.
     ends : (n, 2, 2) float64, robot frame, metres
     half : (c,) float64, metres
-        Half of the fixed size of the wall of each corner.
+        Half the fixed size of the wall of each corner.
 
     Returns
     -------
     landmarks : (k,) int64, points_robot : (k, 2) float64
-        A corner and its midpoint in turn.
+        Corners and midpoints alternate.
     per_row : (n,) int64
     """
     k, per_row = 0, np.zeros(len(landmark), dtype=np.int64)

@@ -1,7 +1,7 @@
-"""What odometry adds to the refinement: factors between poses, where walls do not tell the motion.
+"""Odometry factors between poses in the refinement, where walls do not determine the motion.
 
-Poses are eliminated one by one, and a factor has two of them.  So it is taken for two, of half the
-variance each, that tie both poses to a third one where they meet; that one is kept.
+Poses are eliminated one by one, but a factor involves two. So it is split into two factors with
+half the variance each, which connect both poses to an auxiliary pose that is kept.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class MotionFactors:
-    """How odometry has iterations lie to earlier ones; l pairs.
+    """Odometry factors between pairs of iterations; l pairs.
 
     Attributes
     ----------
@@ -36,12 +36,12 @@ class MotionFactors:
     sd: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of factors."""
         return len(self.both)
 
     @property
     def iteration(self) -> NDArray[np.int64]:
-        """Which iteration each residual is of, (6 l,): yaw, x, y of the earlier, then the later."""
+        """Iteration of each residual, (6 l,): yaw, x, y of the earlier, then the later."""
         return np.repeat(self.both.T, 3)
 
     @property
@@ -50,9 +50,9 @@ class MotionFactors:
         return np.tile(self.sd[:, [0, 1, 1]].ravel() / np.sqrt(2), 2)
 
     def added_to(self, seen: Linearised, yaw: Array, t: Array) -> Linearised:
-        """Return residuals and derivatives with those of the factors.
+        """Append residuals and Jacobians of the factors.
 
-        These are by the pose, and by where both poses meet, which is in the middle of the two.
+        The Jacobians are by the pose and by the auxiliary pose, which is midway between the two.
         `yaw` (i,) and `t` (i, 2) are of all poses.
         """
         earlier, later = self.both.T

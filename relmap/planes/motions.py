@@ -9,7 +9,7 @@ from relmap.planes.placement import PlanarMotion
 from relmap.planes.tracks import wrapped
 
 APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
-"""Motions that differ by more are others."""
+"""Motions that differ by more are distinct."""
 
 
 def others(
@@ -18,7 +18,7 @@ def others(
     apart_m: float = APART_M,
     apart_rad: float = APART_RAD,
 ) -> NDArray[np.bool_]:
-    """Tell which motions (k, 3) are others than one (3,)."""
+    """Return which motions (k, 3) are distinct from one (3,)."""
     off = np.hypot(*(motions[:, 1:] - motion[1:]).T)
     return np.asarray((off > apart_m) | (np.abs(wrapped(motions[:, 0] - motion[0])) > apart_rad))
 
@@ -30,7 +30,7 @@ def distinct(
     apart_m: float = APART_M,
     apart_rad: float = APART_RAD,
 ) -> NDArray[np.int64]:
-    """Return the first motions in an order, so many at most, that are others than those before."""
+    """Return the first distinct motions in a given order, up to a maximum."""
     kept: list[int] = []
     for k in order.tolist():
         if all(others(motions[kept], motions[k], apart_m, apart_rad)):
@@ -41,14 +41,14 @@ def distinct(
 
 
 def after(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a motion (3,) followed by each of others (k, 3)."""
+    """Return the composition of a motion (3,) with each of others (k, 3)."""
     c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
     x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
     return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
 
 
 def motion_over(motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return motions (k, 3), one followed by the next, as one (3,)."""
+    """Return the composition of motions (k, 3), in order, as one (3,)."""
     whole = np.zeros(3)
     for motion in motions:
         whole = after(whole, motion[None])[0]
@@ -56,7 +56,7 @@ def motion_over(motions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the motion (3,) back."""
+    """Return the inverse of a motion (3,)."""
     c, s = np.cos(motion[0]), np.sin(motion[0])
     x, y = motion[1:]
     return np.array([-motion[0], -c * x - s * y, s * x - c * y])
@@ -78,5 +78,5 @@ def matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def from_matrices(T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the motions (k, 3) in the plane that matrices (k, 4, 4) are."""
+    """Return the planar motions (k, 3) of matrices (k, 4, 4)."""
     return np.column_stack([np.arctan2(T[:, 1, 0], T[:, 0, 0]), T[:, :2, 3]])

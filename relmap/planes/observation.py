@@ -1,4 +1,4 @@
-"""What a plane mapper takes in as one scan: walls, as a robot sees them."""
+"""Validation of one scan of walls."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from relmap.planes.beams import ToldBeams
 from relmap.planes.corners import CORNER, CUT, UNKNOWN
 
 SHORTEST_M = 1e-6
-"""A wall shorter than this has no direction."""
+"""A shorter wall has no defined direction."""
 NO_BEAMS = ToldBeams.checked(np.empty((0, 2)), np.zeros(2))
 FARTHEST_END_M = FARTHEST_M / 4
-"""Beyond this an end is damage; what is estimated from it is within reach of a point then."""
+"""Upper limit of an end's coordinates, so that points estimated from it stay within the limit of
+points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +31,7 @@ class PlaneObservation:
     ends : (m, 2, 2) float64
         x, y of the right and the left end, as seen from the robot.
     kind : (m, 2) int8
-        Whether an end is the wall's own, or the end of the visible part, or unknown; see
+        Whether an end is an end of the wall itself, of its visible part, or unknown; see
         `relmap.planes.corners`.
     along : (m, 2) float64
         Unit vector from the right end to the left one.
@@ -40,11 +41,11 @@ class PlaneObservation:
         ``normal @ p`` of every point p of the wall: negative.
     size : (m,) float64
     sd : (m,) float64
-        Standard deviation of how far away a wall is, where its middle is; 0 where not known.
+        Standard deviation of the distance of a wall at its midpoint; 0 if unknown.
     z_extent : (m, 2) float64
-        Lowest and highest z; 0 where not known.
+        Lowest and highest z; 0 if unknown.
     beams : ToldBeams
-        None if they are not given.
+        None if not given.
     """
 
     ends: NDArray[np.float64]
@@ -65,7 +66,7 @@ class PlaneObservation:
         sd: NDArray[np.float64],
         z_extent: NDArray[np.float64],
     ) -> PlaneObservation:
-        """Return walls by what is stored of them."""
+        """Return walls from their stored rows."""
         across = ends[:, 1] - ends[:, 0]
         size = np.hypot(across[:, 0], across[:, 1])
         along = across / size[:, None]
@@ -79,12 +80,12 @@ class PlaneObservation:
 
     @property
     def static(self) -> NDArray[np.bool_]:
-        """Whether an end is given as the wall's own; (m, 2)."""
+        """Whether an end is given as an end of the wall itself; (m, 2)."""
         return np.asarray(self.kind == CORNER)
 
     @property
     def arrays(self) -> Any:
-        """What the compiled matching knows of the walls."""
+        """The walls in the form used by the compiled matching."""
         return self.ends, self.along, self.normal, self.size, self.sd, self.static
 
     def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
@@ -100,16 +101,16 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
     ----------
     planes : relmap.segmentation.Planes, relmap.simulation's SeenWalls, or the like
         Anything with `ends` (m, 2, 2), robot frame, metres, right to left as seen from the robot,
-        and `end_type` (m, 2), "corner" where an end is the wall's own, "unknown" where it is not
-        known, as everywhere if it is omitted.  `noise` (m,), `n_points` (m,), `z_extent` (m, 2)
-        and `origin` (2,), where the sensor is, are used where they are there.
+        and `end_type` (m, 2), "corner" for an end of the wall itself, "unknown" if not known, which
+        is the default. `noise` (m,), `n_points` (m,), `z_extent` (m, 2) and `origin` (2,), the
+        position of the sensor, are used if present.
     beams : (n, 2) or (n, 3) array, optional
-        Where beams ended; see `ToldBeams.checked`.
+        End points of the beams; see `ToldBeams.checked`.
 
     Raises
     ------
     RelmapError
-        Where a shape is wrong, a value is not finite, or the robot sees a wall from behind.
+        If a shape is wrong, a value is not finite, or the robot sees a wall from behind.
     """
     ends = checked_ends(planes.ends)
     m = len(ends)
@@ -132,7 +133,7 @@ def checked_planes(planes: Any, beams: Any = None) -> PlaneObservation:
 
 
 def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
-    """Return the kinds of ends by their names."""
+    """Return the kinds of ends given by name."""
     kind = np.where(end_type == "corner", CORNER, np.where(end_type == "unknown", UNKNOWN, CUT))
     return kind.astype(np.int8)
 
@@ -143,7 +144,7 @@ def checked_ends(ends: Any) -> NDArray[np.float64]:
     Raises
     ------
     RelmapError
-        Where the shape is wrong or a value is not finite.
+        If the shape is wrong or a value is not finite.
     """
     array = numbers(ends, "ends", "an (m, 2, 2) array of numbers")
     if array.size == 0:
@@ -161,7 +162,7 @@ def checked_ends(ends: Any) -> NDArray[np.float64]:
 
 
 def _measured(planes: Any, m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how sure the distances of walls are (m,) and their extents in z (m, 2), metres."""
+    """Return the standard deviations of wall distances (m,) and z extents (m, 2), metres."""
     sd, z_extent = np.zeros(m), np.zeros((m, 2))
     if hasattr(planes, "n_points"):
         n_points = _column(planes.n_points, "n_points", (m,))
@@ -176,20 +177,20 @@ def _column(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float6
     if array.size == 0 and shape[0] == 0:
         return np.zeros(shape)
     if array.shape != shape:
-        raise RelmapError(f"{name} has shape {array.shape}; it must be {shape}, as there are walls")
+        raise RelmapError(f"{name} has shape {array.shape}; it must be {shape}, one per wall")
     if not np.isfinite(array).all():
         raise RelmapError(f"{name} holds a value that is not finite; it must be in metres")
     return array
 
 
 def journaled(seen: PlaneObservation) -> NDArray[np.float64]:
-    """Return the walls (m,) of one scan as rows (m, 9), as a journal keeps them."""
+    """Return the walls (m,) of one scan as rows (m, 9) for a journal."""
     ends = seen.ends.reshape(-1, 4)
     return np.column_stack([ends, seen.z_extent, seen.sd, seen.kind.astype(np.float64)])
 
 
 def of_journal(rows: NDArray[np.float64]) -> SimpleNamespace:
-    """Return the walls that were kept as rows (m, 9)."""
+    """Return the walls stored as rows (m, 9)."""
     rows = rows.reshape(-1, 9)
     return SimpleNamespace(
         ends=rows[:, :4].reshape(-1, 2, 2),

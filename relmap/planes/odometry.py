@@ -1,7 +1,7 @@
-"""Odometry of a run among walls: where it expects a scan to lie, and how surely.
+"""Prediction of a scan by odometry, with its uncertainty.
 
-It is held against the motions that walls fix in all directions: from them come its noise and its
-constant errors (`relmap.core.motion_noise`), and whether it is to be believed at all.
+Odometry is compared with the motions that walls determine in all directions. This gives its noise
+and systematic errors (`relmap.core.motion_noise`), and whether it is accepted at all.
 """
 
 from __future__ import annotations
@@ -19,32 +19,32 @@ from relmap.planes.steps import corrected, path_of
 from relmap.planes.tracks import wrapped
 
 COMPARED, LONG_AGO = 200, 5000
-"""Last motions that odometry is held against, and how many scans ago they are at most."""
+"""Number of last motions that odometry is compared with, and their largest age in scans."""
 EVERY, AT_FIRST = 32, 8
-"""After how many more scans it is held against them again; and while there are few."""
+"""Interval, in scans, between comparisons; and while there are few."""
 ROUGH_M, ROUGH_RAD = 0.03, np.deg2rad(1.0)
-"""How far off motions from walls may be: they tell no better how good odometry is."""
+"""Errors of motions from walls, which limit the precision of the comparison."""
 FAULT = 6.0
-"""How unlikely a motion far from where odometry expects it is, for wheels slip: log odds."""
+"""Log odds of a motion far from the prediction: wheels may slip."""
 AGREED = 3.0
-"""What a motion gains that agrees with odometry: few do by chance."""
+"""Log odds gained by a motion that agrees with odometry, which few do by chance."""
 FAULTS, FAULTY = 2, 0.05
-"""Odometry that is another than what walls measured more often, and in a larger share of the steps,
-is not believed: bridges would be wrong as often."""
+"""If odometry contradicts the walls more often than this, and in a larger fraction of the steps, it
+is rejected: bridges would be wrong as often."""
 NEVER = -1, -1, -1
 OTHERWISE = 4.0
-"""Standard deviations from which a motion is another than odometry tells."""
+"""Standard deviations above which a motion contradicts odometry."""
 
 
 class Expected(NamedTuple):
-    """Where odometry expects the robot.
+    """Motion expected from odometry.
 
     Attributes
     ----------
     motion : (3,) float64
-        From the frame before into that of the scan: yaw, x, y.
+        From the previous frame to that of the scan: yaw, x, y.
     sd_m, sd_rad : float
-        How sure it is, and the motions from walls that it is compared with.
+        Standard deviations, including those of the motions from walls that it is compared with.
     """
 
     motion: NDArray[np.float64]
@@ -52,23 +52,23 @@ class Expected(NamedTuple):
     sd_rad: float
 
     def off(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return by how many standard deviations motions (k, 3) are others."""
+        """Return the deviation of motions (k, 3) in standard deviations."""
         way = np.hypot(*(motions[:, 1:] - self.motion[1:]).T) / self.sd_m
         turn = wrapped(motions[:, 0] - self.motion[0]) / self.sd_rad
         return np.asarray(np.hypot(way, turn))
 
     def supports(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what odometry tells for motions (k, 3): log odds."""
+        """Return the log odds of motions (k, 3) given odometry."""
         return np.asarray(AGREED - np.minimum(self.off(motions) ** 2 / 2, FAULT))
 
 
 class Wheels:
-    """The odometry of a run, held against the motions from scan to scan.
+    """The odometry of a run, compared with the motions from scan to scan.
 
     Attributes
     ----------
     given : Motions
-        As it came.
+        The given odometry.
     """
 
     def __init__(self) -> None:
@@ -84,20 +84,20 @@ class Wheels:
         motions: NDArray[np.float64],
         measured: NDArray[np.bool_],
     ) -> Expected | None:
-        """Return how a scan lies to an earlier one.
+        """Return the motion from an earlier scan to a later one, as expected from odometry.
 
         Parameters
         ----------
         earlier, later : int
         motions : (i, 3) float64
-            From scan to scan.
+            Motions from scan to scan.
         measured : (i,) bool
-            Which of these walls fix in all directions.
+            Which of these are determined by walls in all directions.
 
         Returns
         -------
         Expected or None
-            None where odometry is not known, or not believed.
+            None if odometry is unknown or rejected.
         """
         if not len(self.given):
             return None
@@ -128,7 +128,7 @@ class Wheels:
     def noise(
         self, motions: NDArray[np.float64], measured: NDArray[np.bool_]
     ) -> MotionNoise | None:
-        """Return how good odometry was lately; None where it is not believed."""
+        """Return the recent quality of odometry; None if it is rejected."""
         every = EVERY if len(motions) > EVERY else AT_FIRST
         now = len(motions) // every * every
         if now != self._noise_of:
@@ -141,7 +141,7 @@ class Wheels:
     def noise_over_all(
         self, motions: NDArray[np.float64], measured: NDArray[np.bool_]
     ) -> MotionNoise | None:
-        """Return how good odometry was in a whole run; None where it is not believed, or none."""
+        """Return the quality of odometry over a whole run; None if missing or rejected."""
         if not len(self.given):
             return None
         found, is_believed = self._compared(np.flatnonzero(measured), motions)
@@ -154,7 +154,7 @@ class Wheels:
         left_out: NDArray[np.bool_],
         hanging: NDArray[np.bool_],
     ) -> OdometryUse | None:
-        """Return what was made of odometry; None where there is none."""
+        """Return how odometry was used; None if there is none."""
         if not len(self.given):
             return None
         found, _ = self._compared(np.flatnonzero(measured), motions)
@@ -164,7 +164,7 @@ class Wheels:
     def _compared(
         self, scans: NDArray[np.int64], motions: NDArray[np.float64]
     ) -> tuple[MotionNoise, bool]:
-        """Return how good odometry is in some scans (k,), and whether it is believed."""
+        """Return the quality of odometry in some scans (k,), and whether it is accepted."""
         begin, end = int(scans.min(initial=len(motions))), int(scans.max(initial=-1)) + 1
         steps = self.given.between(begin, max(begin, end))[scans - begin]
         there = np.isfinite(steps[:, 0, 0])
@@ -181,9 +181,9 @@ class Wheels:
     def left_out(
         self, motions: NDArray[np.float64], measured: NDArray[np.bool_]
     ) -> NDArray[np.bool_]:
-        """Tell in which iterations (i,) odometry is not believed.
+        """Return in which iterations (i,) odometry is rejected.
 
-        It is another than what walls measured; all where that is so too often.
+        Those that contradict the motion measured by walls; all if there are too many.
         """
         steps = self.given.over(len(motions))
         known = np.isfinite(steps[:, 0, 0])
@@ -191,14 +191,14 @@ class Wheels:
         return known & measured & _otherwise(noise, steps, motions) if noise else known
 
     def look_again(self) -> None:
-        """Forget what was found of its noise: motions have changed."""
+        """Forget the noise estimate: motions have changed."""
         self._noise_of, self._last = -1, (NEVER, None)
 
 
 def _otherwise(
     noise: MotionNoise, steps: NDArray[np.float64], motions: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Tell which steps (k, 4, 4) are others than motions (k, 3) measured."""
+    """Return which steps (k, 4, 4) contradict the measured motions (k, 3)."""
     off, (sd_m, sd_rad) = (
         corrected(noise, steps) - from_matrices(_poses(motions)),
         noise.sigmas(steps),
@@ -209,5 +209,5 @@ def _otherwise(
 
 
 def _poses(motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return motions (k, 3) as the poses (k, 4, 4) of the robot after them in the frame before."""
+    """Return motions (k, 3) as poses (k, 4, 4) of the robot in the previous frame."""
     return np.asarray(np.linalg.inv(matrices(motions)))

@@ -1,12 +1,12 @@
-"""The paper's literal recipe: pairs of walls, and a chain of the strongest relations (section II).
+"""The paper's recipe: pairs of walls, and a chain of the strongest relations (section II).
 
 For each pair of walls, both are rotated so that the first is at 0 degrees, and their differences in
-place and orientation are averaged over their common interval (Figs 1 and 2).  Which of the corners
-are static is decided by the four pairs of midpoints, estimated from either end of either wall and a
-size that is fixed over the interval: the pair with the lowest standard deviation holds (Fig. 4).
+position and orientation are averaged over their common interval (Figs 1 and 2). The static corners
+are found by the four pairs of midpoints, estimated from either end of either wall and a size that
+is fixed over the interval: the pair with the lowest standard deviation is chosen (Fig. 4).
 
-`PlaneMapper` does the same with all walls of a group at once, types of ends for a prior and the
-deviation as the check; this is kept to compare with.
+`PlaneMapper` does the same with all walls of a group at once, with end types as a prior and the
+deviation as a check; this module serves as a baseline.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from relmap.planes.history import PlaneHistory
 from relmap.planes.tracks import wrapped
 
 FEWEST = 3
-"""Common iterations without which there is no deviation to go by."""
+"""Minimum number of common iterations to compute a deviation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relation:
-    """Where one wall is relative to another.
+    """Relative location of two walls.
 
     Attributes
     ----------
@@ -33,11 +33,11 @@ class Relation:
         From midpoint to midpoint, the first wall's normal along x.
     turn : float, radians
     deviation : float, metres
-        Standard deviation of the offset, of the pair of ends that was chosen.
+        Standard deviation of the offset, for the chosen pair of ends.
     ends : (2,) int
         Static end of the first wall and of the second: 0 right, 1 left.
     n : int
-        Common iterations.
+        Number of common iterations.
     """
 
     offset: NDArray[np.float64]
@@ -70,7 +70,7 @@ def relate(
 
 
 def _turns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the turn from the first wall (k, 2, 2) to the second; (k,) radians."""
+    """Return the rotation from the first wall (k, 2, 2) to the second; (k,) radians."""
     along, other = (ends[:, 1] - ends[:, 0] for ends in (first, second))
     turns = np.arctan2(other[:, 1], other[:, 0]) - np.arctan2(along[:, 1], along[:, 0])
     return wrapped(turns)
@@ -79,13 +79,13 @@ def _turns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[n
 def pairwise_map(history: PlaneHistory, n_planes: int) -> NDArray[np.float64]:
     """Return the ends of all walls by the chain of the strongest pairwise relations.
 
-    The relations of the least deviation over the root of the common interval make a spanning tree;
-    the frame is that of its first wall, which looks along x.
+    The relations with the least deviation, divided by the square root of the common interval, form
+    a spanning tree; the frame is that of its first wall, whose normal is along x.
 
     Returns
     -------
     (n_planes, 2, 2) float64, metres
-        NaN for walls that no relation ties to the first.
+        NaN for walls not connected to the first.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree

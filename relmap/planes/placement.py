@@ -1,8 +1,8 @@
-"""Where the frame of the tracks lies in that of a scan: the motion on which most walls agree.
+"""The placement of the tracks' frame in that of a scan: the motion on which most walls agree.
 
-As with points it is a rough one, good for association only, and then forgotten.  It is not
-looked for by the largest consistent set, as with points (`relmap.core.association.placement`): that
-of the corners alone, which hold it, broke csail into 91 submaps, not 58, and fhw into 42, not 35.
+As with points it is approximate, used for association only, and then discarded. It is not found by
+the largest consistent set, as with points (`relmap.core.association.placement`): using the corners
+alone split csail into 91 submaps instead of 58, and fhw into 42 instead of 35.
 """
 
 from __future__ import annotations
@@ -16,29 +16,30 @@ from relmap.planes.observation import PlaneObservation
 from relmap.planes.tracks import PlaneTracks
 
 ROUGHLY = 3.0
-"""Tolerances of a guess, in units of those of the final match."""
+"""Tolerances of an initial guess, relative to those of the final match."""
 REACH_M = 3.0
 TURN_RAD = np.deg2rad(45.0)
-"""How far the wider search goes between two scans."""
+"""Range of the wider search between two scans."""
 HELD = 1e-2
-"""Weight of going on as before, where nothing that is seen tells: a wall's is 1."""
+"""Weight of constant motion where the observations do not determine it: a wall has 1."""
 ROUNDS = 3
 HALTED = 0.05
-"""How much more must agree on a halt than on going on: along a single wall both agree alike."""
+"""Additional score required for standing still over constant motion: along a single wall both agree
+equally."""
 GUESSES = 3
-"""Motions of the wider search that are looked at closely."""
+"""Number of motions of the wider search that are evaluated in full."""
 CONTENT = 0.8
-"""Share of what could agree that must, before a wider search is spared."""
+"""Fraction of the maximum score above which the wider search is skipped."""
 DOUBT = 2.0
-"""Walls and corners more that must agree on a sudden motion than on going on as before: single
-walls look alike."""
+"""Additional walls and corners that must agree on a sudden motion compared with constant motion:
+single walls are ambiguous."""
 SUDDEN_M = 0.75
 LEVER_M = 3.0
-"""A turn is as sudden as the way that it takes a wall at this distance."""
+"""Distance at which a rotation counts as the equivalent translation."""
 MANY = 7
-"""Walls that must agree on a motion farther than a robot goes: fewer look alike elsewhere."""
+"""Walls that must agree on a motion longer than usual."""
 LEAST_M = 0.02
-"""Noise of a corner that its weight is reckoned with at least."""
+"""Lower limit of the noise of a corner when computing its weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class Match:
     ----------
     tracks, walls : (k,) int64
     score : float
-        How well they agree: each wall counts for 1 at most, each corner too.
+        Score of the match: at most 1 for each wall and each corner.
     """
 
     tracks: NDArray[np.int64]
@@ -74,25 +75,25 @@ def place(
     before: PlanarMotion,
     farthest_m: float = np.inf,
 ) -> tuple[PlanarMotion, Match] | None:
-    """Find the motion of the tracks' frame into the scan's, and the association by it.
+    """Find the motion from the tracks' frame to the scan's, and the resulting association.
 
-    Tried are to go on as before, to stand still, and where neither will do, every pair of a track's
-    corner and a corner of the scan: with the direction of its wall one corner fixes a motion.
+    Candidates are constant motion, no motion, and if neither suffices, every pair of a track's
+    corner and a corner of the scan: a corner and the direction of its wall determine a motion.
 
     Parameters
     ----------
     tracks : PlaneTracks
     seen : PlaneObservation
     before : PlanarMotion
-        The motion between the two scans before.  Where walls seen leave a direction open, as along
-        a single partial one, the robot is taken to go on like that (motion model).
+        The previous motion. Where the observed walls do not determine a direction, as with a single
+        partial wall, constant motion is assumed (motion model).
     farthest_m : float
-        A motion longer than this is a jump, which many walls must agree on.
+        A longer motion is a jump, which requires more agreeing walls.
 
     Returns
     -------
     (motion, match) or None
-        None where no wall agrees, or too few on a jump.
+        None if no wall agrees, or too few for a jump.
     """
     from relmap.planes.matching_kernels import guesses
 
@@ -116,7 +117,7 @@ def _jumps(motion: PlanarMotion, match: Match, farthest_m: float) -> bool:
 
 
 def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
-    """Return how many walls and corners more must agree on a motion, the more sudden it is."""
+    """Return the additional walls and corners that must agree on a sudden motion."""
     jumps = [
         np.hypot(*(motion.t - usual.t)) + LEVER_M * abs(motion.yaw - usual.yaw)
         for usual in (before, STILL)
@@ -127,7 +128,7 @@ def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
 def worth(
     tracks: PlaneTracks, seen: PlaneObservation, recent: NDArray[np.bool_]
 ) -> tuple[float, float]:
-    """Return the score if all tracks seen last were seen again, and if all walls were known."""
+    """Return the maximum scores: if all recent tracks were seen, and if all walls were known."""
     return (
         float(recent.sum() + np.isfinite(tracks.corner_at[recent, :, 0]).sum()),
         float(len(seen) + seen.static.sum()),
@@ -137,7 +138,7 @@ def worth(
 def settled(
     tracks: PlaneTracks, seen: PlaneObservation, guess: PlanarMotion
 ) -> tuple[PlanarMotion, Match]:
-    """Fit a guess to what agrees with it, and see again what agrees."""
+    """Fit a motion to the walls that match, and match again."""
     from relmap.planes import matching_kernels
 
     start = np.array([guess.yaw, *guess.t])

@@ -1,4 +1,4 @@
-"""What scans and beams say of each stretch of a wall: seen, ended on, or seen through."""
+"""Evidence of scans and beams for each stretch of a wall: seen, hit, or seen through."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ BIN_M = 0.05
 """Length of a stretch."""
 CELL_M = 0.25
 RIM = 2
-"""Stretches beyond either end of what was seen of a wall."""
+"""Number of stretches beyond either end of the observed part of a wall."""
 MOST_BEAMS = 400_000
-"""So many tell enough."""
+"""Number of observations above which counts saturate."""
 NEAR_M, NEAR = 0.08, 3.0
-"""How far from a wall a beam ends that ends on it: metres, and in standard deviations of all."""
+"""Largest distance of a beam's end from the wall it hits: metres, and in standard deviations."""
 BEFORE_M = 0.2
-"""How much before a wall a beam ends that says it is not there."""
+"""Distance in front of a wall at which the end of a beam counts against the wall."""
 SAMPLED, FAR_M = 10, 0.5
-"""One beam in so many tells how noisy all are, by how far from walls they end, up to so far."""
+"""Subsampling of the beams for the noise estimate, and largest distance from a wall used."""
 LEAST_SINE = float(np.sin(np.deg2rad(8.0)))
-"""A beam along a wall does not tell where it crosses that."""
+"""Beams at a smaller angle to a wall do not determine where they cross it."""
 MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, eq=False)
 class Stretches:
-    """Walls cut into stretches of one length; w walls, b stretches in all.
+    """Walls divided into stretches of equal length; w walls, b stretches in total.
 
     Attributes
     ----------
     base, normal, along : (w, 2) float64
         A point on each wall, and unit vectors to its front and from its right to its left.
     low : (w,) float64, metres
-        Where the first stretch begins, along the wall.
+        Begin of the first stretch, along the wall.
     first : (w + 1,) int64
         The first stretch of each wall.
     seen : (b,) int64
-        Observations of the wall there.
+        Number of observations of the wall there.
     hits, against : (b,) int64
-        Beams that end there, and that go through or end a little before.
+        Number of beams that end there, and that pass through or end shortly before.
     """
 
     base: NDArray[np.float64]
@@ -63,7 +63,7 @@ class Stretches:
 
     @property
     def place(self) -> NDArray[np.float64]:
-        """Where the middle of each stretch is along its wall; (b,) metres."""
+        """Position of the middle of each stretch along its wall; (b,) metres."""
         wall = self.wall
         place = self.low[wall] + BIN_M * (np.arange(len(wall)) - self.first[wall] + 0.5)
         return np.asarray(place)
@@ -72,7 +72,7 @@ class Stretches:
 def stretches_of(
     assembled: Assembled, poses: NDArray[np.float64], span: tuple[int, int], beams: BeamStore
 ) -> Stretches:
-    """Return what the scans and beams of a submap say of its walls.
+    """Return the evidence of the scans and beams of a submap for its walls.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def stretches_of(
     base = state.centre + state.across[:, None] * normal
     n = len(base)
     reach = np.einsum("nei,ni->ne", placed_ends(assembled) - base[of][:, None], along[of])
-    reach.sort(axis=1)  # where nothing is refined, some lie the wrong way round
+    reach.sort(axis=1)  # before refinement, some are reversed
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     np.minimum.at(low, of, reach[:, 0])
     np.maximum.at(high, of, reach[:, 1])
@@ -105,7 +105,7 @@ def stretches_of(
 def _crossed(
     walls: Stretches, beams: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return how many beams end in each stretch, and how many say that no wall is there."""
+    """Return the number of beams that end in each stretch, and that contradict it."""
     from relmap.planes.plan_kernels import beams_on_walls
 
     high = walls.low + BIN_M * np.diff(walls.first)
@@ -122,7 +122,7 @@ def _crossed(
 def _grid(
     walls: Stretches,
 ) -> tuple[NDArray[np.float64], float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return a grid over the walls with those in or beside each cell; see `beams_on_walls`."""
+    """Return a grid over the walls, listing those in or next to each cell; see `beams_on_walls`."""
     wall, n = walls.wall, len(walls.low)
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
     corner = points.min(axis=0) - 2 * CELL_M

@@ -1,4 +1,4 @@
-"""Where beams end on walls, and where they say that none is, compiled; see `plan_evidence`."""
+"""Where beams hit walls and where they contradict them, compiled; see `plan_evidence`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ def _vote(
     beam: tuple[float, float, float, float],
     limits: tuple[float, float, float],
 ) -> tuple[int, float, float]:
-    """Return what a beam says of a line: 1 for, -1 against, 0 nothing; where, and its distance.
+    """Return the evidence of a beam for a line: 1 for, -1 against, 0 none; place, and distance.
 
-    `line` is a point and the normal, `beam` the origin and what leads to its end; a place along
-    the line counts from its right to its left as seen from its front.
+    `line` is a point and the normal, `beam` the origin and the vector to its end; places along the
+    line increase from right to left as seen from its front.
     """
     x, y, nx, ny = line
     fx, fy, dx, dy = beam[0] - x, beam[1] - y, beam[2], beam[3]
@@ -40,7 +40,7 @@ def _vote(
 def _cells(
     beam: tuple[float, float, float, float], corner: Floats, cell_m: float, shape: Ints
 ) -> Ints:
-    """Return the cells of a grid that lie along a beam, a cell's size apart."""
+    """Return the cells of a grid along a beam, at steps of a cell's size."""
     x, y, dx, dy = beam
     steps = int(np.hypot(dx, dy) / cell_m) + 1
     cells, n = np.empty(steps + 1, np.int64), 0
@@ -61,20 +61,20 @@ def beams_on_walls(
     grid: tuple[Floats, float, Ints, Ints, Ints],
     limits: tuple[float, float, float],
 ) -> tuple[Ints, Ints, Floats]:
-    """Return how many beams end on each bin (b,) of the walls, and how many say that none is there.
+    """Return how many beams end on each bin (b,) of the walls, and how many contradict it.
 
-    They go through it, or end a little before.  And how far each beam (n,) ends from the nearest
-    wall, across it; infinity where none is near.
+    Contradicting beams pass through or end shortly before. Also returns the distance of the end of
+    each beam (n,) from the nearest wall, across it; infinity if none is near.
 
     Parameters
     ----------
     beams : origin and end (n, 2)
-    lines : of each wall a point and the normal (w, 2), and from where to where it goes (w,)
+    lines : of each wall a point and the normal (w, 2), and its begin and end (w,)
     bins : first bin of each wall (w + 1,), and their size in metres
     grid : its corner (2,), size of a cell, cells along x and y (2,), where the walls of each cell
         begin (c + 1,), and the walls
-    limits : how far from a wall a beam that ends on it may end, how far before it one ends that
-        ends a little before, and the least sine of the angle between a beam and a wall
+    limits : largest distance of the end of a beam that hits a wall, distance in front of the wall
+        that counts against it, and the least sine of the angle between a beam and a wall
     """
     (origin, end), (base, normal, low, high), (first, bin_m) = beams, lines, bins
     corner, cell_m, shape, starts, members = grid

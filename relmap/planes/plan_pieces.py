@@ -1,4 +1,4 @@
-"""Parts of walls as a floor plan shows them: where they end, and which are clutter."""
+"""Parts of walls in a floor plan: their ends, and which are clutter."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from relmap.planes.plan_evidence import Stretches
 
 SHORTEST_M = 0.12
 MEETING_M = 0.25
-"""A wall that ends so near another one ends there."""
+"""A wall that ends this close to another one is extended or cut to meet it."""
 CROSSING = np.sin(np.deg2rad(30.0))
-"""Walls that cross at a smaller angle (sine) do not tell where they meet."""
+"""Walls that cross at a smaller angle (sine) have no well-defined crossing."""
 ALONE_M, IN_PART_M, FEW = 0.5, 0.15, 2
-"""Walls shorter than this that meet no longer one are clutter: with both ends seen, or in part, for
-which they must be so few."""
+"""Walls shorter than this that meet no longer wall are clutter: with both ends seen, or in part,
+for which the number of observations must be small."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,9 @@ class Pieces:
     wall : (n,) int64
         Compact number of the wall.
     reach : (n, 2) float64, metres
-        From where to where, along the wall.
+        Begin and end along the wall.
     corner : (n, 2) int64
-        Compact number of the corner at either end; -1 where there is none.
+        Compact number of the corner at either end; -1 for none.
     """
 
     wall: NDArray[np.int64]
@@ -49,7 +49,7 @@ class Pieces:
 
     @property
     def length_m(self) -> NDArray[np.float64]:
-        """How long they are, (n,) metres."""
+        """Lengths, (n,) metres."""
         return np.asarray(self.reach[:, 1] - self.reach[:, 0])
 
     def only(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Pieces:
@@ -57,26 +57,26 @@ class Pieces:
         return Pieces(self.wall[rows], self.reach[rows], self.corner[rows])
 
     def ends(self, walls: Stretches) -> NDArray[np.float64]:
-        """Return where they end; (n, 2, 2) map frame, metres."""
+        """Return the end points; (n, 2, 2) map frame, metres."""
         base, along = walls.base[self.wall], walls.along[self.wall]
         return np.asarray(base[:, None] + self.reach[:, :, None] * along[:, None])
 
 
 @dataclass(eq=False)
 class _Part:
-    """A piece while corners are given out: from where to where, and the corners there."""
+    """A piece during the assignment of corners: its extent, and the corners there."""
 
     wall: int
     reach: list[float]
     corner: list[int]
 
     def ends_at(self, end: int, place: float) -> bool:
-        """Tell whether a corner at a place may be this end, and leaves something."""
+        """Return whether a corner at a place may be this end without emptying the piece."""
         left_m = (self.reach[1 - end] - place) * (1 - 2 * end)
         return abs(self.reach[end] - place) <= CORNER_M and left_m > SHORTEST_M
 
     def cut(self, end: int, place: float, corner: int) -> _Part:
-        """End at a corner, and return what is beyond."""
+        """End at a corner, and return the part beyond."""
         rest = _Part(self.wall, self.reach.copy(), self.corner.copy())
         rest.reach[1 - end], rest.corner[1 - end] = place, -1
         self.reach[end], self.corner[end] = place, corner
@@ -84,7 +84,7 @@ class _Part:
 
 
 def with_corners(pieces: Pieces, walls: Assembled) -> Pieces:
-    """Return pieces that end at the corners of their walls; a corner within one parts it."""
+    """Return pieces that end at the corners of their walls; a corner inside a piece splits it."""
     given = walls.given
     count = np.bincount(given.corner, minlength=len(walls.corners))
     side = np.zeros(len(walls.corners), dtype=np.int64)
@@ -93,7 +93,7 @@ def with_corners(pieces: Pieces, walls: Assembled) -> Pieces:
     parts: dict[int, list[_Part]] = {}
     for k, reach in zip(pieces.wall.tolist(), pieces.reach.tolist(), strict=True):
         parts.setdefault(k, []).append(_Part(k, reach, [-1, -1]))
-    for k in np.argsort(-count, kind="stable").tolist():  # what was seen most often is first
+    for k in np.argsort(-count, kind="stable").tolist():  # most observations first
         own, end, at = parts.get(wall[k], []), int(side[k]), place[k]
         free = [part for part in own if part.corner[end] < 0]
         near = [part for part in free if part.ends_at(end, at)]
@@ -113,9 +113,9 @@ def with_corners(pieces: Pieces, walls: Assembled) -> Pieces:
 
 
 def met(pieces: Pieces, walls: Stretches) -> Pieces:
-    """Return pieces that end where they meet others, neither beyond nor short of them.
+    """Return pieces that end exactly where they meet others.
 
-    An end that is a corner stays where it was seen, and what is beyond is shorter than the rest.
+    An end that is a corner stays where it was seen, and at most the shorter part is cut off.
     """
     if not len(pieces):
         return pieces
@@ -140,7 +140,7 @@ def met(pieces: Pieces, walls: Stretches) -> Pieces:
 
 
 def _beside(pieces: Pieces, walls: Stretches) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return ends (k,), two of each piece, and pieces (k,) near them, other than their own."""
+    """Return ends (k,), two per piece, and the other pieces (k,) near them."""
     n = np.ceil(pieces.length_m / MEETING_M).astype(np.int64) + 1
     piece = np.repeat(np.arange(len(pieces)), n)
     share = (np.arange(len(piece)) - np.repeat(np.cumsum(n) - n, n)) / (n - 1)[piece]
@@ -154,7 +154,7 @@ def _beside(pieces: Pieces, walls: Stretches) -> tuple[NDArray[np.int64], NDArra
 
 
 def without_clutter(pieces: Pieces, walls: Stretches) -> Pieces:
-    """Return pieces without the short ones that hang together with no longer one."""
+    """Return pieces without groups of short ones that are not connected to a longer one."""
     n = len(pieces)
     if not n:
         return pieces

@@ -1,4 +1,4 @@
-"""From the pieces of a floor plan to walls: which tracks each of them is."""
+"""From the pieces of a floor plan to walls, with their tracks."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from relmap.planes.plan_pieces import Pieces
 def drawn_walls(
     walls: Assembled, pieces: Pieces, numbers: WallNumbers, history: PlaneHistory
 ) -> tuple[Assembled, WallNumbers]:
-    """Return the walls with one for each piece, of the tracks that lie there, and the association.
+    """Return one wall for each piece, from the tracks that lie on it, and the association.
 
-    Tracks that lie on no piece are walls by themselves, which are not mapped.
+    Tracks that lie on no piece become separate, unmapped walls.
     """
     track = history.plane[walls.rows]
     tracks = np.unique(track)
@@ -28,7 +28,7 @@ def drawn_walls(
     wall_of = numbers.wall_of.copy()
     wall_of[tracks] = tracks
     wall_of[placed] = placed[first[of]]
-    order = np.argsort(first)  # walls go by the lowest number of their tracks
+    order = np.argsort(first)  # walls are identified by their lowest track number
     rank = np.full(len(pieces) + 1, -1)
     rank[drawn[order]] = np.arange(len(order))
     found = _of_pieces(walls, pieces.only(drawn[order]), rank[piece[track]], placed[first[order]])
@@ -38,13 +38,13 @@ def drawn_walls(
 def _piece_of_tracks(
     walls: Assembled, pieces: Pieces, track: NDArray[np.int64], n_tracks: int
 ) -> NDArray[np.int64]:
-    """Return the piece that most of each track (p,) lies on; -1 where it lies on none.
+    """Return the piece that most of each track (p,) lies on; -1 for none.
 
-    A piece that would have none takes one from a piece that has several.
+    A piece without tracks takes one from a piece that has several.
     """
     tracks, on = _lying_on(walls, pieces, track)
     found = np.full(n_tracks, -1)
-    found[tracks] = on  # the one with the most is last
+    found[tracks] = on  # the one with the largest part is last
     times = np.bincount(found[np.unique(tracks)], minlength=len(pieces))
     for each, k in zip(tracks[::-1].tolist(), on[::-1].tolist(), strict=True):
         if times[k] == 0 and times[found[each]] > 1:
@@ -56,7 +56,7 @@ def _piece_of_tracks(
 def _lying_on(
     walls: Assembled, pieces: Pieces, track: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return tracks (k,) and pieces (k,) that they lie on, in ascending order of how much does."""
+    """Return tracks (k,) and the pieces (k,) they lie on, by ascending overlap."""
     state, of = walls.state, walls.given.wall
     normal, along = directions(state.angle)
     base = state.centre + state.across[:, None] * normal
@@ -78,7 +78,7 @@ def _lying_on(
 def _of_pieces(
     walls: Assembled, pieces: Pieces, of: NDArray[np.int64], numbers: NDArray[np.int64]
 ) -> Assembled:
-    """Return the walls that pieces are, with these numbers, and the piece of each row (n,)."""
+    """Return the walls of pieces, with these numbers, and the piece of each row (n,)."""
     given, state, wall = walls.given, walls.state, pieces.wall
     ends_piece = np.full(len(walls.corners), -1)
     row, end = np.nonzero(pieces.corner >= 0)

@@ -1,7 +1,7 @@
-"""The refined map: solving, closing loops and joining walls, in turns.
+"""The refined map: solving, closing loops and joining walls, alternately.
 
-Which tracks are one wall shows only where the map is good, and the map is good only where tracks
-that are one wall are one.
+Identical walls are recognised only in an accurate map, and the map is accurate only after identical
+walls were joined.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from relmap.planes.submaps import WallSubmap, among_all
 _LOG = logging.getLogger(__name__)
 
 WIDELY = ((2, 1e4), (1, 300.0), (1, 50.0), (1, 15.0), (2, 5.0))
-"""Solutions that loops are closed by, however far the map has drifted."""
+"""Rounds of solutions for closing loops, for any amount of drift."""
 CLOSELY = ((2, 1e4), (1, 100.0), (1, 20.0), (1, 5.0))
 CLOSED = 2
-"""The same once a loop is closed, and how often loops are looked for."""
+"""The same once a loop is closed, and the maximum number of searches for loops."""
 ROUGHLY = ((1, 8.0), (1, 5.0))
-"""Solutions that walls are joined by; see `relmap.planes.solving.refined`."""
+"""Rounds of solutions for joining walls; see `relmap.planes.solving.refined`."""
 WORSE, WORSE_M = 2.0, 0.001
-"""How many times as far off the links a refined map may be as the chained one, and metres more:
-they are rough where walls are, and all but exact where there is no noise."""
+"""Largest error of a refined map at the links, relative to the chained map, and absolute in metres:
+links are approximate with noise, and almost exact without."""
 ROUGH_M = 0.1
-"""The same where odometry is, for then links may be all there is to begin with."""
+"""The same with odometry, where links may be the only initial information."""
 HELD = 0.0, 1e-4, 1e-3
-"""What holds a map in each step, where it is torn with less; see `WallSystem`."""
+"""Damping of each step for maps that are torn with less; see `WallSystem`."""
 JOINED = 4
-"""How often walls that lie on one another are joined and the map refined again."""
+"""Maximum number of rounds of joining coinciding walls and refining."""
 
 
 def refined_map(
@@ -47,24 +47,24 @@ def refined_map(
     chained: WallSubmap,
     moving: NDArray[np.bool_],
 ) -> tuple[WallSubmap, WallNumbers] | None:
-    """Bring walls, corners and poses of a submap to where all observations agree best.
+    """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
-    Walls that come to lie on one another are joined, which closes loops.
+    Walls that then coincide are joined, which closes loops.
 
     Parameters
     ----------
     history : PlaneHistory
     numbers : WallNumbers
-        The association to begin with.
+        Initial association.
     chained : Submap
-        What to begin with.
+        Initial submap.
     moving : (p,) bool
-        Plane tracks that say nothing, for they move.
+        Plane tracks ignored because they move.
 
     Returns
     -------
     (submap, numbers) or None
-        None where nothing is mapped, or refining does not settle or makes it worse.
+        None if nothing is mapped, or if refinement does not converge or makes the map worse.
     """
     if chained.assembled is None:
         return None
@@ -72,7 +72,7 @@ def refined_map(
         found, found_numbers, closed = _solved(history, numbers, chained, moving, held)
         if _better(found, chained, history, closed):
             return found, found_numbers
-    _LOG.warning("scans %d:%d: refining tears them apart; they stay as chained", *chained.span)
+    _LOG.warning("scans %d:%d: refinement tears the submap; it is kept as chained", *chained.span)
     return None
 
 
@@ -91,7 +91,7 @@ def _solved(
     def again(
         joined: WallNumbers, rounds: Sequence[tuple[int, float]]
     ) -> tuple[Assembled, NDArray[np.float64]]:
-        """Return the map and its poses after the association has changed."""
+        """Return the map and its poses after a change of the association."""
         laid = assemble(history, joined, among_all(poses, span, history), moving)
         found = best if laid is None else refined(laid, rounds, held)
         return found, poses_of(found, span, history)
@@ -105,7 +105,7 @@ def _solved(
             break
         tied = again(joined, CLOSELY)
         if disagreement(tied[1], motions)[0] > torn:
-            break  # places that look alike were taken for one
+            break  # similar places were confused
         numbers, closed, (best, poses) = joined, True, tied
     for _ in range(JOINED):
         joined = join_walls(best, numbers)
@@ -118,9 +118,9 @@ def _solved(
 
 
 def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, closed: bool) -> bool:
-    """Tell whether a refined map settled and agrees with the links between its scans.
+    """Return whether a refined map converged and agrees with the links between its scans.
 
-    Where no loop was closed nothing tells how far the robot went over a weak link.
+    Without a loop closure, the motion over a weak link is undetermined.
     """
     assert found.assembled is not None
     motions = history.motion[slice(*found.span)]
@@ -133,9 +133,9 @@ def _better(found: WallSubmap, chained: WallSubmap, history: PlaneHistory, close
 
 
 def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) -> bool:
-    """Tell whether a way over weak links is another than the one that was carried on.
+    """Return whether the motion over weak links differs from the assumed constant motion.
 
-    Odometry, where it is, tells better.
+    Not tested if odometry is available.
     """
     weak = weak_links(history)
     if history.odometry:

@@ -1,10 +1,10 @@
 """Joint least squares over all observations of walls and corners.
 
-A wall seen in part says nothing along itself, however often it is seen, but all the more about the
-turn and the distance across.  Points of equal weight in all directions cannot say this, so walls
-have residuals of their own: each observation of a wall tells how far from the wall's line two of
-its points are, and each static corner how far along the line it is.
-Odometry, where it is needed, ties pairs of poses (`relmap.planes.motion_factors`).
+A partially seen wall constrains the rotation and the distance across, but not the position along
+itself. Points with isotropic weights cannot represent this, so walls have their own residuals: the
+distances of two points of each observation from the wall's line, and the position of each static
+corner along the line. Where needed, odometry constrains pairs of poses
+(`relmap.planes.motion_factors`).
 """
 
 from __future__ import annotations
@@ -21,27 +21,29 @@ from relmap.planes.equations import WallEquations, Walls, between_neighbours, op
 
 MOST = 0.9
 ROUNDING = 1e-13
-"""Residuals of no more than this, as a share of the largest coordinate, are taken for rounding."""
+"""Residuals up to this fraction of the largest coordinate are treated as rounding."""
 SPREAD = 1 / np.sqrt(12)
-"""Where the two points are that stand for a wall: so many sizes from its middle, either way.
+"""Positions of the two points that represent a wall, in sizes from its middle. A line fitted to
+points spread evenly over the wall is as accurate as one fitted to these two, each with twice the
+variance of the middle.
 
 A line fitted to points spread evenly over the wall is as sure as if it were fitted to these two,
 each twice as uncertain (in variance) as the middle."""
 STRETCH = 8
-"""Scans whose equations are added up before they go to the sparse matrix; most see the same."""
+"""Number of scans whose equations are summed before they go to the sparse matrix."""
 MUCH = 0.25
-"""A corner seen in a smaller share of the stretches in which its wall was is a block by itself."""
+"""A corner seen in a smaller fraction of the stretches that saw its wall is a block by itself."""
 LOOSE_POSE, LOOSE, LEAST = 1e-10, 1e-12, 1e-9
-"""What holds a pose and another unknown that hang by too little, as a share of what holds them
-otherwise, and in weights of an observation."""
+"""Damping of poorly determined poses and other unknowns, as a fraction of the diagonal, and in
+weights of an observation."""
 FARTHEST, FARTHEST_RAD = 1.0, np.pi / 2
-"""No step moves a pose farther than so many sizes of the map, nor turns it by more."""
+"""Largest step of a pose, in sizes of the map, and largest rotation."""
 UNSURE = 1e-2
-"""Gain, in squared standard deviations of the whole map, that no further step is taken for."""
+"""Gain, in squared standard deviations of the whole map, below which to stop."""
 REST = 0.03
-"""Steps longer than this, metres and radians, are those of a solution that does not settle."""
+"""Steps longer than this, metres and radians, indicate that the solution does not converge."""
 USUAL = 3.0
-"""No residual is in doubt that is not larger than so many typical ones, of all or of its scan."""
+"""A residual below this multiple of the typical one, of all or of its scan, is no outlier."""
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -54,11 +56,11 @@ class WallSystem:
     Parameters
     ----------
     given : WallEquations
-        In the order of iterations.
+        Equations in the order of iterations.
     held : float
-        What holds poses, walls and corners in each step, as a share of what holds them otherwise;
-        where it is not 0, no step may raise the cost.  Free steps straighten long chains in a few
-        rounds, but wander where little tells, as along a corridor.
+        Damping of poses, walls and corners in each step, as a fraction of the diagonal; if not 0,
+        steps that increase the cost are rejected. Undamped steps straighten long chains in a few
+        rounds, but drift in weakly determined directions, as along a corridor.
 
     Attributes
     ----------
@@ -84,21 +86,22 @@ class WallSystem:
         self.rounding = float(np.sum((least_m / self._sd) ** 2))
 
     def refine(self, state: Walls, rounds: int, doubtful: float, by_scan: bool = True) -> Walls:
-        """Return the state on which all observations agree best, by damped Gauss-Newton.
+        """Return the optimal state by damped Gauss-Newton.
 
-        The first iteration stays where it is.
+        The first iteration is fixed.
 
         Parameters
         ----------
         state : Walls
-            Where to start.
+            Initial state.
         rounds : int
-            Most steps.
+            Maximum number of steps.
         doubtful : float
-            Residual, in standard deviations, from which one counts less and less (Geman and
-            McClure, 1987): a wall taken for another one should not count at all.
+            Residual, in standard deviations, above which the weight decreases (Geman and McClure,
+            1987): a wrongly associated wall should have no influence.
         by_scan : bool
-            Whether a scan that is off as a whole is taken for misplaced as yet, rather than wrong.
+            Whether a scan with large residuals overall is treated as not yet converged instead of
+            wrong.
         """
         from relmap.core.linalg.order_kernels import smallest
 
@@ -128,11 +131,11 @@ class WallSystem:
         return system
 
     def residuals(self, state: Walls) -> Array:
-        """Return how far points and corners are from their places, in standard deviations."""
+        """Return the deviations of points and corners, in standard deviations."""
         return np.asarray(self._linearised(state).off / self._sd)
 
     def off(self, state: Walls) -> tuple[Array, Array]:
-        """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
+        """Return the deviations of walls (n, 2), at two points, and of corners (k,)."""
         off = self._linearised(state).off[: len(self._rows[1])]
         return _by_kind(off, len(self._rows[3]))
 
@@ -156,7 +159,7 @@ class WallSystem:
     def stepped(
         self, state: Walls, equations: NormalEquations, step: Array, weight: Array
     ) -> Walls | None:
-        """Return the state after a step; None where that leaves the neighbourhood it holds in."""
+        """Return the state after a step; None if the step is too long."""
         poses = equations.eliminated_steps(step)
         everywhere = np.concatenate([state.t, state.centre])
         farthest_m = FARTHEST * float(np.ptp(everywhere, axis=0).max())
@@ -173,10 +176,10 @@ class WallSystem:
         )
 
     def corner_covariances(self, state: Walls, doubtful: float) -> Array:
-        """Return how sure each corner's wall and place are; (c, 3, 3).
+        """Return the covariances of the line and position of each corner; (c, 3, 3).
 
-        Of the direction of the normal, radians, the distance across and the place along, metres,
-        with the first iteration where it is.
+        For the direction of the normal, radians, the distance across and the position along,
+        metres, with the first iteration fixed.
         """
         weight = self._weights(self.residuals(state), doubtful, by_scan=False)
         values = self.equations(state, weight, with_matrix=True, damping=0.0).matrix
@@ -188,17 +191,17 @@ class WallSystem:
         return self.pattern.parts(self.pattern.inverse(values), chosen)
 
     def _weights(self, residual: Array, doubtful: float, by_scan: bool) -> Array:
-        """Return the weights of residuals where they put their observations in doubt."""
+        """Return the weights of residuals that treat large ones as outliers."""
         from relmap.core.linalg.order_kernels import medians
 
         size, n = np.abs(residual), len(self._rows[1])
-        typical = np.median(size[:n])  # of walls: to begin with, the map may be what odometry tells
+        typical = np.median(size[:n])  # for walls: initially, the map may come from odometry
         if by_scan:
             typical = np.maximum(typical, medians(self._scan[:n], size[:n]))[self._scan]
         return np.asarray(1 / (1 + (size / np.maximum(doubtful, USUAL * typical)) ** 2) ** 2)
 
     def _linearised(self, state: Walls) -> Linearised:
-        """Return residuals and Jacobians; those of the last state are remembered."""
+        """Return residuals and Jacobians; those of the last state are cached."""
         if self._latest is None or self._latest[0] is not state:
             found = _linearised(state, self._rows)
             if len(self._factors):
@@ -207,9 +210,9 @@ class WallSystem:
         return self._latest[1]
 
     def _prepare(self, given: WallEquations) -> None:
-        """Determine which unknowns stand together in the equations, and where.
+        """Determine the blocks of unknowns and their positions in the equations.
 
-        Those of a wall and its corners are a block; what was seen in a stretch is a clique.
+        A wall and its corners form a block; the unknowns seen in a stretch form a clique.
         """
         n_walls, stretch = int(given.wall.max()) + 1, given.iteration // STRETCH
         width, block, place = _blocks(given, stretch, n_walls)
@@ -243,7 +246,7 @@ def _unknowns(state: Walls) -> Array:
 
 
 def wall_residuals(given: WallEquations, state: Walls) -> tuple[Array, Array]:
-    """Return how far walls (n, 2), at two points, and corners (k,) are from their places."""
+    """Return the deviations of walls (n, 2), at two points, and of corners (k,)."""
     return _by_kind(_linearised(state, _seen(given)).off, len(given.corner))
 
 
@@ -254,7 +257,7 @@ def _by_kind(off: Array, n_corners: int) -> tuple[Array, Array]:
 
 
 def _seen(given: WallEquations) -> Seen:
-    """Return points (r, 2), robot frame: two of each wall, and the corners; and whose these are."""
+    """Return points (r, 2), robot frame: two of each wall, and the corners; and their walls."""
     n = len(given.iteration)
     row = np.concatenate([np.arange(n), np.arange(n), given.corner_row])
     middle = given.ends.mean(axis=1)
@@ -265,7 +268,7 @@ def _seen(given: WallEquations) -> Seen:
 
 
 def _linearised(state: Walls, seen: Seen) -> Linearised:
-    """Return the residuals, and their derivatives by the pose and by walls and corners."""
+    """Return the residuals, and their Jacobians by the pose and by walls and corners."""
     from relmap.planes.refinement_kernels import linearised
 
     walls = state.centre, state.angle, state.across, state.along
@@ -275,10 +278,10 @@ def _linearised(state: Walls, seen: Seen) -> Linearised:
 def _blocks(
     given: WallEquations, stretch: NDArray[np.int64], n_walls: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the size of each block, and of each corner (c,) its block and its place in that.
+    """Return the size of each block, and the block and offset of each corner (c,).
 
-    The first blocks are the walls', with the corners seen in much of what was seen of them; others
-    stand alone, lest they are tied to all that was ever seen with the wall.
+    The first blocks are the walls, with the corners seen in most observations of them; other
+    corners are separate, so that they are not coupled to everything seen with the wall.
     """
     n_corners = int(given.corner.max(initial=-1)) + 1
     wall = np.zeros(n_corners, dtype=np.int64)

@@ -14,10 +14,10 @@ def linearised(
     poses: tuple[Floats, Floats],
     walls: tuple[Floats, Floats, Floats, Floats],
 ) -> tuple[Floats, Floats, Floats]:
-    """Return how far points are from their lines, and corners along theirs.
+    """Return the distances of points from their lines, and of corners along theirs.
 
-    And the derivatives by the pose (r, 3), and by the wall's angle and its distance across, or the
-    corner's place (r, 2).  `seen` are points (r, 2), iteration and wall (r,) and corner (k,), of
+    Also returns the Jacobians by the pose (r, 3), and by the wall's angle and distance, or the
+    corner's position (r, 2).  `seen` are points (r, 2), iteration and wall (r,) and corner (k,), of
     the last k rows; `poses` yaw (i,) and t (i, 2); `walls` centre (w, 2), angle and across (w,),
     and along (c,).
     """

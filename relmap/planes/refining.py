@@ -1,4 +1,4 @@
-"""Submaps of walls as `refine` makes them: each refined by itself, then drawn as a floor plan."""
+"""Refinement of wall submaps, each followed by its floor plan."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from relmap.planes.submaps import WallSubmap
 
 
 class RefinedWalls(NamedTuple):
-    """Submaps, their association, and the plane tracks (k,) that are not where they have them."""
+    """Submaps, their association, and the plane tracks (k,) that do not fit them."""
 
     submaps: list[WallSubmap]
     numbers: WallNumbers
@@ -32,25 +32,25 @@ class RefinedWalls(NamedTuple):
 def refined_submaps(
     grouped: GroupedMap, moving: NDArray[np.bool_], links: ScanLinks
 ) -> RefinedWalls:
-    """Refine each submap by itself, from where the groups place the scans.
+    """Refine each submap by itself, from the poses given by the groups.
 
-    The association is found anew, where walls come to lie: merged by places that have drifted, some
-    are wrong.  A submap that cannot be refined stays as chained.
+    The association is computed anew from the refined positions of walls: some merges based on
+    drifted positions are wrong. A submap that cannot be refined is kept as chained.
 
     Parameters
     ----------
     grouped : GroupedMap
     moving : (p,) bool
-        Plane tracks that say nothing, for they move.
+        Plane tracks ignored because they move.
     links : ScanLinks
-        Beams, for what is seen through is no wall; and odometry.
+        Provides beams, to remove walls that are seen through, and odometry.
     """
     merged, moved = grouped.at_rest(grouped.numbers), [np.empty(0, dtype=np.int64)]
     first = partial(grouped.submaps, merged, moving)
     grouped = with_odometry(grouped, told_by_odometry(links, grouped.history, first))
     submaps, numbers = _refined(grouped, merged, moving)
     odometry = grouped.history.odometry
-    if odometry and odometry.needed.any():  # The refined map tells better how good it is.
+    if odometry and odometry.needed.any():  # estimated again, more accurately
         grouped = with_odometry(grouped, told_by_odometry(links, grouped.history, lambda: submaps))
         submaps, numbers = _refined(grouped, merged, moving)
     history = grouped.history
@@ -75,16 +75,16 @@ def _refined(
 
 
 def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:
-    """Return the map that the groups give, told what odometry adds, if anything."""
+    """Return the map from the groups, with odometry if available."""
     if odometry is None:
         return grouped
     return replace(grouped, history=replace(grouped.history, odometry=odometry))
 
 
 def on_odometry(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
-    """Tell the motion into which iterations (i,) hangs on odometry.
+    """Return which iterations (i,) depend on odometry for their motion.
 
-    Walls leave the way open in some direction, or tell nothing.
+    There, walls do not determine the motion in all directions.
     """
     weak = np.zeros(history.n_iterations, dtype=np.bool_)
     weak[weak_links(history)] = True
@@ -95,9 +95,10 @@ def on_odometry(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
 
 
 def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
-    """Tell in which iterations (i,) odometry is not believed.
+    """Return in which iterations (i,) odometry is rejected.
 
-    Walls measured another motion, or what was seen contradicts it; all, if it is wrong too often.
+    There, walls measured another motion, or observations contradict it; all, if it is wrong too
+    often.
     """
     known = np.isfinite(links.wheels.given.over(history.n_iterations)[:, 0, 0])
     broken = (np.diff(history.submap, prepend=history.submap[:1]) != 0) & known
@@ -107,9 +108,9 @@ def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> NDArray[np.boo
 def told_by_odometry(
     links: ScanLinks, history: PlaneHistory, submaps: Callable[[], Sequence[WallSubmap]]
 ) -> Steps | None:
-    """Return what odometry adds to the map; None where there is none, or it is not believed.
+    """Return the odometry factors for the map; None if there is none, or it is rejected.
 
-    `submaps` are those that show how good it is.
+    `submaps` are used to estimate its quality.
     """
     noise = links.wheels.noise_over_all(links.motions, links.measured)
     if noise is None:

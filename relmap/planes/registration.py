@@ -1,10 +1,11 @@
-"""Registration of walls, and what the map is made of: their corners and estimated midpoints.
+"""Registration of walls, and the landmarks of the map: corners and estimated midpoints.
 
-A wall's ends move as it comes into view and leaves it; its static corners do not, nor does what
-is at a fixed place relative to one: the midpoint, estimated by going half the size of the wall
-from the corner along the wall (Fig. 4).  The size is that seen when the corner was seen first, and
-stays.  Corner and midpoint are two points at rest, which hold the normal of the wall as well: so
-the points of one corner fix a group in the plane, and all that follows is what is done with points.
+The visible ends of a wall move as it enters and leaves the view; its static corners do not, and
+neither does a point at a fixed distance from one: the midpoint, estimated at half the size of the
+wall from the corner along the wall (Fig. 4). The size is the one observed with the first
+observation of the corner. Corner and midpoint are two static points, which also determine the
+normal of the wall: the points of one corner determine the pose of a group in the plane, and the
+rest of the algorithm is the same as for points.
 """
 
 from __future__ import annotations
@@ -21,40 +22,40 @@ from relmap.planes.tracks import MEMORY, NO_CORNER, PlaneTracks
 
 STRAYED_M = 0.15
 SIGMAS = 5.0
-"""How far from where it is expected a corner may be, along its wall: so far, and so many standard
+"""Largest distance of a corner from its prediction, along its wall: metres, and in standard
 deviations of corners."""
 MOST = 14
-"""Corners of a scan that the map hangs on: more of them would not make it firmer."""
+"""Number of corners of a scan used by the map: more would not improve it."""
 LONG_M = 4.0
-"""Walls longer than this are as good as any."""
+"""Walls longer than this are equally good."""
 UNTOLD, STATIC, MOVING = 0, 1, -1
-"""What was found out of an end over time."""
+"""Classification of an end over time."""
 TESTED = 4
-"""Ends of unknown type are tested every so many iterations."""
+"""Interval, in iterations, of the tests of ends with unknown type."""
 FAMILIAR = 8
-"""Sights of a corner, in as many of which its rank doubles: who is chosen should stay it."""
+"""Number of observations of a corner that doubles its rank: the selection should be stable."""
 
 
 class PlaneRegistration:
-    """Matches walls to those of the iterations before, and gives their corners numbers.
+    """Matches walls to those of earlier iterations, and numbers their corners.
 
     Corner ``k`` is landmark ``2 k``, and the midpoint estimated from it landmark ``2 k + 1``; the
-    map hangs on few of those of a scan.
+    map uses few of those of a scan.
 
     Parameters
     ----------
     max_missed : int
-        A wall unseen for more iterations than this has left the view.
+        A wall missed for more iterations than this has left the view.
     bridge_m : float, metres
-        How far off the way along walls may be where nothing measures it; there a submap ends.
+        Largest error of an unmeasured motion along walls; beyond it a submap ends.
 
     Attributes
     ----------
     links : ScanLinks
-        How each scan is tied to those before.
+        Links between scans.
     corner, landmark : (w, 2) int64
-        Corner at either end of each wall of the scan seen last, and the landmark that the map hangs
-        on there; -1 for none.
+        Corner at either end of each wall of the last scan, and the landmark used by the map there;
+        -1 for none.
     """
 
     _tracks: PlaneTracks | None
@@ -75,12 +76,12 @@ class PlaneRegistration:
 
     @property
     def half(self) -> NDArray[np.float64]:
-        """Half of the size of its wall, as when each corner was seen first; metres."""
+        """Half the size of its wall at the first observation of each corner; metres."""
         return self._half.values
 
     @property
     def wall_end(self) -> NDArray[np.int64]:
-        """Wall end of each corner: twice the number of the wall, and 1 more for its left end."""
+        """Wall end of each corner: twice the number of the wall, plus 1 for the left end."""
         return self._wall_end.values
 
     @property
@@ -89,15 +90,15 @@ class PlaneRegistration:
         return self._submap_of.values
 
     def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return landmarks (n,) as they are: they go by their number."""
+        """Return landmarks (n,) unchanged: their numbers are their labels."""
         return landmarks
 
     def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
-        """Do nothing: walls are expected by their lines."""
+        """Do nothing: walls are predicted by their lines."""
 
     @property
     def rejected(self) -> list[int]:
-        """None: walls are judged one by one."""
+        """None: walls are accepted individually."""
         return []
 
     def match(
@@ -105,10 +106,10 @@ class PlaneRegistration:
     ) -> NDArray[np.int64]:
         """Return the number of each wall (m,) of one scan.
 
-        Where no link to those before is believed, a submap begins.
+        If no link to earlier scans is accepted, a submap begins.
         """
         walls, goes_on = np.full(len(seen), -1), self.links.goes_on
-        motion, tracks, found = self.links.usual, self._tracks, None  # on as before
+        motion, tracks, found = self.links.usual, self._tracks, None  # constant motion
         if tracks is not None and len(seen):
             found = self.links.into(tracks, seen)
             motion, goes_on = (found.motion, goes_on) if found else (motion, False)
@@ -134,7 +135,7 @@ class PlaneRegistration:
         return walls
 
     def tie(self) -> NDArray[np.int64]:
-        """Judge the links in doubt anew; return the scans (c,) whose links are believed no more."""
+        """Re-evaluate the doubtful links; return the scans (c,) whose links are now rejected."""
         name, cut = self.links.tie()
         self._submap_of.values[:] = name[self.submap_of]
         return cut
@@ -142,7 +143,7 @@ class PlaneRegistration:
     def _see_corners(
         self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
     ) -> None:
-        """Tell which corner every static end is; begin new ones where none is expected there."""
+        """Assign a corner to every static end; create new ones where none is expected."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
         told = self._told.values[walls]
         untyped = seen.kind == UNKNOWN
@@ -152,7 +153,7 @@ class PlaneRegistration:
         off = np.abs(((at - tracks.corner_at[row, end]) * seen.along[wall]).sum(axis=1))
         fresh = ~(off <= STRAYED_M + SIGMAS * self._sd(seen)[wall])
         strayed = untyped[wall, end] & fresh & (tracks.corner[row, end] >= 0)
-        if strayed.any():  # what was static is no longer in view: another interval begins
+        if strayed.any():  # the static corners are out of view: a new interval begins
             tracks.corner[row[strayed], end[strayed]] = NO_CORNER
             self._ask_again(walls[wall[strayed]], end[strayed])
             wall, end, row, at, fresh = (v[~strayed] for v in (wall, end, row, at, fresh))
@@ -175,9 +176,9 @@ class PlaneRegistration:
         self.landmark[wall[best], end[best]] = 2 * corners[best]
 
     def _test_ends(self) -> None:
-        """Tell by the last iterations which ends are static, where no types tell (Fig. 4).
+        """Determine from the last iterations which ends are static, if no types are given (Fig. 4).
 
-        Ends of unknown type are tested now and then.
+        Ends of unknown type are tested at intervals.
         """
         now = len(self.links)
         if now < INTERVAL or now % TESTED:
@@ -201,7 +202,7 @@ class PlaneRegistration:
             self._name(found.walls[k], end, NO_CORNER)
 
     def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
-        """Let another interval begin for walls (k,), and forget the known types of their ends."""
+        """Begin a new interval for walls (k,), and forget the known types of their ends."""
         self._told.values[walls, ends] = UNTOLD
         self._since.values[walls] = len(self.links)
 
@@ -216,14 +217,14 @@ class PlaneRegistration:
             self.links.store.column("landmark")[rows][own, end] = corner
 
     def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
-        """Return how sure the ends (m,) are along their walls, about."""
+        """Return approximate standard deviations of the ends (m,) along their walls."""
         return 3 * seen.sd
 
 
 def _followed(
     tracks: PlaneTracks, seen: PlaneObservation, found: Found, walls: NDArray[np.int64]
 ) -> PlaneTracks:
-    """Return the tracks where a scan sees them, and enter which walls (m,) they are."""
+    """Return the tracks updated by a scan, and the walls (m,) that they are."""
     motion, match = found.motion, found.match
     tracks = tracks.carried(motion.yaw, motion.t)
     tracks.see(match.tracks, seen, match.walls)
@@ -232,6 +233,6 @@ def _followed(
 
 
 def _best(size: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return which corners (k,) the map hangs on: of long walls, and seen before."""
+    """Return which corners (k,) the map uses: of long walls, and seen before."""
     rank = np.minimum(size, LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
     return np.argsort(-rank, kind="stable")[:MOST]

@@ -1,7 +1,7 @@
-"""Which tracks are one wall, looked at once more where the refined map has put the scans.
+"""Reassignment of tracks to walls at the refined poses of the scans.
 
-While loops are closed and walls joined, some tracks come to belong to walls that they do not lie
-on.  So every track is set free, and goes to the wall that it lies on.
+During loop closure and joining, some tracks are assigned to walls that they do not lie on. So every
+track is reassigned to the wall that it lies on.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from relmap.planes.joining import (
 from relmap.planes.submaps import WallSubmap, among_all
 
 SCATTER_M, SCATTER, MOSTLY = 0.08, 6.0, 0.75
-"""A track moved that is farther from its own line, and by more typical distances, in more than a
-quarter of its sights."""
+"""A track moved if more than a quarter of its observations are farther from its line than this, in
+metres and in typical distances."""
 SLID_M = 0.25
-"""Likewise a corner along that line."""
+"""The same for a corner along that line."""
 TURN = np.cos(np.deg2rad(15.0))
 ACROSS_M, ACROSS = 0.06, 3.0
-"""How far from a wall both ends of another are that is part of it: metres, and typical distances.
-Twice as far if they overlap and no scan showed both."""
+"""Largest distance of both ends of a wall from another that it is part of: metres, and typical
+distances. Twice as far if they overlap and no scan showed both."""
 GAP_M = 0.2
-"""How far beyond its end; where either has a corner there, they must overlap by as much."""
+"""Largest distance beyond its end; if either has a corner there, required overlap."""
 TIMES = 2
-"""How often walls are gathered: tracks, and then what they came to be."""
+"""Number of rounds of gathering: tracks first, then the resulting walls."""
 
 
 def regrouped(
     submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: NDArray[np.bool_]
 ) -> tuple[Assembled, WallNumbers, NDArray[np.int64]]:
-    """Return the walls of a submap that its tracks lie on, where its poses put them.
+    """Return the walls of a submap from its tracks, at the submap's poses.
 
     Parameters
     ----------
     submap : WallSubmap
         With walls.
     numbers : WallNumbers
-        The association in it.
+        Its association.
     history : PlaneHistory
     moving : (p,) bool
         Plane tracks that move.
@@ -89,7 +89,7 @@ def regrouped(
 def _with_corners(
     wall_of: NDArray[np.int64], corner_of: NDArray[np.int64], history: PlaneHistory
 ) -> WallNumbers:
-    """Return the association with identical corners merged, unless they are now of two walls."""
+    """Return the association with identical corners merged, unless they now belong to two walls."""
     wall = np.zeros(len(corner_of), dtype=np.int64)
     row, end = np.nonzero(history.corner >= 0)
     wall[history.corner[row, end]] = wall_of[history.plane[row]]
@@ -98,9 +98,9 @@ def _with_corners(
 
 
 def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int64], float]:
-    """Return the tracks that do not keep to lines of their own, or whose corners slide along them.
+    """Return the tracks that do not keep to their lines, or whose corners slide along them.
 
-    And how far from its line a wall is usually seen, metres.
+    Also returns the usual distance of a wall from its line, metres.
     """
     from relmap.core.linalg.order_kernels import medians, quantiles
 
@@ -127,7 +127,7 @@ def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int6
 def _gathered(
     assembled: Assembled, wall_of: NDArray[np.int64], across_m: float
 ) -> NDArray[np.int64]:
-    """Return the association of tracks (p,), with walls that lie on a larger one part of it."""
+    """Return the association of tracks (p,), with walls that lie on a larger one assigned to it."""
     from relmap.planes.regrouping_kernels import gathered
 
     state, given = assembled.state, assembled.given
@@ -149,7 +149,7 @@ def _gathered(
 
 
 def _as_noisy(again: Assembled, before: Assembled) -> Assembled:
-    """Return walls with the noise of each observation that was learnt before."""
+    """Return walls with the noise of each observation learnt earlier."""
     old, given = before.given, again.given
     sd, corner_sd = given.sd.copy(), given.corner_sd.copy()
     there = np.flatnonzero(np.isin(again.rows, before.rows))
@@ -165,7 +165,7 @@ def _as_noisy(again: Assembled, before: Assembled) -> Assembled:
 
 
 def _as_refined(again: Assembled, before: Assembled) -> Assembled:
-    """Return walls laid out anew; those of the same observations as before stay as refined."""
+    """Return newly averaged walls; those with unchanged observations keep their refined state."""
     size = 1 + int(max(again.walls.max(initial=0), before.walls.max(initial=0)))
     counts, sums = np.zeros((2, size)), np.zeros((2, size))
     for k, each in enumerate((again, before)):
@@ -179,7 +179,7 @@ def _as_refined(again: Assembled, before: Assembled) -> Assembled:
     centre, angle, across = state.centre.copy(), state.angle.copy(), state.across.copy()
     centre[walls], angle[walls] = refined.centre[old], refined.angle[old]
     across[walls] = refined.across[old]
-    # Corners stay where they were refined, or where they were seen on average, along their walls.
+    # Corners keep their refined position, or the average of their observations, along their walls.
     wall, at = again.corner_wall, again.corner_at
     kept = np.isin(again.corners, before.corners)
     at[kept] = before.corner_at[np.searchsorted(before.corners, again.corners[kept])]

@@ -13,7 +13,7 @@ Lines = tuple[Floats, Floats, Floats, Floats, Bools]
 
 @helper
 def _ends_from(lines: Lines, s: int, k: int) -> tuple[float, float, float]:
-    """Return how far the ends of wall k are off the line of wall s, and where along it."""
+    """Return the distances of the ends of wall k from the line of wall s, and along it."""
     middle, normal, along, reach, _ = lines
     x, y = middle[k, 0] - middle[s, 0], middle[k, 1] - middle[s, 1]
     off, places = 0.0, (0.0, 0.0)
@@ -31,18 +31,18 @@ def gathered(
     order: Ints,
     limits: tuple[float, float, float, float],
 ) -> Ints:
-    """Return the wall that each (n,) is part of: itself, or the nearest of those before it.
+    """Return the wall that each (n,) is part of: itself, or the nearest of the earlier ones.
 
-    What takes in another is longer from then on: `reach` is changed.
+    A wall that absorbs another is extended: `reach` is updated in place.
 
     Parameters
     ----------
     lines : middle, normal and along (n, 2), reach (n, 2), and which ends are corners (n, 2)
-    together : for each wall those seen in one scan with it: where they begin (n + 1,), and they
+    together : for each wall those seen in one scan with it: begin (n + 1,), and walls
     order : the walls (n,), the largest first
-    limits : least cosine between the normals; how far across both ends may lie; how far beyond the
-        other's end, or within it where there is a corner; share that must overlap of two that no
-        scan showed both, which may lie twice as far across
+    limits : least cosine between the normals; largest distance of both ends across; largest
+        distance beyond the other's end, or inside it if there is a corner; fraction that must
+        overlap for two walls never seen in one scan, which may lie twice as far across
     """
     (_, normal, _, reach, has_corner), (begin, beside) = lines, together
     turn, across_m, gap_m, overlap = limits

@@ -1,4 +1,4 @@
-"""How sure a refined map of walls is, and what stretches and joined corners are apart from it."""
+"""Covariances of a refined map of walls, and residuals of stretches and joined corners."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from relmap.planes.solving import LAST
 from relmap.planes.table import mapped_corners
 
 STRETCH = 8
-"""Iterations whose residuals are reported together."""
+"""Number of iterations whose residuals are reported together."""
 
 
 def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:
-    """Return those of the errors of the corners (c, 2, 2), map frame, square metres.
+    """Return the covariances of the corners (c, 2, 2), map frame, square metres.
 
-    As if it were known for sure where the robot was in the first iteration, but for what it saw.
-    What only the motion model ties to that has variances of square kilometres.
+    Relative to the robot pose of the first iteration. Parts connected to it only by the motion
+    model have variances of square kilometres.
     """
     given, state = assembled.given, assembled.state
     if not len(given.corner):
@@ -44,7 +44,7 @@ def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:
 
 
 def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
-    """Return what a refined map of walls tells as one of points does; its landmarks are corners."""
+    """Return a refined map of walls in the form used for points; its landmarks are corners."""
     across, along = wall_residuals(assembled.given, assembled.state)
     mapped = mapped_corners(assembled)
     spread: Any = lambda: corner_covariances(assembled)[mapped]  # noqa: E731
@@ -62,7 +62,7 @@ def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
 def _stretches(
     assembled: Assembled, across: NDArray[np.float64], along: NDArray[np.float64]
 ) -> SegmentResiduals:
-    """Compare the squares of each stretch's residuals with what noise alone would leave."""
+    """Compare the squared residuals of each stretch with their expectation under noise alone."""
     given, state = assembled.given, assembled.state
     stretch = assembled.iterations // STRETCH
     stretches, of = np.unique(stretch[given.iteration], return_inverse=True)
@@ -84,7 +84,7 @@ def _stretches(
 def _joined(
     assembled: Assembled, history: PlaneHistory, along: NDArray[np.float64]
 ) -> MergeResiduals:
-    """Compare where corners were seen under each number that was joined to another."""
+    """Compare the positions of corners seen under each number that was joined to another."""
     given = assembled.given
     rows = assembled.rows[given.corner_row]
     return merge_residuals(

@@ -1,7 +1,8 @@
-"""How each scan of walls is tied to those before, and where it is not: motions and submaps.
+"""Links between scans of walls, and breaks: motions and submaps.
 
-Walls imply a motion; of a laser its beams judge it (`relmap.planes.search`), else the walls alone
-(`relmap.planes.placement`, `relmap.planes.links`).  Where none is believed, a submap begins.
+Walls imply a motion; for a laser it is verified by beams (`relmap.planes.search`), otherwise by the
+walls alone (`relmap.planes.placement`, `relmap.planes.links`). If none is accepted, a submap
+begins.
 """
 
 from __future__ import annotations
@@ -34,37 +35,37 @@ from relmap.planes.tracks import PlaneTracks
 from relmap.planes.tying import Scans, judged_links
 
 SURE, USUALLY = 4.0, 0.5
-"""Log odds below which another scan must confirm a motion; and as a share of the usual ones."""
+"""Log odds below which another scan must confirm a motion; and as a fraction of the usual ones."""
 TOGETHER = 5.0
-"""Log odds that both must have in sum."""
+"""Sum of the log odds that both need."""
 IN_DOUBT = 10.0
-"""Log odds below which a motion is judged once more, by the scans around."""
+"""Log odds below which a motion is re-evaluated with the surrounding scans."""
 FEW = 4.0
-"""Walls and corners on either side, of which more that do not match contradict odometry."""
+"""Number of unmatched walls and corners on either side that contradict odometry."""
 VIEWS = 2
-"""Last scans whose beams judge a motion."""
+"""Number of last scans whose beams verify a motion."""
 
 
 class ScanLinks:
-    """The motion from each scan to the next, where one is believed, and the submap of each scan.
+    """The accepted motions between scans, and the submap of each scan.
 
     Parameters
     ----------
     bridge_m : float, metres
-        How far off the way along walls may be where nothing measures it; there a submap ends.
+        Largest error of an unmeasured motion along walls; beyond it a submap ends.
 
     Attributes
     ----------
     store : ObservationStore
-        What was observed so far.
+        All observations so far.
     beams : BeamStore
-        The beams of each scan, where they are given.
+        The beams of each scan, if given.
     wheels : Wheels
-        The odometry, where there is any.
+        The odometry, if any.
     submap : int
-        Submap of the next scan, unless one begins with it.
+        Submap of the next scan, unless it begins a new one.
     same_walls : (k, 2) int64
-        Numbers of walls that are one wall each, as submaps were tied.
+        Pairs of wall numbers identified when submaps were joined.
     """
 
     STATE = (
@@ -92,47 +93,47 @@ class ScanLinks:
 
     @property
     def motions(self) -> NDArray[np.float64]:
-        """From the robot frame before into that of each iteration: yaw, x, y; (i, 3), rough."""
+        """Approximate motion (i, 3) from each previous robot frame to the next: yaw, x, y."""
         return self._motions.values
 
     @property
     def submaps(self) -> NDArray[np.int64]:
-        """Submap of each iteration; (i,), -1 where nothing ties it to any."""
+        """Submap of each iteration; (i,), -1 for none."""
         return self._submaps.values
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Which motions (i,) walls tell in all directions."""
+        """Which motions (i,) are determined by walls in all directions."""
         return self._measured.values
 
     @property
     def bridged(self) -> NDArray[np.bool_]:
-        """Which motions (i,) odometry alone tells."""
+        """Which motions (i,) are determined by odometry only."""
         return self._bridged.values
 
     @property
     def usual(self) -> PlanarMotion:
-        """How the robot goes on: by odometry, or else as it did last.
+        """Predicted motion: by odometry, else the recent motion.
 
-        That is the median of some scans, for one of them may be a jump.
+        The latter is the median over some scans, since one of them may be a jump.
         """
         expected = self._expected
         return planar(expected.motion if expected else usual_motion(self.motions))
 
     @property
     def _expected(self) -> Expected | None:
-        """Where odometry expects the next scan."""
+        """The next motion expected from odometry."""
         now = len(self._motions)
         return self.wheels.expected(now - 1, now, self.motions, self.measured) if now else None
 
     @property
     def goes_on(self) -> bool:
-        """Whether odometry leads to the next scan, whatever that shows."""
+        """Whether odometry links to the next scan, independent of its content."""
         last = self.submaps[-1:]
         return bool((last >= 0).any()) and self._expected is not None
 
     def begin_submap(self) -> None:
-        """Let a submap begin with the next scan."""
+        """Begin a submap with the next scan."""
         self.submap = self._n_submaps
         self._n_submaps += 1
 
@@ -144,9 +145,9 @@ class ScanLinks:
         found: Found | None,
         goes_on: bool,
     ) -> None:
-        """Note the motion into a scan, whether it belongs to the submap, and what tied it.
+        """Record the motion into a scan, whether it belongs to the submap, and its source.
 
-        It may be a match, or odometry, by which it `goes_on`.
+        The source is a match, or odometry if it `goes_on`.
         """
         self._evidence.extend(np.array([found.evidence if found else np.nan]))
         self._measured.extend(np.array([found is not None and found.measured]))
@@ -156,9 +157,9 @@ class ScanLinks:
         self._submaps.extend(np.array([self.submap if is_tied else -1]))
 
     def into(self, tracks: PlaneTracks, seen: PlaneObservation) -> Found | None:
-        """Return the believed motion into a scan, and the association by it.
+        """Return the accepted motion into a scan, and the resulting association.
 
-        None also where nothing has measured the way along walls for too long.
+        None also if the motion along walls has been unmeasured for too long.
         """
         expected = self._expected
         found = self._placed(tracks, seen, expected)
@@ -178,7 +179,7 @@ class ScanLinks:
     def _placed(
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected | None
     ) -> Found | None:
-        """Return the believed motion into a scan, and the association by it."""
+        """Return the accepted motion into a scan, and the resulting association."""
         reach_m, views = farthest_m(self._believed), self._views(seen)
         usual = self.usual
         if views:
@@ -193,7 +194,7 @@ class ScanLinks:
     def _over(
         self, tracks: PlaneTracks, seen: PlaneObservation, expected: Expected
     ) -> Found | None:
-        """Return where odometry alone has a scan; None where what is seen contradicts it."""
+        """Return the motion by odometry alone; None if observations contradict it."""
         views = self._views(seen)
         if views:
             beams = Beams.of(seen.beams.points, seen.beams.origin, seen.ends)
@@ -210,7 +211,7 @@ class ScanLinks:
     def _confirmed(
         self, found: Found, seen: PlaneObservation, beams: Beams, views: list[View]
     ) -> bool:
-        """Tell whether the scan before the last one confirms a motion, where that is in doubt."""
+        """Return whether the scan before the last one confirms a motion, if that is doubtful."""
         evidence = self._evidence.values[-VARYING:]
         usual = np.median(np.append(evidence[np.isfinite(evidence)], SURE))
         if found.evidence > max(SURE, USUALLY * usual) or len(views) < 2:
@@ -230,13 +231,13 @@ class ScanLinks:
 
     @property
     def _believed(self) -> NDArray[np.float64]:
-        """The last motions (k, 3) that tie scans of a submap to one another."""
+        """The last motions (k, 3) that link scans of a submap."""
         last = slice(-USUAL, None)
         motions, submaps = self.motions[last], self.submaps[last]
         return np.asarray(motions[1:][(np.diff(submaps) == 0) & (submaps[1:] >= 0)])
 
     def _views(self, seen: PlaneObservation) -> list[View]:
-        """Return the beams of the last scans of the submap, the very last first."""
+        """Return the beams of the last scans of the submap, latest first."""
         found, motion = list[View](), np.zeros(3)
         if not (seen.beams.in_order and len(seen.beams.points)):
             return found
@@ -252,9 +253,9 @@ class ScanLinks:
         return found
 
     def leave_to_odometry(self, scans: NDArray[np.int64]) -> bool:
-        """Let links into scans (t,) hang on odometry where it agrees; tell whether any did not yet.
+        """Let odometry replace the links into scans (t,) where it agrees; return whether any changed.
 
-        The map disagrees with them.
+        These are links that the map contradicts.
         """
         found = False
         for scan in scans[self.measured[scans]].tolist():
@@ -264,7 +265,7 @@ class ScanLinks:
         return found
 
     def cut(self, scans: NDArray[np.int64]) -> None:
-        """Let submaps begin with scans (t,) that the map disagrees with the links before."""
+        """Begin submaps at scans (t,) whose links the map contradicts."""
         for scan in scans.tolist():
             old = self.submaps[scan]
             later = np.flatnonzero(self.submaps == old)
@@ -273,14 +274,14 @@ class ScanLinks:
             self._n_submaps += 1
 
     def tie(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Judge the links in doubt, and breaks, by the scans around, now that they are there.
+        """Re-evaluate doubtful links and breaks with the surrounding scans.
 
         Returns
         -------
         name : (s,) int64
-            Which submap each one is now.
+            Current number of each submap.
         cut : (c,) int64
-            Scans whose links are believed no more; see `cut`.
+            Scans whose links are no longer accepted; see `cut`.
         """
         name = np.arange(self._n_submaps)
         if not len(self.beams):
@@ -314,7 +315,7 @@ class ScanLinks:
         return Scans(seen, wall, first_row, self.beams, *links)
 
     def _known(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Tell the motion into which scans (i,) is believed, and which are to be judged."""
+        """Return whether the motion into scans (i,) is accepted, and which to re-evaluate."""
         is_tied = (np.diff(self.submaps, prepend=-2) == 0) & (self.submaps >= 0)
         in_doubt = ~(is_tied & (self._evidence.values > IN_DOUBT))
         in_doubt[:1] = False

@@ -1,8 +1,8 @@
-"""Where the frame of the tracks lies in that of a laser scan: motions from walls, judged by beams.
+"""The placement of the tracks' frame in a laser scan: motions from walls, verified by beams.
 
-Pairs of walls and corners imply motions, many of them wrong.  Those that bring most points of one
-scan onto surfaces of the other are fitted to the walls that then match, and the one that the beams
-agree with best is believed, unless they contradict it or another comes near.
+Pairs of walls and corners imply motions, many of them wrong. Those that bring most points of one
+scan onto surfaces of the other are fitted to the walls that match, and the one with the best
+agreement of beams is accepted, unless beams contradict it or a rival comes near.
 """
 
 from __future__ import annotations
@@ -23,55 +23,57 @@ from relmap.planes.tracks import PlaneTracks, wrapped
 
 REACH_M = 3.5
 REACH_RAD = np.deg2rad(120.0)
-"""How far apart two scans are at most that are tied to one another."""
+"""Largest distance between two scans that are linked."""
 TURNS, EACH = 8, 25
-"""How many turns, and motions of each, are looked at roughly."""
+"""Number of rotations, and motions for each, evaluated coarsely."""
 ROUGH_M, ROUGH_STEP = 0.3, 12
-"""What agrees roughly, and of how many beams one is looked at."""
+"""Tolerance of the coarse evaluation, and subsampling of beams."""
 CLOSELY = 8
 ALIKE_M, ALIKE_RAD = 0.2, np.deg2rad(5.0)
-"""Motions that are fitted to walls and judged by all beams, and how near two are alike."""
+"""Number of motions fitted to walls and evaluated with all beams, and the distance of
+duplicates."""
 BELIEVED = 1.5
-"""Log odds from which a motion is believed."""
+"""Log odds above which a motion is accepted."""
 CLEARLY, HARDLY = 0.75, 0.01
-"""Shares that agree and contradict by which a usual motion is believed at once."""
+"""Agreeing and contradicting fractions for which a usual motion is accepted at once."""
 RIVAL = 1.7
-"""Log odds by which a motion must be better than any other."""
+"""Log odds by which a motion must exceed any other."""
 JUDGES = 200
-"""Beams that judge a motion, about."""
+"""Approximate number of beams used to verify a motion."""
 SLID, PEAKS, SLIDE_M = 2, 2, 0.1
-"""Motions that are slid along a wall, how many places of each are kept, and the step."""
+"""Number of motions slid along a wall, of places kept for each, and the step."""
 SLIDE_NEAR_M, SLIDE_STEP, SLIDE_CONTRADICTS = 0.15, 6, 4.0
-"""What agrees there, of how many beams one is looked at, and what one that contradicts weighs."""
+"""Tolerance there, subsampling of beams, and weight of a contradicting beam."""
 USUAL_M, USUAL_RAD = 1.5, np.deg2rad(45.0)
-"""By how much a motion differs from those before."""
+"""Typical difference between consecutive motions."""
 CANDIDATES, WITHIN = 6, 8.0
-"""Motions that are compared with those of other scans: so many, as likely as the best but for this
-in log odds."""
+"""Number of motions compared with those of other scans, and largest difference to the best, in log
+odds."""
 EXPLAINS = 0.05
-"""Share of the points that must agree more with another motion than with the one of odometry."""
+"""Fraction of points by which another motion must exceed the agreement of odometry."""
 CONTRADICTS = 0.1
-"""Share of the points that contradict odometry where it is not believed."""
+"""Fraction of contradicting points above which odometry is rejected."""
 NO_MATCH = Match(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), 0.0)
 FREE_M, FREE = 0.3, 0.01
-"""A way along a wall is free where beams agree hardly less so far off."""
+"""A motion along a wall is undetermined if the beams agree almost as well at this distance."""
 FREE_REACH_M = 1.0
-"""Motions nearer than this are no rivals where the way is free: the motion before decides."""
+"""Motions nearer than this are no rivals if the motion along a wall is undetermined: the previous
+motion decides."""
 
 
 class Found(NamedTuple):
-    """The believed motion, and the association by it.
+    """The accepted motion, and the resulting association.
 
     Attributes
     ----------
     motion : PlanarMotion
     match : Match
     measured : bool
-        Whether the way is known in all directions.
+        Whether the motion is determined in all directions.
     evidence : float
-        How likely it is right: log odds.
+        Log odds that it is right.
     bridged : bool
-        Whether odometry alone tells it.
+        Whether it is given by odometry only.
     """
 
     motion: PlanarMotion
@@ -89,13 +91,13 @@ class Search:
     tracks : PlaneTracks
     seen : PlaneObservation
     beams : Beams
-        Of the same scan.
+        Beams of the same scan.
     views : sequence of View
         Earlier scans, the last one first.
     before : PlanarMotion
-        How the robot went before.
+        Usual motion of the robot.
     expected : Expected, optional
-        What odometry tells.
+        Motion expected from odometry.
     """
 
     def __init__(
@@ -112,12 +114,12 @@ class Search:
         self._expected = expected
 
     def found(self) -> Found | None:
-        """Find the motion that walls imply and beams support.
+        """Find the motion implied by walls and supported by beams.
 
         Returns
         -------
         Found or None
-            None where beams contradict all motions, or another one comes near.
+            None if beams contradict all motions, or a rival comes near.
         """
         every = self._judged([self._before, STILL])
         best = int(np.argmax(every.evidence))
@@ -148,7 +150,7 @@ class Search:
         return Found(planar(motion), every.matches[best], measured, float(every.evidence[best]))
 
     def _explains(self, expected: Expected, motion: NDArray[np.float64]) -> bool:
-        """Tell whether beams agree with odometry hardly less than with another motion (3,)."""
+        """Return whether beams agree with odometry almost as well as with another motion (3,)."""
         motions = np.array([expected.motion, motion])
         if expected.off(motions)[1] < OTHERWISE:
             return False
@@ -157,7 +159,7 @@ class Search:
         return bool(value[0] > value[1] - EXPLAINS)
 
     def _by_odometry(self, every: Judged, expected: Expected) -> Found | None:
-        """Return the motion nearest to odometry of the likely ones; None where none is near."""
+        """Return the likely motion nearest to odometry; None if none is near."""
         off = expected.off(every.motions)
         near = np.where(off < OTHERWISE, every.evidence, -np.inf)
         if near.max() < BELIEVED:
@@ -167,12 +169,12 @@ class Search:
         return Found(planar(every.motions[best]), every.matches[best], False, evidence)
 
     def candidates(self, guesses: Sequence[PlanarMotion] = ()) -> Candidates:
-        """Return the motions that walls and beams of these scans tell for right, likeliest first.
+        """Return the plausible motions between these scans by walls and beams, likeliest first.
 
         Parameters
         ----------
         guesses : sequence of PlanarMotion
-            What is looked at besides those that walls imply.
+            Candidates in addition to those implied by walls.
         """
         every = self._judged([self._before, STILL, *guesses, *self._guesses()])
         for k in np.argsort(-every.of_pair, kind="stable")[:SLID]:
@@ -187,25 +189,25 @@ class Search:
         return Candidates(every.motions[best], evidence, measured, matches)
 
     def judged(self, motion: NDArray[np.float64]) -> tuple[float, float, bool]:
-        """Return the evidence of the scans for a motion (3,), settled near by.
+        """Return the evidence of the scans for a motion (3,), after local optimisation.
 
         Returns
         -------
         evidence : float
             Log odds that it is right.
         contradict : float
-            Share of the points that contradict.
+            Fraction of contradicting points.
         stays : bool
-            Whether it settles where it is.
+            Whether it converges to the given motion.
         """
         found = self._judged([planar(motion)])
         evidence = float(found.of_pair[0]) + MEASURED * self._measured(found, 0)
         return evidence, float(found.contradict[0]), not others(found.motions, motion)[0]
 
     def bridged(self, expected: Expected) -> Found | None:
-        """Return where odometry expects the robot, unless beams contradict that.
+        """Return the motion expected from odometry, unless beams contradict it.
 
-        Walls that match near by move it.
+        It is refined by walls that match nearby.
         """
         found = self._judged([planar(expected.motion)])
         motions = np.array([expected.motion, found.motions[0]])
@@ -218,7 +220,7 @@ class Search:
         return Found(planar(motions[int(by_walls)]), match, False, float(found.evidence[0]), True)
 
     def _guesses(self) -> list[PlanarMotion]:
-        """Return the motions implied by walls that the beams agree with best, roughly."""
+        """Return the motions implied by walls with the best coarse agreement of beams."""
         from relmap.planes.guess_kernels import implied
 
         recent = self._tracks.kept(self._tracks.missed == self._tracks.missed.min(initial=0))
@@ -237,7 +239,7 @@ class Search:
     def _slides(
         self, judged: Judged, k: int, way_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return a motion slid along the longest wall that matches, and how beams agree."""
+        """Return a motion slid along the longest wall that matches, and the agreement of beams."""
         motions = np.tile(judged.motions[k], (len(way_m), 1))
         motions[:, 1:] += way_m[:, None] * self._along(judged.matches[k])
         sums = self._compared(self._views[:1], motions, SLIDE_NEAR_M, SLIDE_STEP)
@@ -245,7 +247,7 @@ class Search:
         return motions, (sums[:, 0] - SLIDE_CONTRADICTS * sums[:, 1]) / in_view
 
     def _slid(self, judged: Judged, k: int) -> list[PlanarMotion]:
-        """Return a motion slid along the longest wall to where beams agree best."""
+        """Return a motion slid along the longest wall to the best agreement of beams."""
         if not len(judged.matches[k].walls):
             return []
         n = int(REACH_M / SLIDE_M)
@@ -257,14 +259,14 @@ class Search:
         return [planar(motions[peak]) for peak in peaks if abs(way_m[peak]) > SLIDE_M / 2]
 
     def _measured(self, judged: Judged, k: int) -> bool:
-        """Tell whether beams agree less where a motion is slid along the longest wall."""
+        """Return whether beams agree less if a motion is slid along the longest wall."""
         if not len(judged.matches[k].walls):
             return False
         value = self._slides(judged, k, FREE_M * np.array([-1.0, 0.0, 1.0]))[1]
         return bool(max(value[0], value[2]) < value[1] - FREE)
 
     def _judged(self, guesses: Sequence[PlanarMotion]) -> Judged:
-        """Fit guesses to the walls that match, and compare the beams."""
+        """Fit motions to the walls that match, and compare the beams."""
         tracks, seen = self._tracks, self._seen
         found = [settled(tracks, seen, guess) for guess in guesses]
         motions = np.array([[motion.yaw, *motion.t] for motion, _ in found]).reshape(-1, 3)
@@ -282,7 +284,7 @@ class Search:
         )
 
     def _surprise(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how unlikely motions (k, 3) are, as the robot went before."""
+        """Return the prior improbability of motions (k, 3), given the usual motion."""
         way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
         turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
         told = self._expected.supports(motions) if self._expected else 0.0
@@ -291,7 +293,7 @@ class Search:
     def _compared(
         self, views: Sequence[View], motions: NDArray[np.float64], near_m: float, step: int
     ) -> NDArray[np.float64]:
-        """Return how many points of the scan and of views agree and so on; see `compared`."""
+        """Return the number of points of the scan and of views that agree etc.; see `compared`."""
         sums = np.zeros((len(motions), 4))
         for view in views:
             sums += compared(view.beams, self._beams, after(view.motion, motions), near_m, step)

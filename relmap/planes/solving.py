@@ -1,4 +1,4 @@
-"""Solving for walls, corners and poses, while learning how noisy each wall and corner is."""
+"""Solving for walls, corners and poses, with estimation of the noise of each wall and corner."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from relmap.planes.equations import WallEquations
 from relmap.planes.refinement import WallSystem
 
 EXACT_M = 1e-7
-"""How sure walls can be at best where there is no noise."""
+"""Least standard deviation of walls for noise-free data."""
 SHARPER = 0.1
-"""By how much the least noise is lowered at a time, down to what the observations show."""
+"""Factor by which the least noise is lowered at a time, down to that of the observations."""
 MEDIAN = 1.4826
-"""The standard deviation of what is normal, in units of the median of its size."""
+"""Standard deviation of a normal variable relative to the median of its magnitude."""
 KNOWN_BY = 4.0
-"""Observations that what was assumed of a wall or corner counts for against what was seen of it."""
+"""Weight of the prior noise of a wall or corner, in observations."""
 LAST = (8, 4.0)
-"""Most steps of the last solution, and the residual from which an observation is in doubt."""
+"""Maximum steps of the last solution, and the residual above which an observation is an outlier."""
 SHARPLY = (6, 4.0)
-"""The same, of each solution with less noise than walls have at best."""
+"""The same, for solutions with less noise than the least noise of walls."""
 
 
 def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], held: float) -> Assembled:
-    """Solve for walls, corners and poses, learning on the way how noisy each wall and corner is.
+    """Solve for walls, corners and poses, estimating the noise of each wall and corner.
 
     Parameters
     ----------
     assembled : Assembled
     rounds : sequence of (int, float)
-        Most steps of each solution, between which the noise of each wall and corner is learnt, and
-        the residual from which an observation is in doubt: none is before the rest has fallen into
-        place.
+        Maximum steps of each solution, between which the noise of each wall and corner is
+        estimated, and the residual above which an observation is an outlier: infinite in the first
+        rounds.
     held : float
         See `WallSystem`.
     """
@@ -43,10 +43,10 @@ def refined(assembled: Assembled, rounds: Sequence[tuple[int, float]], held: flo
 
 
 def refined_to_the_noise(assembled: Assembled, held: float) -> Assembled:
-    """Solve for walls, corners and poses as accurately as the observations are.
+    """Solve for walls, corners and poses at the accuracy of the observations.
 
-    Where they are better than real walls, the least noise is lowered bit by bit: what was found
-    wrong so far is out before the rest decides (graduated non-convexity; Blake and Zisserman,
+    If they are more accurate than real walls, the least noise is lowered step by step, so that
+    outliers are rejected before the noise is small (graduated non-convexity; Blake and Zisserman,
     1987).
     """
     system, share = WallSystem(assembled.given, held), 1.0
@@ -80,7 +80,7 @@ def _solved(
 def _reweighted(
     given: WallEquations, across: NDArray[np.float64], along: NDArray[np.float64]
 ) -> WallEquations:
-    """Return the equations with the noise that each wall and corner shows in the residuals."""
+    """Return the equations with the noise of each wall and corner estimated from the residuals."""
     wall = _learnt(given.wall, across.mean(axis=1) / given.sd)
     corner = _learnt(given.corner, along / given.corner_sd)
     return replace(
@@ -89,9 +89,9 @@ def _reweighted(
 
 
 def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return by what the standard deviations of each are to be multiplied, at least 1.
+    """Return the factors for the standard deviations of each, at least 1.
 
-    The median tells: single sights that are quite wrong are for the refinement to leave out.
+    The median is used: single outliers are left to the robust weights of the refinement.
     """
     from relmap.core.linalg.order_kernels import medians
 

@@ -1,4 +1,4 @@
-"""Odometry as a map of a whole run takes it: without constant errors, with its own noise."""
+"""Odometry for the map of a whole run: without systematic errors, with its own noise."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from relmap.planes.motion_factors import MotionFactors
 from relmap.planes.motions import from_matrices, matrices
 
 BESIDE = 8
-"""Scans beside those that hang on odometry that it holds, too: walls come into view bit by bit."""
+"""Scans next to those that depend on odometry that it also constrains: walls come into view
+gradually."""
 WAY_M = 3.0
-"""Length over which the noise of odometry itself is measured."""
+"""Distance over which the noise of odometry is measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """What odometry adds to a map of a whole run, where walls do not tell the motion.
+    """Odometry of a whole run, for motions that walls do not determine.
 
     Attributes
     ----------
     motion : (i, 3) float64
-        Pose of each iteration in the frame of the one before, without constant errors: yaw, x, y;
-        NaN where it is not known.
+        Pose of each iteration in the frame of the previous one, without systematic errors: yaw, x,
+        y; NaN if unknown.
     variance : (i, 2) float64
-        Of the yaw, square radians, and of x and y, square metres.
+        Variance of the yaw, square radians, and of x and y, square metres.
     needed : (i,) bool
-        Which motions hang on it.
+        Which motions depend on it.
     """
 
     motion: NDArray[np.float64]
@@ -38,7 +39,7 @@ class Steps:
     needed: NDArray[np.bool_]
 
     def between(self, iterations: NDArray[np.int64]) -> MotionFactors:
-        """Return the factors between these iterations (k,), each and the next, that are needed."""
+        """Return the needed factors between these iterations (k,) and their successors."""
         needed = np.append(0, np.cumsum(self.needed))[iterations + 1]
         pairs = np.flatnonzero(np.diff(needed) > 0)
         both, motion, sd = [], [], []
@@ -60,23 +61,23 @@ def steps_of(
     submaps: Sequence[tuple[slice, NDArray[np.float64]]],
     hanging: NDArray[np.bool_],
 ) -> Steps:
-    """Return what odometry adds to a map of a whole run.
+    """Return the odometry of a whole run for use in its map.
 
-    How good it is show ways of `WAY_M` and more over which walls tell where the robot went: from
-    scan to scan these tell no better.
+    Its noise is estimated over distances of at least `WAY_M` for which walls determine the motion:
+    from scan to scan these are not more accurate.
 
     Parameters
     ----------
     noise : MotionNoise
-        Of odometry, and the motions from scan to scan, together.
+        Combined noise of odometry and of the motions from scan to scan.
     given : (i, 4, 4) float64
-        Odometry; NaN where it is not believed.
+        Odometry; NaN where it is rejected.
     n_measured : int
-        Of how many steps that was estimated.
+        Number of steps used for that estimate.
     submaps : sequence of (slice, (k, 4, 4) float64)
-        The iterations of each and their poses; NaN where one is of another submap.
+        The iterations of each and their poses; NaN for iterations of other submaps.
     hanging : (i,) bool
-        Which motions hang on odometry.
+        Which motions depend on odometry.
     """
     steps, (sd_m, sd_rad) = corrected(noise, given), noise.sigmas(given)
     way, typical_m = np.hypot(steps[:, 1], steps[:, 2]), _typical(steps)
@@ -91,7 +92,7 @@ def steps_of(
         sd = np.array([found.sigma_rad, found.sigma_way * length])
         variance = np.maximum(way, STILL_M)[:, None] / length * sd**2
         steps = _again(found, steps)
-    # The constant errors are as unsure on each metre, and that adds up.
+    # The errors of the systematic part are common to all steps, and so add up.
     variance += (way * _together(way, hanging))[:, None] * (sd / length) ** 2 / n
     beside = np.convolve(hanging, np.ones(2 * BESIDE + 1))[BESIDE : BESIDE + len(hanging)] > 0
     return Steps(steps, variance, beside & known)
@@ -102,7 +103,7 @@ def _compared(
     submaps: Sequence[tuple[slice, NDArray[np.float64]]],
     known: NDArray[np.bool_],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return motions (k, 4, 4) over ways of `WAY_M` by steps (i, 3) and by poses of submaps."""
+    """Return motions (k, 4, 4) over `WAY_M` by steps (i, 3) and by the poses of submaps."""
     way, path = np.hypot(steps[:, 1], steps[:, 2]), matrices(path_of(np.nan_to_num(steps)))
     pairs = [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
     for rows, poses in submaps:
@@ -116,28 +117,28 @@ def _compared(
 
 
 def corrected(noise: MotionNoise, steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return steps (k, 4, 4) in the plane without the constant errors (k, 3): yaw, x, y."""
+    """Return planar steps (k, 4, 4) without the systematic errors (k, 3): yaw, x, y."""
     return _again(noise, from_matrices(steps))
 
 
 def _again(noise: MotionNoise, steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return steps (k, 3) without constant errors."""
+    """Return steps (k, 3) without systematic errors."""
     way = np.hypot(steps[:, 1], steps[:, 2])
     yaw = steps[:, 0] + way * noise.turn_per_m[2]
     return np.column_stack([yaw, noise.scale * steps[:, 1:]])
 
 
 def _typical(steps: NDArray[np.float64]) -> float:
-    """Return the typical way of steps (i, 3), of those that are known; metres."""
+    """Return the typical length of the known steps (i, 3); metres."""
     way = np.hypot(steps[:, 1], steps[:, 2])
     known = way[np.isfinite(way)]
     return max(float(np.median(known)), STILL_M) if len(known) else STILL_M
 
 
 def _together(way: NDArray[np.float64], needed: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return the length (i,) of all needed steps in a row with each one, metres.
+    """Return the length (i,) of the run of consecutive needed steps that contains each, metres.
 
-    What is off in the constant errors adds up over it, unlike noise.
+    Residual systematic errors, unlike noise, grow linearly with it.
     """
     run = np.cumsum(np.diff(needed, prepend=False))
     return np.asarray(np.bincount(run, np.nan_to_num(way) * needed)[run])
@@ -152,16 +153,16 @@ def path_of(steps: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def composed(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return steps (k, 3), one after the other, as one (3,)."""
+    """Return the composition of steps (k, 3), in order, as one (3,)."""
     return np.asarray(path_of(steps)[-1])
 
 
 def _windows(
     poses: NDArray[np.float64], way: NDArray[np.float64], known: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first and last iteration of ways of `WAY_M` with poses (i, 4, 4) that are known.
+    """Return first and last iteration of sections of `WAY_M` with known poses (i, 4, 4).
 
-    They overlap.  `way` (i,) is that of each step, and steps are `known` (i,) or not.
+    They overlap. `way` (i,) is the length of each step, and `known` (i,) whether it is known.
     """
     goes_on = known & np.isfinite(poses[:, 0, 0])
     goes_on[1:] &= np.isfinite(poses[:-1, 0, 0])

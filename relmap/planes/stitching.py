@@ -1,9 +1,9 @@
-"""The path over everything, where the map alone does not tie it: the motion model.
+"""The path over the whole run, using the motion model where the map is not connected.
 
-Where too little is at rest in view, as along a single partial wall, the map falls into submaps.
-How far the robot went from one scan to the next is known all the same, roughly: across a wall and
-in turn from what was seen, along it by going on as before (`placement`).  Such links are weak: they
-say where a submap is to begin with, and nothing in what is refined afterwards.
+Where too few static landmarks are in view, as along a single partial wall, the map splits into
+submaps. The motion from one scan to the next is still known approximately: rotation and translation
+across the wall from the observations, along it from constant motion (`placement`). Such weak links
+only give the initial placement of a submap, and are not used in the refinement.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from relmap.planes.motions import matrices
 from relmap.planes.placement import LEVER_M
 
 FEW, ASTRAY_M = 5, 0.3
-"""So few scans in a row, so far off the others, are misplaced."""
+"""So few consecutive scans, so far from the others, are misplaced."""
 
 
 def stitched(
@@ -30,15 +30,15 @@ def stitched(
     Parameters
     ----------
     submaps : sequence of (n, 4, 4) float64
-        ``T_submap_robot`` of every iteration in each submap, the most important one first; NaN
-        where an iteration is not fixed in it.
+        ``T_submap_robot`` of every iteration in each submap, the most important one first; NaN if
+        undetermined.
     motions : (n, 3) float64
-        yaw, x, y of the motion from the robot frame before into that of each iteration.
+        yaw, x, y of the motion from the previous robot frame to that of each iteration.
 
     Returns
     -------
     (n, 4, 4) float64
-        ``T_map_robot``; where no submap fixes any, in the frame of the first iteration.
+        ``T_map_robot``; if no submap determines any, in the frame of the first iteration.
     """
     n = len(motions)
     steps = np.linalg.inv(matrices(motions))
@@ -67,7 +67,7 @@ def _placed(
     own: NDArray[np.float64],
     expected: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the pose of an iteration; place its submap where it is expected if it is not yet."""
+    """Return the pose of an iteration; place its submap at the predicted pose if necessary."""
     if submap < 0:
         return expected
     if submap not in placed:
@@ -78,11 +78,11 @@ def _placed(
 def with_strays_put_back(
     poses: NDArray[np.float64], motions: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the poses (n, 4, 4) with the few that lie off both their neighbours put back.
+    """Return the poses (n, 4, 4) with the few misplaced ones corrected.
 
-    They are off where the motions (n, 3) from scan to scan lead: scans with hardly a wall that is
-    known, or a wrong one, which nothing holds.  They stay where they are if the motions over them
-    do not lead to the next pose either: then it is the map that is torn.
+    Misplaced poses deviate from both neighbours according to the motions (n, 3) from scan to scan:
+    scans with hardly any known wall, or a wrong one. They are kept if the motions across them do
+    not lead to the next pose either: then the map is torn.
     """
     broken = np.concatenate([[False], _astray(poses, motions)])
     run = np.cumsum(broken)
@@ -96,18 +96,17 @@ def with_strays_put_back(
 
 
 def _astray(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell which poses after the first one (n - 1,) do not follow by the motions (n, 3)."""
+    """Return which poses after the first one (n - 1,) do not follow from the motions (n, 3)."""
     off = np.linalg.inv(poses[:-1]) @ poses[1:] @ matrices(motions[1:])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
     return np.asarray(np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > ASTRAY_M)
 
 
 def weak_links(history: PlaneHistory) -> NDArray[np.int64]:
-    """Return the iterations (k,) whose motion since the one before rests on the motion model.
+    """Return the iterations (k,) whose motion since the previous one relies on the motion model.
 
-    Both saw no static corner in common, and no two walls in common that cross: along what they
-    saw, if anything, the robot is taken to have gone on as before.  Where a submap begins there is
-    no link.
+    The two scans share no static corner and no two crossing walls; constant motion is assumed in
+    the undetermined direction. There is no link where a submap begins.
     """
     n = history.n_iterations
     n_planes = int(history.plane.max(initial=-1)) + 1

@@ -1,4 +1,4 @@
-"""Submaps: parts of a run that nothing ties to one another, each in a frame of its own."""
+"""Submaps: unconnected parts of a run, each with its own frame."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class WallSubmap(Submap):
     Attributes
     ----------
     poses : (k, 4, 4) float64
-        ``T_submap_robot`` of its iterations; NaN for those in between that are not tied to it.
+        ``T_submap_robot`` of its iterations; NaN for iterations in between that belong to others.
     assembled : Assembled or None
-        None where no wall was seen often enough.
+        None if no wall was seen often enough.
     refined : bool
-        Whether its walls and poses are where all observations agree best.
+        Whether its walls and poses were refined.
     """
 
     poses: NDArray[np.float64]
@@ -42,7 +42,7 @@ class WallSubmap(Submap):
         assembled: Assembled | None,
         refined: bool = False,
     ) -> WallSubmap:
-        """Return the submap of the iterations of a span: the first, and one after the last."""
+        """Return the submap of the iterations of a span: the first, and the end."""
         corners = corner_map(assembled, None)
         begin, end = span
         return cls(
@@ -51,12 +51,12 @@ class WallSubmap(Submap):
 
     @property
     def span(self) -> tuple[int, int]:
-        """Its first iteration, and one after its last."""
+        """Its first iteration, and the end."""
         return self.first_iteration, self.last_iteration + 1
 
     @property
     def n_scans(self) -> int:
-        """How many scans are tied to it."""
+        """Number of scans in it."""
         return int(np.isfinite(self.poses[:, 0, 3]).sum())
 
     @property
@@ -79,9 +79,9 @@ def among_all(
 def chained_poses(
     paths: list[NDArray[np.float64]], span: tuple[int, int], history: PlaneHistory
 ) -> NDArray[np.float64]:
-    """Return the poses of a submap by the paths (i, 4, 4) that submaps of the map tell.
+    """Return the poses of a submap from the paths (i, 4, 4) of the engine's submaps.
 
-    Where odometry ties stretches of few landmarks, the links between scans tell if these tear it.
+    Stretches of few landmarks connected by odometry are checked against the links between scans.
     """
     rows, own = slice(*span), history.own(span)[:, None, None]
     there = [np.where(own, path[rows], np.nan) for path in paths]
@@ -94,7 +94,7 @@ def chained_poses(
 
 
 def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> NDArray[np.int64]:
-    """Return the scans (t,) before which submaps go another way than the links between scans."""
+    """Return the scans (t,) before which submaps deviate from the links between scans."""
     torn, weak = [np.empty(0, dtype=np.int64)], weak_links(history)
     for submap in submaps:
         begin, end = submap.span

@@ -1,4 +1,4 @@
-"""What a plane mapper hands out: one row for every wall."""
+"""The table of walls: one row per wall."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from relmap.planes.joining import wall_extents
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PlaneTable(Table):
-    """Every wall ever seen, one row each, in ascending order of its number.
+    """Every wall ever seen, one row each, in ascending order of numbers.
 
     Attributes
     ----------
     plane : (n,) int64
     ends : (n, 2, 2) float64, map frame, metres
-        x, y of its right and left end as seen from its front; NaN where it is not mapped.
+        x, y of its right and left end as seen from its front; NaN if unmapped.
     z_extent : (n, 2) float64, metres
         Lowest and highest z.
     normal : (n, 2) float64
         Unit vector to the front.
     corner : (n, 2) int64
-        The corner at either end; -1 where the end was never seen static.
+        The corner at either end; -1 if the end was never static.
     observations : (n,) int64
     first_iteration, last_iteration : (n,) int64
     status : (n,) str
@@ -59,7 +59,7 @@ def plane_table(
     history : PlaneHistory
     numbers : WallNumbers
     assembled : Assembled or None
-        Where the mapped ones are.
+        The mapped walls.
     moving : (p,) bool
         Plane tracks that were seen moving.
     """
@@ -83,7 +83,7 @@ def plane_table(
 def _sightings(
     of: NDArray[np.int64], iteration: NDArray[np.int64], n: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return how often each of n was seen, first and last; iterations (k,) ascend."""
+    """Return count, first and last iteration for each of n; iterations (k,) ascend."""
     first, last = np.zeros((2, n), dtype=np.int64)
     first[of[::-1]], last[of] = iteration[::-1], iteration
     return np.bincount(of, minlength=n), first, last
@@ -107,7 +107,7 @@ def _mapped(
 
 
 def _often(assembled: Assembled) -> NDArray[np.bool_]:
-    """Tell which walls (w,) were seen often enough to be mapped."""
+    """Return which walls (w,) were seen often enough to be mapped."""
     given = assembled.given
     return np.asarray(np.bincount(given.wall, minlength=len(assembled.walls)) >= OFTEN)
 
@@ -120,7 +120,7 @@ def _at_ends(assembled: Assembled) -> NDArray[np.int64]:
     end[given.corner] = given.corner_end
     seen = np.bincount(given.corner, minlength=len(assembled.corners))
     wall = assembled.corner_wall
-    for k in np.argsort(seen, kind="stable").tolist():  # of several the one seen most often is last
+    for k in np.argsort(seen, kind="stable").tolist():  # most observations last
         corner[wall[k], end[k]] = k
     return corner
 
@@ -138,7 +138,7 @@ def corner_map(assembled: Assembled | None, spread: NDArray[np.float64] | None) 
     ----------
     assembled : Assembled or None
     spread : (c, 2, 2) float64 or None
-        Covariances of all corners, square metres, where they are known.
+        Covariances of all corners, square metres, if known.
     """
     if assembled is None:
         return LandmarkMap(np.empty(0, dtype=np.int64), np.empty((0, 3)))
@@ -158,18 +158,18 @@ def corner_table(
     moving: NDArray[np.int64],
     spread: NDArray[np.float64] | None,
 ) -> LandmarkTable:
-    """Return the table of all corners but those that turned out to be none.
+    """Return the table of all corners, except those that turned out to be none.
 
     Parameters
     ----------
     history : PlaneHistory
     numbers : WallNumbers
     submaps : list of Assembled or None
-        Where those of each submap are; mapped are those of the first.
+        The corners of each submap; those of the first are mapped.
     moving : (k,) int64
         Corners that were seen moving.
     spread : (c, 2, 2) float64 or None
-        Covariances of all corners of the first submap, square metres, where they are known.
+        Covariances of all corners of the first submap, square metres, if known.
     """
     row, end = np.nonzero(history.corner >= 0)
     own = history.corner[row, end]
@@ -209,14 +209,14 @@ def corner_table(
 
 
 def corner_group(group: MappedGroup, corner: NDArray[np.int64]) -> MappedGroup:
-    """Return a group of corners and midpoints without these, by the numbers of corners.
+    """Return a group of corners without midpoints, by the numbers of corners.
 
     Parameters
     ----------
     group : MappedGroup
-        Of landmarks numbered as by `PlaneRegistration`.
+        Group of landmarks numbered as by `PlaneRegistration`.
     corner : (k,) int64
-        Number of each corner; -1 for what turned out to be none.
+        Number of each corner; -1 if it turned out to be none.
     """
     number = np.where(group.landmarks % 2 == 0, corner[group.landmarks // 2], -1)
     own = number >= 0

@@ -1,4 +1,4 @@
-"""The walls that the next scan may show again."""
+"""Tracks of walls that the next scan may continue."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from relmap.core.association.tracks import Tracks
 from relmap.planes.observation import PlaneObservation
 
 MEMORY = 8
-"""Observations that the expected place of a wall or corner averages, about."""
+"""Approximate number of observations averaged in the prediction of a wall or corner."""
 NO_CORNER = -1
-"""In place of a corner: none was seen on this side yet."""
+"""Marks a side without a corner so far."""
 
 
 @dataclass(eq=False)
 class PlaneTracks(Tracks):
-    """Walls in the robot frame of one iteration, carried along where they were not seen; n walls.
+    """Tracked walls in the robot frame of one iteration, predicted if missed; n walls.
 
     Attributes
     ----------
@@ -30,17 +30,17 @@ class PlaneTracks(Tracks):
     offset : (n,) float64, metres
         ``normal @ p`` of every point p, likewise.
     ends : (n, 2, 2) float64, metres
-        As last seen.
+        As last observed.
     sd : (n,) float64, metres
-        Standard deviation of the offset, as last seen.
+        Standard deviation of the offset, as last observed.
     corner : (n, 2) int64
         Number of the corner on either side, or `NO_CORNER`.
     corner_at : (n, 2, 2) float64, metres
-        Where it is: the average of the last observations; NaN where there is none.
+        Its position: the average of the last observations; NaN if there is none.
     corner_seen : (n, 2) int64
         How often it was seen.
     missed : (n,) int64
-        Iterations since the wall was last seen.
+        Iterations since the wall was last observed.
     seen : (n,) int64
         How often it was seen.
     """
@@ -80,7 +80,7 @@ class PlaneTracks(Tracks):
 
     @property
     def arrays(self) -> Any:
-        """What the compiled matching knows of the tracks."""
+        """The tracks in the form used by the compiled matching."""
         return self.angle, self.offset, self.ends, self.sd, self.corner_at
 
     def carried(self, yaw: float, t: NDArray[np.float64]) -> PlaneTracks:
@@ -102,7 +102,7 @@ class PlaneTracks(Tracks):
         )
 
     def see(self, rows: NDArray[np.int64], seen: PlaneObservation, at: NDArray[np.int64]) -> None:
-        """Note that walls `at` (k,) of a scan go on with tracks `rows`, and others were missed."""
+        """Record that walls `at` (k,) of a scan continue tracks `rows`; others were missed."""
         self.missed += 1
         self.missed[rows] = 0
         self.seen[rows] += 1
@@ -111,7 +111,8 @@ class PlaneTracks(Tracks):
         middle = seen.ends[at].mean(axis=1)
         across = (self.normal[rows] * middle).sum(axis=1) - self.offset[rows]
         self.angle[rows] += share * wrapped(angle - self.angle[rows])
-        # The average is taken where the wall is seen, not where its line passes the robot.
+        # The average is taken at the observed part of the wall, not where its line passes the
+        # robot.
         now = (self.normal[rows] * middle).sum(axis=1)
         self.offset[rows] = now - (1 - share) * across
         self.ends[rows] = seen.ends[at]
@@ -119,5 +120,5 @@ class PlaneTracks(Tracks):
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return angles within a half turn of 0."""
+    """Return angles wrapped to half a turn around 0."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

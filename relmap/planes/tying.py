@@ -1,7 +1,7 @@
-"""Scans that the run broke between are tied where their neighbours tell how they lie, too.
+"""Re-evaluation of breaks and doubtful links together with the surrounding scans.
 
-What a single pair of scans cannot tell as they come, the scans around may, once they are there: the
-motions around each break, and each link in doubt, are judged together (`relmap.planes.hypotheses`).
+A motion that is ambiguous for a single pair of scans may be resolved by the surrounding scans: the
+motions around each break and doubtful link are evaluated jointly (`relmap.planes.hypotheses`).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from relmap.planes.search import Search
 from relmap.planes.tracks import PlaneTracks
 
 BELIEVED = 2.5
-"""Log odds from which a motion is believed where none was."""
+"""Log odds above which a new motion is accepted."""
 DOUBTED = -0.5
-"""Log odds below which one that was believed is so no more."""
+"""Log odds below which an accepted motion is rejected."""
 SKIPPED, STEP_M = 2, 0.5
-"""Scans in a row that fit nowhere and are passed over, if steps are shorter in the median: over
-longer ones too little stays in view, and 2 of 8 such links were wrong."""
+"""Maximum number of consecutive unmatched scans to skip, if the median step is shorter than this:
+over longer ones too little stays in view, and 2 of 8 such links were wrong."""
 EARLIER = 2
-"""Scans before one in doubt that are judged with it."""
+"""Scans before a doubtful one that are evaluated with it."""
 NONE = Candidates(np.empty((0, 3)), np.empty(0), np.empty(0, dtype=np.bool_), [])
 
 
@@ -44,18 +44,18 @@ class Scans:
     Attributes
     ----------
     walls : PlaneObservation
-        All that was seen, scan after scan, without beams.
+        All observations, scan after scan, without beams.
     plane : (n,) int64
-        Number of each wall, as when it was seen.
+        Number of each wall at the time of observation.
     first_row : (i + 1,) int64
-        First row of each scan, and where the last one ends.
+        First row of each scan, and the end of the last one.
     beams : BeamStore
     motions : (i, 3) float64
-        From the frame of the scan before into that of each: yaw, x, y.
+        From the frame of the previous scan to that of each: yaw, x, y.
     measured : (i,) bool
-        Which of these are known in all directions.
+        Which of these are determined in all directions.
     expected : callable
-        How odometry has a scan lie to an earlier one; None where it does not tell.
+        Returns the motion between two scans expected from odometry, or None.
     """
 
     walls: PlaneObservation
@@ -79,9 +79,9 @@ class Scans:
         return self.beams.of(scan, self.walls.ends[self.rows(scan)])
 
     def holds(self, link: Link) -> bool:
-        """Tell whether a link is measured, or beside one that is, and steps are steady.
+        """Return whether a link is measured, or next to a measured one, and steps are steady.
 
-        Where odometry is known that is not needed.
+        Not required with odometry.
         """
         if self.expected(link.earlier, link.later):
             return True
@@ -90,20 +90,20 @@ class Scans:
         return link.measured or (bool(beside.any()) and steady)
 
     def agree(self, link: Link) -> bool:
-        """Tell whether the walls of two scans have the numbers that a link implies."""
+        """Return whether the walls of two scans have the numbers that a link implies."""
         numbers = self.plane[self.rows(link.earlier)], self.plane[self.rows(link.later)]
         both = np.intersect1d(*numbers)
         return np.array_equal(np.unique(link.walls), both) and not np.diff(link.walls).any()
 
     def tracks_of(self, scan: int) -> PlaneTracks:
-        """Return the walls of one scan as those that a later one may show again."""
+        """Return the walls of one scan as tracks that a later scan may continue."""
         seen = self.seen(scan)
         tracks = PlaneTracks.begun(self.plane[self.rows(scan)], seen)
         tracks.corner_at = np.where(seen.static[..., None], seen.ends, np.nan)
         return tracks
 
     def search(self, earlier: int, later: int, before: PlanarMotion) -> Search | None:
-        """Return the search for the motion of one scan into another; None where one is empty."""
+        """Return the search for the motion of one scan into another; None if one is empty."""
         tracks, seen = self.tracks_of(earlier), self.seen(later)
         beams = [self.beams_of(scan) for scan in (earlier, later)]
         if not min(len(tracks), len(seen), *map(len, beams)):
@@ -113,17 +113,17 @@ class Scans:
 
 
 class Link(NamedTuple):
-    """A motion that is believed.
+    """An accepted motion.
 
     Attributes
     ----------
     earlier, later : int
-        From the frame of which scan into that of which.
+        The scans whose frames it connects.
     motion : (3,) float64
     walls : (k, 2) int64
-        Numbers of walls that are one wall each.
+        Pairs of wall numbers that are identified.
     measured : bool
-        Whether the way is known in all directions.
+        Whether the motion is determined in all directions.
     """
 
     earlier: int
@@ -136,22 +136,22 @@ class Link(NamedTuple):
 def judged_links(
     scans: Scans, is_tied: NDArray[np.bool_], in_doubt: NDArray[np.bool_]
 ) -> tuple[list[Link], list[int]]:
-    """Judge the motions into scans in doubt by those around them.
+    """Re-evaluate the motions into doubtful scans with the surrounding ones.
 
     Parameters
     ----------
     scans : Scans
     is_tied : (i,) bool
-        Whether the motion into each scan is believed so far.
+        Whether the motion into each scan is accepted so far.
     in_doubt : (i,) bool
-        Which are to be judged.
+        Which to evaluate.
 
     Returns
     -------
     links : list of Link
-        Those that are believed now, over a few scans that fit nowhere where it must be.
+        Newly accepted links, possibly across a few unmatched scans.
     cut : list of int
-        Scans into which none is believed any more.
+        Scans into which no motion is accepted any more.
     """
     links, cut = list[Link](), list[int]()
     for run in _runs(in_doubt):
@@ -173,7 +173,7 @@ def judged_links(
 
 
 def _by_odometry(scans: Scans, later: int) -> list[Link]:
-    """Return the link into a scan that odometry alone tells, unless the scans contradict it."""
+    """Return the link into a scan by odometry alone, unless the scans contradict it."""
     expected = scans.expected(later - 1, later)
     if expected is None:
         return []
@@ -184,7 +184,7 @@ def _by_odometry(scans: Scans, later: int) -> list[Link]:
 
 
 def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
-    """Return the links over a few scans that fit nowhere."""
+    """Return the links across a few unmatched scans."""
     links, breaks, last = list[Link](), np.flatnonzero(~is_tied), 0
     if np.median(np.hypot(*scans.motions[:, 1:].T)) > STEP_M:
         return links
@@ -203,16 +203,16 @@ def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
 
 
 class _Judged(NamedTuple):
-    """What is known of the motion into a scan: how likely each is, and the one that is believed."""
+    """The motions into a scan with their likelihoods, and the accepted one."""
 
     later: int
     verdict: Verdict
     believed: list[Link]
 
     def is_doubted(self, scans: Scans) -> bool:
-        """Tell whether the motion that was believed before is so no more.
+        """Return whether the previously accepted motion is now rejected.
 
-        Not one that odometry agrees with.
+        Never one that odometry agrees with.
         """
         motion, expected = scans.motions[self.later], scans.expected(self.later - 1, self.later)
         agrees = expected is not None and expected.off(motion[None])[0] < OTHERWISE
@@ -222,7 +222,7 @@ class _Judged(NamedTuple):
 def _believed(
     scans: Scans, earlier: int, later: int, found: Candidates, verdict: Verdict
 ) -> list[Link]:
-    """Return the link between two scans if a motion is believed."""
+    """Return the link between two scans if a motion is accepted."""
     motion = verdict.best
     if motion is None or verdict.odds(motion) < BELIEVED:
         return []
@@ -235,7 +235,7 @@ def _believed(
 
 
 def _runs(in_doubt: NDArray[np.bool_]) -> list[range]:
-    """Return the scans around those in doubt, each run from one before the first to be judged."""
+    """Return runs of scans around doubtful ones, each from one scan before the first."""
     near = np.zeros(len(in_doubt), dtype=np.bool_)
     for scan in np.flatnonzero(in_doubt).tolist():
         near[max(scan - EARLIER, 0) : scan + LATER + 1] = True
@@ -244,7 +244,7 @@ def _runs(in_doubt: NDArray[np.bool_]) -> list[range]:
 
 
 def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
-    """Judge the motions from scan to scan of a run; the one into the first may be `fixed`."""
+    """Evaluate the motions from scan to scan of a run; the one into the first may be `fixed`."""
     hypotheses = Hypotheses(scans.motions[run[0]] if fixed else np.full(3, np.nan))
     found, judged = list[Candidates](), list[_Judged]()
     for k in range(1, len(run) + LATER):

@@ -1,9 +1,9 @@
-"""How the walls of one map lie among those of another: the motion that lays most of them on others.
+"""Alignment of the walls of one map to those of another.
 
-Walls are looked at as points along them, each with the direction of its front.  Which turns bring
-many fronts into the same directions shows in a histogram; for each of these turns a correlation of
-the points in coarse cells shows which shifts bring many onto one another.  The likeliest motions
-are fitted to the walls and compared by the length of wall that lies on walls.
+Walls are sampled as points with the direction of their front. A histogram of directions gives
+candidate rotations; for each of these, a correlation of the points in coarse cells gives candidate
+translations. The best motions are fitted to the walls and compared by the length of overlapping
+wall.
 """
 
 from __future__ import annotations
@@ -17,42 +17,42 @@ from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 
 SAMPLE_M = 0.1
-"""Distance of the points along a wall."""
+"""Spacing of the points along a wall."""
 CELL_M = 0.2
 DIRECTIONS = 8
-"""Walls are compared with those whose fronts look into one of so many directions, or one beside."""
+"""Number of direction bins; walls match those in the same or an adjacent bin."""
 TURNS, SHIFTS = 8, 6
-"""Turns that are tried, and shifts of each."""
+"""Number of candidate rotations, and of translations for each."""
 BIN_RAD, APART_RAD = np.deg2rad(1.0), np.deg2rad(4.0)
-"""Bins of the histogram of turns, and how far apart two of its peaks are."""
+"""Bins of the histogram of rotations, and least distance between two peaks."""
 NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
-"""A point lies on a wall that is no farther off and turned by no more (cosine)."""
+"""Largest distance and rotation (cosine) of a point that lies on a wall."""
 EXACTLY, LEAST_NEAR_M = 3.0, 0.005
-"""Rivals are compared by what is no farther off than so many times the best, or so much."""
+"""Rivals are compared within this multiple of the best deviation, and at least this distance."""
 ROUNDS, FIRST = 8, 4.0
-"""Rounds of a fit, and how far points may be off at first, in units of `NEAR_M`."""
+"""Rounds of a fit, and initial tolerance, in units of `NEAR_M`."""
 ALIKE_M = 0.5
-"""Motions that lay all walls nearer than this to one another are the same."""
+"""Motions that place all walls within this distance of each other are the same."""
 LEAST_M = 6.0
-"""Length of wall that must lie on walls."""
+"""Length of wall that must overlap."""
 RIVAL = 0.7
-"""Share of it that may lie on walls elsewhere."""
+"""Fraction of it that may overlap elsewhere."""
 ACROSS = 0.1
-"""Least share of it that must keep the maps from sliding along the rest."""
+"""Least fraction of it that must prevent the maps from sliding along the rest."""
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class WallPoints:
-    """Points along walls.
+    """Points sampled along walls.
 
     Attributes
     ----------
     at, normal : (n, 2) float64
-        Places, metres, and unit vectors to the front.
+        Positions, metres, and unit vectors to the front.
     wall : (n,) int64
-        Row of the wall of each.
+        Row of the wall of each point.
     """
 
     at: Floats
@@ -61,7 +61,7 @@ class WallPoints:
 
     @classmethod
     def of(cls, ends: Floats) -> WallPoints:
-        """Return points along walls by their ends (w, 2, 2), right to left."""
+        """Return points along walls, given their ends (w, 2, 2), right to left."""
         way = ends[:, 1] - ends[:, 0]
         length = np.hypot(*way.T)
         counts = np.maximum(np.rint(length / SAMPLE_M), 1).astype(np.int64)
@@ -72,7 +72,7 @@ class WallPoints:
         return cls(at, np.column_stack([-along[:, 1], along[:, 0]]), wall)
 
     def moved(self, R: Floats, t: Floats) -> WallPoints:
-        """Return them turned by R (2, 2) and then shifted by t (2,)."""
+        """Return the points rotated by R (2, 2) and shifted by t (2,)."""
         return WallPoints(self.at @ R.T + t, self.normal @ R.T, self.wall)
 
     @property
@@ -83,17 +83,17 @@ class WallPoints:
 
 @dataclass(frozen=True, eq=False)
 class WallTie:
-    """A motion of one map into the frame of another.
+    """A motion from one map to the frame of another.
 
     Attributes
     ----------
     R, t : (2, 2), (2,) float64
     length_m : float
-        Of wall that it lays on walls.
+        Length of overlapping wall.
     across : float
-        How much of this keeps it from sliding, as a share: 0 where all walls are parallel.
+        Fraction of this that prevents sliding: 0 if all walls are parallel.
     rms_m : float
-        How far off these walls are.
+        Deviation of these walls.
     """
 
     R: Floats
@@ -104,7 +104,7 @@ class WallTie:
 
 
 def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
-    """Return how walls (w, 2, 2) may lie among others (v, 2, 2), most on walls first."""
+    """Return candidate alignments of walls (w, 2, 2) to others (v, 2, 2), by overlap."""
     points, among = WallPoints.of(ends), WallPoints.of(others)
     if not (len(points.at) and len(among.at)):
         return []
@@ -118,7 +118,7 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
     if not found:
         return []
     best = max(found, key=lambda tie: tie.length_m)
-    # Walls that only look alike lie less exactly on one another than those that are the same.
+    # Walls that only look alike coincide less exactly than identical ones.
     near_m = float(np.clip(EXACTLY * best.rms_m, LEAST_NEAR_M, NEAR_M))
     judged = [
         replace(
@@ -130,7 +130,7 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
 
 
 def _turns(points: WallPoints, among: WallPoints) -> list[float]:
-    """Return the turns that bring most fronts into the directions of others."""
+    """Return the rotations that align most fronts with the directions of others."""
     bins = round(2 * np.pi / BIN_RAD)
     counts = [
         np.bincount(np.floor(each.angle / BIN_RAD).astype(int) % bins, minlength=bins)
@@ -145,7 +145,7 @@ def _turns(points: WallPoints, among: WallPoints) -> list[float]:
 
 
 def _shifts(points: WallPoints, among: WallPoints, turn: float) -> list[WallTie]:
-    """Return the shifts, after a turn, that bring most points into cells of others like them."""
+    """Return the translations, after a rotation, that bring most points into matching cells."""
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s], [s, c]])
     turned = points.moved(R, np.zeros(2))
@@ -169,7 +169,7 @@ def _shape(points: WallPoints, low: Floats) -> tuple[int, int]:
 
 
 def _cells(points: WallPoints, low: Floats, direction: int, beside: int) -> Floats:
-    """Return how many points are in each cell whose fronts look into a direction, or beside."""
+    """Return the number of points per cell whose fronts have a direction, or an adjacent one."""
     off = np.round(points.angle / (2 * np.pi / DIRECTIONS)).astype(int) - direction
     off = (off + DIRECTIONS // 2) % DIRECTIONS - DIRECTIONS // 2
     cells = np.zeros(_shape(points, low))
@@ -179,7 +179,7 @@ def _cells(points: WallPoints, low: Floats, direction: int, beside: int) -> Floa
 
 
 def _fitted(points: WallPoints, among: WallPoints, tree: cKDTree, guess: WallTie) -> WallTie:
-    """Fit a motion to the walls that lie on one another by it, and see again which do."""
+    """Fit a motion to the walls that coincide, alternating with matching."""
     tie = guess
     for k in range(ROUNDS):
         near_m = NEAR_M * max(FIRST / 2**k, 1.0)
@@ -194,16 +194,16 @@ def _fitted(points: WallPoints, among: WallPoints, tree: cKDTree, guess: WallTie
 def lying(
     points: WallPoints, among: WallPoints, tree: cKDTree, tie: WallTie, near_m: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], Floats]:
-    """Tell which points lie on walls by a motion.
+    """Return which points lie on walls after a motion.
 
     Parameters
     ----------
     points, among : WallPoints
     tree : cKDTree
-        Of `among`.
+        Tree of `among`.
     tie : WallTie
     near_m : float
-        How far off they may be.
+        Largest distance.
 
     Returns
     -------
@@ -211,7 +211,7 @@ def lying(
     other : (n,) int64
         Row of the nearest of `among`.
     off : (n,) float64
-        How far before it each point is.
+        Distance of each point in front of it.
     """
     moved = points.moved(tie.R, tie.t)
     distance, other = tree.query(moved.at)
@@ -223,7 +223,7 @@ def lying(
 
 
 def _stepped(tie: WallTie, at: Floats, normal: Floats, off: Floats) -> WallTie:
-    """Return a motion with one step of least squares: how far points are from lines."""
+    """Return a motion after one least-squares step on point-to-line distances."""
     centre = at.mean(axis=0)
     arm = at - centre
     lever = arm[:, 0] * normal[:, 1] - arm[:, 1] * normal[:, 0]
