@@ -253,7 +253,7 @@ class ScanLinks:
         return found
 
     def leave_to_odometry(self, scans: NDArray[np.int64]) -> bool:
-        """Let odometry replace the links into scans (t,) where it agrees; return whether any changed.
+        """Let odometry replace links into scans (t,) where it agrees; return if any changed.
 
         These are links that the map contradicts.
         """
