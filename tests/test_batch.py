@@ -138,12 +138,12 @@ def test_batch_error_is_the_cramer_rao_bound() -> None:
 def test_batch_names_a_pose_that_is_not_fixed() -> None:
     batch, world, _ = observations(3, 0, 0.0)
     few = (batch.pose != 2) | (np.cumsum(batch.pose == 2) <= 2)
-    with pytest.raises(RelmapError, match="pose 2 is not fixed"):
+    with pytest.raises(RelmapError, match="pose 2 is not determined"):
         batch_least_squares(
             Batch(batch.points_robot[few], batch.pose[few], batch.landmark[few]), world
         )
     absent = batch.pose != 2
-    with pytest.raises(RelmapError, match="pose 2 is not fixed"):
+    with pytest.raises(RelmapError, match="pose 2 is not determined"):
         batch_least_squares(
             Batch(batch.points_robot[absent], batch.pose[absent], batch.landmark[absent]), world
         )
@@ -179,7 +179,7 @@ def test_batch_says_what_it_cannot_solve() -> None:
 
 def test_batch_says_where_it_does_not_settle() -> None:
     batch, world, _ = observations(2, 0, 0.1)
-    with pytest.raises(RelmapError, match="did not settle in 1 iterations"):
+    with pytest.raises(RelmapError, match="did not converge in 1 iterations"):
         batch_least_squares(batch, world, iterations=1)
 
 

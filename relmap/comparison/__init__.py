@@ -1,1 +1,1 @@
-"""relmap beside other methods, one run at a time or in a grid."""
+"""Comparison of relmap with other methods, single runs and grids."""

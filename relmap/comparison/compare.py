@@ -1,4 +1,4 @@
-"""Many methods on the same data, each in a process of its own."""
+"""Many methods on the same data, each in its own process."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Compared:
     run : MethodRun or None
         None if it could not run.
     note : str
-        Why it could not; empty where it did.
+        The reason; empty if it ran.
     """
 
     method: str
@@ -45,7 +45,7 @@ class Compared:
     note: str = ""
 
     def row(self, association: Association) -> list[object]:
-        """Return the cells of `CSV_COLUMNS`; NaN where there is no figure."""
+        """Return the cells of `CSV_COLUMNS`; NaN where a figure is not available."""
         figures = self.run.figures if self.run else {}
         values = [figures.get(name) for name in FIGURES]
         cells = [float("nan") if value is None else value for value in values]
@@ -55,12 +55,12 @@ class Compared:
 def chosen_methods(
     names: Sequence[str] | None, data: Data[Log], association: Association
 ) -> list[MethodInfo]:
-    """Return the methods that are asked for, or all that fit the data.
+    """Return the requested methods, or all that fit the data.
 
     Raises
     ------
     RelmapError
-        If a name is unknown or occurs twice, or a method cannot be given such data.
+        If a name is unknown or occurs twice, or a method does not accept such data.
     """
     if association == "known" and data.ids is None:
         if data.kind == "scans":
@@ -82,7 +82,7 @@ def compare(
     association: Association,
     sigma_m: float | None = None,
 ) -> Iterator[Compared]:
-    """Run methods one after the other, each in a fresh process, so that none helps another.
+    """Run methods one after the other, each in a fresh process.
 
     Parameters
     ----------
@@ -91,12 +91,12 @@ def compare(
     methods : sequence of MethodInfo
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that the methods are given, metres; estimated from the data if not given.
+        Noise passed to the methods, metres; estimated from the data if not given.
 
     Yields
     ------
     Compared
-        In the order of the methods.  If one fails, its note says why.
+        In the order of the methods. If one fails, its note gives the reason.
     """
     for method in methods:
         if method.missing:
@@ -108,7 +108,7 @@ def compare(
 def in_own_process(
     name: str, source: Source, association: Association, sigma_m: float | None
 ) -> Compared:
-    """Run one method in a fresh process; if it fails, the note says why."""
+    """Run one method in a fresh process; if it fails, the note gives the reason."""
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(
@@ -132,7 +132,7 @@ def in_own_process(
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which a terminal sends to all: this one ends them."""
+    """Start processes that ignore Ctrl-C, which a terminal sends to all: the parent ends them."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -152,24 +152,24 @@ def _run_and_send(
 def landmark_error_curve(
     method: Method, log: ObservationLog, truth: Truth, every: int = 10
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return how the landmark error goes over a log with known ids (Fig. 16).
+    """Return the landmark error over the iterations of a log with known ids (Fig. 16).
 
     Parameters
     ----------
     method : Method
-        A fresh one.
+        A new instance.
     log : ObservationLog
         With the true ids.
     truth : Truth
     every : int
-        Iterations from one point of the curve to the next.
+        Iterations between points of the curve.
 
     Returns
     -------
     iteration : (p,) int64
     rmse_m : (p,) float64
-        Of the static landmarks mapped so far, after rigid alignment; NaN where fewer than three
-        are mapped.
+        Error of the static landmarks mapped so far, after rigid alignment; NaN with fewer than
+        three.
     """
     static = truth.landmark_ids[truth.status == "static"]
     order = np.argsort(truth.landmark_ids)

@@ -11,17 +11,17 @@ KB_PER_MB = 1024
 
 
 class PeakMemory:
-    """Watches this process from its construction; Linux only."""
+    """Measures this process from construction on; Linux only."""
 
     def __init__(self) -> None:
-        # Where the peak cannot be set back, it is that of the whole process so far.
+        # If the peak cannot be reset, it is that of the whole process so far.
         with suppress(OSError):
             _RESET.write_text("5")
         self._before = _told("VmRSS")
 
     @property
     def grown_mb(self) -> float | None:
-        """Peak less what there was before, megabytes; None if the system does not report it."""
+        """Peak minus initial memory, megabytes; None if the system does not report it."""
         peak = _told("VmHWM")
         if peak is None or self._before is None:
             return None
@@ -29,7 +29,7 @@ class PeakMemory:
 
 
 def _told(name: str) -> int | None:
-    """Return a line of the process's status, kilobytes."""
+    """Return a line of the process status, kilobytes."""
     try:
         lines = _STATUS.read_text().splitlines()
     except OSError:

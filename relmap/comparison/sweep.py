@@ -1,4 +1,4 @@
-"""A grid of experiments, in all cores or on a cluster; what is finished is never run again."""
+"""A grid of experiments, on all cores or a cluster; finished cells are not run again."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ CELLS = "cells"
 TIMES = tuple(name for name in COST if name != "memory_mb")
 """Figures that differ from run to run; a worker's memory is not that of one method."""
 PATIENCE_S = 10
-"""How long to wait for a scheduler."""
+"""Timeout for connecting to a scheduler."""
 
 
 @dataclass(frozen=True)
 class Finished:
-    """What came out of a cell.
+    """Result of a cell.
 
     Attributes
     ----------
     figures : dict
         `ACCURACY` and `TIMES`, None if one is not available.
     note : str
-        Why there are none; empty where all went well.
+        Reason if there are none; empty on success.
     again : bool
-        Whether it is worth another try: an extra was missing.
+        Whether to try again: an extra was missing.
     """
 
     figures: dict[str, float | None]
@@ -47,7 +47,7 @@ class Finished:
 
 
 def run_cell(cell: Cell) -> Finished:
-    """Simulate the world of a cell and run its method; if it fails, the note says why."""
+    """Simulate the world of a cell and run its method; if it fails, the note gives the reason."""
     none: dict[str, float | None] = dict.fromkeys((*ACCURACY, *TIMES))
     missing = find_method(cell.method).missing
     if missing:
@@ -63,12 +63,12 @@ class CellStore:
     Parameters
     ----------
     folder : Path
-        Of the sweep; it is made if need be.
+        Folder of the sweep; created if missing.
 
     Raises
     ------
     RelmapError
-        If it cannot be made.
+        If it cannot be created.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -79,7 +79,7 @@ class CellStore:
             raise RelmapError(f"cannot write into {folder}: {error.strerror}") from error
 
     def load(self, cell: Cell) -> Finished | None:
-        """Return a finished cell; None if it is not there, damaged or of another version."""
+        """Return a finished cell; None if it is missing, damaged or of another version."""
         try:
             told = json.loads(self._path(cell).read_text())
             figures, note = told["figures"], told["note"]
@@ -89,7 +89,7 @@ class CellStore:
         return Finished(figures, note) if whole else None
 
     def save(self, cell: Cell, finished: Finished) -> None:
-        """Keep a finished cell.
+        """Store a finished cell.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class CellStore:
 
 
 def _told(cell: Cell, figures: Any, note: Any) -> dict[str, Any]:
-    """Return what the file of a cell holds, with a checksum of it."""
+    """Return the content of the file of a cell, with a checksum."""
     told = {"version": __version__, "cell": asdict(cell), "figures": figures, "note": note}
     text = json.dumps(told, sort_keys=True)
     return told | {"checksum": hashlib.sha256(text.encode()).hexdigest()}
@@ -121,9 +121,9 @@ def run_cells(
     ----------
     cells : sequence of Cell
     workers : int
-        Processes on this machine; -1: one for each core.
+        Processes on this machine; -1: one per core.
     scheduler : str, optional
-        Address of a dask scheduler, whose workers do the work instead.
+        Address of a dask scheduler, whose workers are used instead.
 
     Raises
     ------
@@ -171,12 +171,12 @@ def _cluster(scheduler: str) -> AbstractContextManager[Any]:
 
 
 def accuracy_csv(cells: Sequence[Cell], finished: Sequence[Finished]) -> str:
-    """Return one row for each cell: what it was, and what is the same in every run."""
+    """Return one row per cell: its parameters, and the reproducible figures."""
     return csv_text((*KEYS, *ACCURACY, "note"), _rows(cells, finished, ACCURACY, notes=True))
 
 
 def times_csv(cells: Sequence[Cell], finished: Sequence[Finished]) -> str:
-    """Return one row for each cell: what it was, and how long it took."""
+    """Return one row per cell: its parameters, and the times."""
     return csv_text((*KEYS, *TIMES), _rows(cells, finished, TIMES, notes=False))
 
 

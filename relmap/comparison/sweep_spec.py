@@ -20,11 +20,11 @@ MOST_CELLS = 1_000_000
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "sigma": (0.0, 1e3, "0 to 1000 metres"),
     "density": (1e-3, 1e5, "0.001 to 100000"),
-    "dynamic": (0.0, 1.0, "a share, 0 to 1"),
+    "dynamic": (0.0, 1.0, "a fraction, 0 to 1"),
     "iterations": (0, 10**7, "0, for one loop, to 10000000"),
     "seed": (0, 2**63, "0 or more"),
 }
-"""Smallest and largest value of a number, and both in words."""
+"""Smallest and largest value of a number, and a description of both."""
 _CHOICES = {
     "world": ("figure-eight", "building"),
     "association": ("known", "nearest"),
@@ -45,9 +45,9 @@ class Cell:
     sigma : float
         Metres.
     density : float
-        Landmarks per 100 m; of the figure eight.
+        Landmarks per 100 m; only for the figure eight.
     dynamic : float
-        Share of the landmarks that move; of the figure eight.
+        Fraction of moving landmarks; only for the figure eight.
     iterations : int
         0: one loop.
     seed : int
@@ -82,7 +82,7 @@ def read_spec(path: Path) -> list[Cell]:
     Raises
     ------
     RelmapError
-        If it cannot be read, is not TOML or means no grid.
+        If it cannot be read, is not TOML or describes no valid grid.
     """
     try:
         return cells_of(read_toml(path))
@@ -91,18 +91,18 @@ def read_spec(path: Path) -> list[Cell]:
 
 
 def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
-    """Return all combinations of what a file lists, the last key of `Cell` changing fastest.
+    """Return all combinations of the values in a file, the last key of `Cell` changing fastest.
 
     Parameters
     ----------
     spec : mapping
-        Keys of `Cell`, each with a value, a list of values or, of whole numbers, a text ``A:B``
-        for A to B - 1.  What is left out has its default.
+        Keys of `Cell`, each with a value, a list of values or, of whole numbers, a text ``A:B`` for
+        A to B - 1.  Omitted keys have their defaults.
 
     Raises
     ------
     RelmapError
-        If a key or a value cannot be used, or a method cannot be given such a world.
+        If a key or a value is invalid, or a method does not accept such a world.
     """
     for key in spec:
         known_name(key, KEYS, "key")
@@ -111,11 +111,11 @@ def cells_of(spec: Mapping[str, Any]) -> list[Cell]:
     choices = [_choices(key, spec.get(key, _DEFAULTS[key])) for key in KEYS]
     count = math.prod(map(len, choices))
     if count > MOST_CELLS:
-        raise RelmapError(f"the grid has {count} cells; at most {MOST_CELLS} are run")
+        raise RelmapError(f"the grid has {count} cells; the maximum is {MOST_CELLS}")
     if "building" in choices[KEYS.index("world")]:
         for key in ("density", "dynamic"):
             if key in spec:
-                raise RelmapError(f"key {key} is of the figure eight; a building has none")
+                raise RelmapError(f"key {key} applies only to the figure eight, not to a building")
     cells = [Cell(*values) for values in itertools.product(*choices)]
     for world, association, method in sorted({(c.world, c.association, c.method) for c in cells}):
         _check(world, association, method)
@@ -128,24 +128,24 @@ def _choices(key: str, given: Any) -> list[Any]:
     Raises
     ------
     RelmapError
-        If there is none, one occurs twice or cannot be used.
+        If there is none, or one is duplicated or invalid.
     """
     kind = type(_DEFAULTS[key])
     if kind is int and isinstance(given, str):
         given = _span(key, given)
     values = [_value(key, kind, value) for value in (given if isinstance(given, list) else [given])]
     if not values or len(set(values)) < len(values):
-        raise RelmapError(f"{key} is {told(given)}; it must list different values, one at least")
+        raise RelmapError(f"{key} is {told(given)}; it must list distinct values, at least one")
     return values
 
 
 def _value(key: str, kind: type, value: Any) -> Any:
-    """Return one value of a key as it must be."""
+    """Return one validated value of a key."""
     right = (int, float) if kind is float else kind
     if isinstance(value, bool) or not isinstance(value, right):
         raise RelmapError(f"{key} is {told(value)}; it must be {_KINDS[kind]} or a list of such")
     said = ""
-    with suppress(OverflowError):  # where it is beyond any limit
+    with suppress(OverflowError):  # beyond any limit
         value = kind(value)
     if key in _CHOICES and value not in _CHOICES[key]:
         said = " or ".join(_CHOICES[key])
@@ -175,6 +175,6 @@ def _check(world: str, association: str, method: str) -> None:
 
 
 def varying(cells: list[Cell]) -> list[str]:
-    """Return the keys, but seed, in which cells differ."""
+    """Return the keys, except seed, in which cells differ."""
     others = [key for key in KEYS if key != "seed"]
     return [key for key in others if len({getattr(cell, key) for cell in cells}) > 1]

@@ -1,4 +1,4 @@
-"""Matching mapped corners of walls to true ones, and the figures of merit."""
+"""Matching mapped corners of walls to true ones, and their figures of merit."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from relmap.evaluation.truth import Truth
 from relmap.planes.table import PlaneTable
 
 TURN = np.cos(np.deg2rad(20.0))
-"""A wall is another one where it is turned by more (cosine)."""
+"""Largest rotation between a wall and its match (cosine)."""
 APART_M = 0.5
-"""A mapped corner farther than this from every true one like it is none of them."""
+"""Largest distance between a mapped corner and its match."""
 ROUNDS = 4
 OFTEN = 10
-"""Scans that must have seen a corner before it counts as missing."""
+"""Observations of a corner after which it counts as missing."""
 
 
 @dataclass(frozen=True, eq=False)
 class MatchedCorners(Matched):
-    """Mapped corners (p, 2) and the true ones that they stand for.
+    """Matched mapped corners (p, 2) and true ones.
 
     Attributes
     ----------
     wall, end : (p,) int64
-        Which true corner each is.
+        The true corner of each.
     n_false : int
         Mapped corners that match no true one.
     """
@@ -42,7 +42,7 @@ class MatchedCorners(Matched):
 def judge_corners(
     planes: PlaneTable, truth: Truth, poses: NDArray[np.float64], true_poses: NDArray[np.float64]
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Judge a map of walls; see `relmap.evaluation.landmarks.judge_landmarks`."""
+    """Evaluate a map of walls; see `relmap.evaluation.landmarks.judge_landmarks`."""
     counts = {
         "planes": len(planes.plane),
         "mapped_planes": int((planes.status == "static").sum()),
@@ -76,12 +76,12 @@ def _corners(planes: PlaneTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _why_unmatched(planes: PlaneTable, true_poses: NDArray[np.float64]) -> str:
-    """Return why `match_corners` found nothing."""
+    """Return the reason why `match_corners` found nothing."""
     if not len(_corners(planes)[0]):
         return "no corner is mapped"
     if not fixes_rotation(true_poses[:, :2, 3]):
-        return "corners are matched by the path, and no two poses of it can be compared"
-    return "the map is too far off: where its corners lie there are no true ones"
+        return "corners are matched by the path, which shares no two poses with the truth"
+    return "the map is too far off: none of its corners is close to a true one"
 
 
 def match_corners(
@@ -90,14 +90,14 @@ def match_corners(
     poses: NDArray[np.float64],
     true_poses: NDArray[np.float64],
 ) -> MatchedCorners | None:
-    """Pair mapped corners with true ones and align the two, beginning with the paths.
+    """Pair mapped corners with true ones and align the two, starting from the paths.
 
-    A corner is paired with the nearest true one at the same end of a wall that looks the same way.
+    A corner is paired with the nearest true one at the same end of a wall that faces the same way.
 
     Returns
     -------
     MatchedCorners or None
-        None if there is no path to begin with, or nothing can be paired.
+        None if there is no path to start from, or nothing can be paired.
     """
     row, end = _corners(planes)
     position, normal = planes.ends[row, end], planes.normal[row]

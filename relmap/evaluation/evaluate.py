@@ -1,4 +1,4 @@
-"""Compare a result with the truth."""
+"""Comparison of a result with the truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ONLY: dict[Judged, tuple[str, ...]] = {
         "relation_rad",
     ),
 }
-"""Figures that one variant alone has."""
+"""Figures specific to one variant."""
 
 
 @dataclass(frozen=True)
@@ -36,28 +36,29 @@ class Evaluation:
     Attributes
     ----------
     landmark_rmse_m, corner_rmse_m : float or None
-        Of the mapped static landmarks, or corners, against the true ones, after rigid alignment.
+        Error of the mapped static landmarks, or corners, after rigid alignment with the true ones.
     wall_recall, wall_precision, doubled_length : float or None
-        Shares of the length of walls; see `relmap.evaluation.walls.judge_walls`.
+        Fractions of wall length; see `relmap.evaluation.walls.judge_walls`.
     coverage : float or None
-        Share of the static true landmarks or corners seen in at least ten of the mapped iterations
-        that are in the map.
+        Fraction of the static true landmarks or corners, seen in at least ten of the mapped
+        iterations, that are in the map.
     landmarks_per_true : float or None
-        Mapped landmarks or corners for each true one that they stand for; 1 is right.
+        Mapped landmarks or corners per matched true one; ideally 1.
     purity : float or None
-        Share of the observations that are of what most of their landmark's are of; of points.
+        Fraction of observations whose true landmark is the most frequent one of their mapped
+        landmark; for points.
     ate_m : float or None
         Absolute trajectory error: RMSE of the positions after rigid alignment.
     rpe_m : float or None
-        Relative pose error from one iteration to the next: RMSE of its shift.
+        Relative pose error between consecutive iterations: RMSE of the translation.
     relation_m, relation_rad : float or None
         Mean error against checked relations between poses.
     counts : dict
-        What the figures rest on: `false_corners` are mapped where no true corner is.
+        Counts behind the figures: `false_corners` are mapped corners without a true one.
     notes : tuple of str
-        Why figures are missing that this truth could give.
+        Reasons for figures missing despite this truth.
     variant : "points", "planes" or "planes3d"
-        What was mapped.
+        The mapped variant.
     """
 
     landmark_rmse_m: float | None = None
@@ -77,7 +78,7 @@ class Evaluation:
     variant: Judged = "points"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the figures of the variant by name, ready for JSON."""
+        """Return the figures of the variant by name, JSON serialisable."""
         others = [name for kind in ONLY if kind != self.variant for name in ONLY[kind]]
         if self.variant == "planes3d":
             others += ["coverage", "landmarks_per_true", "purity"]
@@ -91,12 +92,11 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     Parameters
     ----------
     result : Result
-        Of points, or a `PlaneResult`.
+        Result of points, or a `PlaneResult`.
     truth : Truth
     log : ObservationLog, optional
-        The log of points that was mapped: its ids tell what each observation truly is of.  Without
-        them the figures about landmarks are None, unless the association was known and the labels
-        are ids.
+        The log of points that was mapped; its ids are the true association. Without them the
+        landmark figures are None, unless the association was known and the labels are ids.
 
     Raises
     ------

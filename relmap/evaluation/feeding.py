@@ -1,4 +1,4 @@
-"""Feeding a log, scan by scan, to a mapper or to a method to compare it with."""
+"""Running a log, scan by scan, through a mapper or another method."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ Association = Literal["nearest", "known"]
 Log = ObservationLog | ScanLog
 AnyMapper = PointMapper | PlaneMapper
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
-"""Wraps the scans of a run, to show how far it is."""
+"""Wraps the scans of a run, to show progress."""
 
 
 class Method(Protocol):
-    """A mapper, or a method to compare it with."""
+    """A mapper, or another method for comparison."""
 
     def update(self, points: Any, /, ids: Any = None) -> NDArray[np.int64]:
-        """Take in one iteration.
+        """Process one iteration.
 
         Parameters
         ----------
         points : (n, 2) or (n, 3) float64, robot frame, metres
         ids : (n,) int64, optional
-            Known association; negative where a landmark was not identified.
+            Known association; negative for unidentified landmarks.
 
         Returns
         -------
         (n,) int64
-            Label of the landmark of each observation; -1 where it has none.
+            Label of the landmark of each observation; -1 for none.
         """
 
     def finish(self) -> None:
-        """Do what remains at the end of the log."""
+        """Complete the map at the end of the log."""
 
     def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
-        """Return what landmarks (n,), labelled by earlier updates, are called now."""
+        """Return the current labels of landmarks (n,), given labels from earlier updates."""
 
     @property
     def map(self) -> LandmarkMap:
@@ -60,11 +60,11 @@ class Method(Protocol):
 
     @property
     def submaps(self) -> Sequence[Submap]:
-        """The submaps, the map itself first; none if a method knows no such thing."""
+        """The submaps, the map itself first; empty if not supported."""
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration so far, (k, 4, 4); NaN where there is none."""
+        """``T_map_robot`` of every iteration so far, (k, 4, 4); NaN if unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,23 +97,23 @@ def feed(
     odometry: bool = False,
     clock: Callable[[], float] = perf_counter,
 ) -> Fed:
-    """Run a log through a method to its end, and take the time.
+    """Run a log through a method to its end, and measure the time.
 
     Parameters
     ----------
     method : Method
-        A plane mapper is given the walls of a scan, every other method its points.
+        A plane mapper gets the walls of a scan, every other method its points.
     log, association, refine, progress, segmenter, odometry
-        As `run_mapper` takes them.
+        As for `run_mapper`.
     n_seen : int
-        Scans of the log that the method has taken in.
+        Scans of the log that the method has already processed.
     clock : callable
-        Tells the time, seconds.
+        Returns the time, seconds.
 
     Raises
     ------
     RelmapError
-        If ``known`` is asked of a log without ids, or a scan of the log is damaged.
+        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
     """
     known = association == "known"
     if known and getattr(log, "ids", None) is None:
@@ -128,7 +128,7 @@ def feed(
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
-        # The motion to the first scan of a log is from where no scan was taken.
+        # The motion to the first scan of a log starts where no scan was taken.
         more = _known_of(method, scan, odometry and scan.iteration > first)
         labels.append(method.update(seen, ids=scan.ids if known else None, **more))
         durations_s.append([between - began, clock() - between])
@@ -142,7 +142,7 @@ def feed(
 
 
 def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
-    """Return what a mapper takes of a scan beside what it sees."""
+    """Return the additional input of a mapper for a scan."""
     more = {}
     if isinstance(method, PlaneMapper):
         more["beams"] = scan.points_robot
@@ -172,22 +172,22 @@ def segmenter_for(view: SensorView) -> PlaneSegmenter:
 def segment_scan(
     segmenter: PlaneSegmenter, points_robot: NDArray[np.float64], view: SensorView
 ) -> SimpleNamespace:
-    """Return the planes of a scan as the mapper takes them, seen from where the sensor is.
+    """Return the planes of a scan as input for the mapper, as seen from the sensor.
 
-    A wall whose front looks at the sensor, but not at the robot's centre, is left out.
+    A wall whose front faces the sensor, but not the robot's centre, is left out.
 
     Parameters
     ----------
     segmenter : PlaneSegmenter
     points_robot : (n, 2) or (n, 3) float64, robot frame, metres
     view : SensorView
-        Where the sensor is on the robot.
+        Pose of the sensor on the robot.
 
     Returns
     -------
     SimpleNamespace
-        `ends`, `end_type`, `noise`, `n_points` and `z_extent` as `relmap.segmentation.Planes` has
-        them, in the robot frame, and `origin`, where the sensor is.
+        `ends`, `end_type`, `noise`, `n_points` and `z_extent` as in `relmap.segmentation.Planes`,
+        in the robot frame, and `origin`, the position of the sensor.
     """
     c, s = np.cos(view.yaw_rad), np.sin(view.yaw_rad)
     R, t = np.array([[c, -s], [s, c]]), np.array([view.x_m, view.y_m])

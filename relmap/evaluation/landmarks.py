@@ -1,4 +1,4 @@
-"""Matching mapped points to true ones, and the figures of merit."""
+"""Matching mapped points to true ones, and their figures of merit."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class Identified:
     landmark : (n,) int64
         Label in the result.
     true_id : (n,) int64
-        Negative where it is not known.
+        Negative if unknown.
     iteration : (n,) int64
     seen_id, seen_iteration : (s,) int64
-        All observations of the mapped iterations, those without a label too.
+        All observations of the mapped iterations, including those without a label.
     """
 
     landmark: NDArray[np.int64]
@@ -39,16 +39,16 @@ class Identified:
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """The truth, brought into the map frame of a result.
+    """The truth, transformed into the map frame of a result.
 
     Attributes
     ----------
     landmarks_map : (m, 3) float64, metres
-        All true landmarks whose places are known.
+        All true landmarks with known positions.
     path_map : (k, 3) float64, metres
         True positions of the robot; may be empty.
     errors_map : (p, 2, 3) float64, metres
-        Mapped place and true place of each landmark that can be compared.
+        Mapped and true position of each landmark that can be compared.
     """
 
     landmarks_map: NDArray[np.float64]
@@ -59,16 +59,16 @@ class Overlay:
 def judge_landmarks(
     result: Result, truth: Truth, log: ObservationLog | None, n_poses: int
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Judge a map of points.
+    """Evaluate a map of points.
 
     Returns
     -------
     figures : dict
-        Those of `Evaluation` that are about landmarks, where they are known.
+        The landmark figures of `Evaluation`, where available.
     counts : dict
         Counts behind the figures.
     notes : list of str
-        Why figures are missing.
+        Reasons for missing figures.
     """
     identified = identify(result, log)
     matched = match_landmarks(result, truth, identified)
@@ -87,7 +87,7 @@ def judge_landmarks(
     placed = np.isfinite(truth.landmarks_map).all(axis=1).any()
     notes = []
     if placed and not len(matched.position):
-        notes.append("no landmark RMSE: no mapped landmark is one of the true ones")
+        notes.append("no landmark RMSE: no mapped landmark matches a true one")
     _, ids = _standing_for(result, identified)
     often = metrics.seen_often(identified.seen_id, identified.seen_iteration)
     due = np.intersect1d(often, truth.landmark_ids[truth.status == "static"])
@@ -101,7 +101,7 @@ def judge_landmarks(
 
 
 def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:
-    """Bring the truth into the map frame, or where there is no map into that of the path.
+    """Transform the truth into the map frame, or without a map into that of the path.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> 
 
 
 def identify(result: Result, log: ObservationLog | None) -> Identified | None:
-    """Return the true landmark of each observation; None if it is not known.
+    """Return the true landmark of each observation; None if unknown.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def mapped_part(result: Result, log: ObservationLog) -> ObservationLog:
 def match_landmarks(
     result: Result, truth: Truth, identified: Identified | None, often: bool = False
 ) -> Matched | None:
-    """Pair the mapped static landmarks with their true places and align the two.
+    """Pair the mapped static landmarks with their true positions and align the two.
 
     Parameters
     ----------
@@ -188,13 +188,12 @@ def match_landmarks(
     truth : Truth
     identified : Identified or None
     often : bool
-        Whether to leave out what was seen in fewer than ten iterations.
+        Whether to leave out landmarks seen in fewer than ten iterations.
 
     Returns
     -------
     Matched or None
-        In the planes x, y of both where the result is planar; None if no ids
-        match the landmarks.
+        In the x-y planes if the result is planar; None if no ids match the landmarks.
     """
     if identified is None:
         return None
@@ -217,14 +216,14 @@ def match_landmarks(
 def _standing_for(
     result: Result, identified: Identified, wanted: NDArray[np.bool_] | bool = True
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the labels of mapped landmarks and the true ids that they stand for."""
+    """Return the labels of mapped landmarks and their true ids."""
     labels, ids, _ = metrics.majority_ids(identified.landmark, identified.true_id)
     chosen = np.isin(labels, result.landmarks.landmark[result.mapped & wanted])
     return labels[chosen], ids[chosen]
 
 
 def _find(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Return where each wanted number stands in the keys, -1 where it does not."""
+    """Return the index of each wanted number in the keys, -1 if missing."""
     if not len(keys):
         return np.full(len(wanted), -1, np.intp)
     order = np.argsort(keys, kind="stable")

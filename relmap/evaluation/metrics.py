@@ -12,11 +12,11 @@ from relmap.core.geometry.alignment import fit_rigid
 
 NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
 MATCH_S = 0.01
-"""Two stamps this close belong to one instant (the tolerance of the TUM benchmark's tools)."""
+"""Tolerance for matching two stamps (that of the TUM benchmark's tools)."""
 FEWEST = 10
-"""Scans of a submap that is judged by itself, at least."""
+"""Minimum number of scans of a submap that is evaluated by itself."""
 ON_M = 0.15
-"""A point of a scan so close to one of another may be the same place."""
+"""Largest distance between points of two scans that count as the same place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def align(
 def majority_ids(
     landmark: NDArray[np.int64], true_id: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the true landmark of each mapped one: that of most of its observations.
+    """Return the true landmark of each mapped one, by majority of its observations.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def majority_ids(
     ids : (m,) int64
         Their true ids; the smaller id on a tie.
     agreeing : (m,) int64
-        How many of their observations are of that id.
+        Number of their observations with that id.
     """
     known = true_id >= 0
     pairs = np.column_stack([landmark[known], true_id[known]])
@@ -97,12 +97,12 @@ def majority_ids(
 
 
 def purity(landmark: NDArray[np.int64], true_id: NDArray[np.int64]) -> float | None:
-    """Return the share of observations that agree with the majority of their landmark.
+    """Return the fraction of observations that agree with the majority of their landmark.
 
     Parameters
     ----------
     landmark, true_id : (n,) int64
-        As `majority_ids` takes them.
+        As for `majority_ids`.
 
     Returns
     -------
@@ -123,9 +123,9 @@ def seen_often(
     Parameters
     ----------
     true_id, iteration : (n,) int64
-        Of each observation; negative ids are left out.
+        For each observation; negative ids are left out.
     iterations : int
-        How many it takes.
+        Required number of iterations.
     """
     pairs = np.unique(np.column_stack([true_id, iteration])[true_id >= 0], axis=0)
     ids, counts = np.unique(pairs[:, 0], return_counts=True)
@@ -135,9 +135,9 @@ def seen_often(
 def match_stamps(
     stamps_s: NDArray[np.float64], others_s: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return which stamps (n,) belong to which others (m,): index arrays of the same length.
+    """Return which stamps (n,) match which others (m,): index arrays of equal length.
 
-    Each goes to the nearest other within `MATCH_S`; no other is given twice.
+    Each is matched to the nearest other within `MATCH_S`; no other is used twice.
     """
     if not (len(stamps_s) and len(others_s)):
         return np.empty(0, np.intp), np.empty(0, np.intp)
@@ -185,14 +185,14 @@ def rpe(
     true_poses: NDArray[np.float64],
     instant: NDArray[np.intp],
 ) -> float | None:
-    """Return the relative pose error from one instant to the next: RMSE of its shift, metres.
+    """Return the relative pose error between consecutive instants: RMSE of the translation, metres.
 
     Parameters
     ----------
     poses, true_poses : (k, 4, 4) float64
         T_map_robot of the same instants.
     instant : (k,) int, ascending
-        Number of each instant; only pairs of neighbouring numbers are compared.
+        Number of each instant; only consecutive numbers are compared.
 
     Returns
     -------
@@ -215,14 +215,14 @@ def wrong_steps(
     most_m: float = 0.3,
     most_rad: float = np.deg2rad(10.0),
 ) -> NDArray[np.intp]:
-    """Return the scans of a submap whose pose relative to the one before is wrong.
+    """Return the scans of a submap with a wrong pose relative to the previous one.
 
     Parameters
     ----------
     poses, true_poses : (k, 4, 4) float64
         T_map_robot of consecutive scans of one submap.
     most_m, most_rad : float
-        A step that is off by more than either, metres and radians, is wrong.
+        Largest error of a correct step, metres and radians.
 
     Returns
     -------
@@ -238,19 +238,19 @@ def wrong_steps(
 def overlap(
     points: NDArray[np.float64], others: NDArray[np.float64], T: NDArray[np.float64]
 ) -> float:
-    """Return the share of the points of a scan that lie on those of another scan.
+    """Return the fraction of the points of a scan that lie on those of another scan.
 
     Parameters
     ----------
     points, others : (n, 2), (m, 2) float64, metres
         Each in the frame of its robot.
     T : (4, 4) float64
-        From the frame of the points into that of the others.
+        Transform from the frame of the points to that of the others.
 
     Returns
     -------
     float
-        Of points within `ON_M` of another.
+        Fraction of points within `ON_M` of another.
     """
     if not (len(points) and len(others)):
         return 0.0
@@ -262,17 +262,17 @@ def overlap(
 def share_right(
     scans: NDArray[np.float64], ates_m: NDArray[np.float64], n_scans: int, most_m: float = 0.3
 ) -> float:
-    """Return the share of the scans of a log that lie in a submap that is right.
+    """Return the fraction of the scans of a log that lie in a correct submap.
 
     Parameters
     ----------
     scans : (s,) float64
         Scans with a pose in each submap; those of fewer than `FEWEST` do not count.
     ates_m : (s,) float64
-        The ATE of each submap by itself, metres.
+        ATE of each submap, aligned separately, metres.
     n_scans : int
-        Scans of the log.
+        Number of scans of the log.
     most_m : float
-        The ATE of a submap that is right at most, metres.
+        Largest ATE of a correct submap, metres.
     """
     return float(scans[(scans >= FEWEST) & (ates_m <= most_m)].sum() / n_scans)

@@ -1,4 +1,4 @@
-"""The error of a path against manually checked relations between poses.
+"""Error of a path against manually checked relations between poses.
 
 R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009.
 """
@@ -16,16 +16,16 @@ from relmap.datasets.textfile import open_text
 
 RELATIONS = ".relations"
 CLOCKS = ("ROBOTLASER1", -3, -1)
-"""Lines of a CARMEN log that tell both clocks, and where: the robot's, and the logger's."""
+"""Lines of a CARMEN log with both clocks, the robot's and the logger's, and their positions."""
 
 
 def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
-    """Read relations by the robot's clock and, where that is known, by the logger's.
+    """Read relations by the robot's clock and, if known, by the logger's.
 
     Raises
     ------
     RelmapError
-        If the file is no file of relations.
+        If the file does not contain relations.
     """
     relations = read_relations(path)
     stem = path.name.removesuffix(RELATIONS)
@@ -55,9 +55,10 @@ def relation_errors(
     ----------
     stamps_s : (k,) float64, ascending
     poses : (k, 4, 4) float64
-        ``T_map_robot``; between them it is interpolated.
+        ``T_map_robot``; interpolated in between.
     relations : tuple of Relations
-        The same ones by several clocks; that of the stamps is the one with most of them inside.
+        The same relations by several clocks; the clock with most relations within the stamps is
+        used.
 
     Returns
     -------
@@ -88,7 +89,7 @@ def relation_errors(
 def _poses_at(
     stamps_s: NDArray[np.float64], poses: NDArray[np.float64], when: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return planar poses at some times, between those of the scans."""
+    """Return planar poses at given times, interpolated between those of the scans."""
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     x, y, angle = (np.interp(when, stamps_s, values) for values in (*poses[:, :2, 3].T, yaw))
     return planar_poses(x, y, angle)

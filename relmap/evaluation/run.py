@@ -1,6 +1,6 @@
 """One run: from a log, through a mapper, to a result.
 
-`relmap map`, `relmap compare`, the figures and the benchmarks all run logs by way of this module.
+`relmap map`, `relmap compare`, the figures and the benchmarks all run logs through this module.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from relmap.planes.table import PlaneTable
 from relmap.segmentation import PlaneSegmenter
 
 FEWEST_DRAWN = 10
-"""Scans without which a submap beside the map is listed only."""
+"""Minimum scans of a submap with files of its own; smaller ones are only listed."""
 POINTS_DRAWN = 100_000
-"""Points of scans that a picture of a submap shows at most."""
+"""Maximum number of points in a picture of a submap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Run:
     Attributes
     ----------
     result : Result
-        Of walls a `PlaneResult`.
+        For walls a `PlaneResult`.
     groups : tuple of (g,) int64
         Landmark labels of each group.
     """
@@ -66,21 +66,21 @@ def run_mapper(
     Parameters
     ----------
     mapper : PointMapper or PlaneMapper
-        A fresh one, or one that has taken in the first scans of the log, or those of other logs.
+        A new mapper, or one that has processed the first scans of the log or other logs.
     log : ObservationLog or ScanLog
-        Of landmarks for a point mapper, of point scans for a plane mapper.
+        Landmarks for a point mapper, point scans for a plane mapper.
     association : "nearest" or "known"
-        ``known`` hands the ids of the log to the mapper, ``nearest`` keeps them from it.
+        ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
     about : dict, optional
-        What else the summary should tell, as of its input.
+        Additional entries of the summary, such as the input.
     progress : callable, optional
-        Wraps the iterable of scans; where it ends before them, the run does.
+        Wraps the iterable of scans; if it ends early, so does the run.
     refine : bool
         Whether to refine the map at the end.
     seen : sequence of (n,) int64
-        The labels of the scans of the log that the mapper has taken in.
+        The labels of the scans of the log that the mapper has already processed.
     segmenter : PlaneSegmenter, optional
-        Finds walls; by default one with the limits of the sensor that the log gives.
+        Finds walls; by default one with the sensor limits given by the log.
     odometry : bool
         Whether to give the odometry of the log, if it has any, to the mapper.
 
@@ -91,7 +91,7 @@ def run_mapper(
     Raises
     ------
     RelmapError
-        If ``known`` is asked of a log without ids, or a scan of the log is damaged.
+        If ``known`` is requested for a log without ids, or a scan of the log is damaged.
     """
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
     fed = feed(mapper, log, association, refine, progress, len(seen), segmenter, odometry)
@@ -125,17 +125,17 @@ def result_of(
     ----------
     method : Method
     log : ObservationLog or ScanLog
-        The iterations that it took in last.
+        The last processed iterations.
     labels : sequence of (n,) int64
         Labels of each scan.
     association : "nearest" or "known"
     offset : int
-        The log's number of the method's first iteration.
+        Log number of the method's first iteration.
 
     Returns
     -------
     Result
-        Of walls a `PlaneResult`.  Its summary has association, dimensions and iterations only.
+        For walls a `PlaneResult`. Its summary only contains association, dimensions and iterations.
     """
     first, k = log.first_iteration, len(log)
     poses, stamps_s = method.trajectory[first - offset :], stamps_of(log)
@@ -164,7 +164,7 @@ def result_of(
 def _drawn(
     mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64], offset: int
 ) -> DrawnSubmap:
-    """Return a submap as written to files and drawn."""
+    """Return a submap for files and pictures."""
     submap = mapper.submaps[number]
     known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
     beams = mapper.beams_of(number, POINTS_DRAWN)
@@ -183,7 +183,7 @@ def _drawn(
 def _tracks(
     method: Method, log: Log, labels: Sequence[NDArray[np.int64]], association: Association
 ) -> Tracks:
-    """Return the landmark of each observation; for walls, `row` counts those of a scan."""
+    """Return the landmark of each observation; for walls, `row` is the wall's index in its scan."""
     counts = [len(each) for each in labels]
     iteration = log.first_iteration + np.repeat(np.arange(len(counts)), counts)
     if isinstance(log, ObservationLog):
@@ -199,7 +199,7 @@ def _tracks(
 
 
 def stamps_of(log: Log) -> NDArray[np.float64]:
-    """Return the time of each iteration, seconds, or its number where the log has no clock."""
+    """Return the time of each iteration, seconds, or its number if the log has no clock."""
     if log.stamps_s is not None:
         return log.stamps_s
     return np.arange(log.first_iteration, log.first_iteration + len(log), dtype=np.float64)

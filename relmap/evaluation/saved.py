@@ -1,4 +1,4 @@
-"""What a mapper has found, as a result, where no log is at hand."""
+"""The result of a mapper without its log."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from relmap.planes import PlaneMapper
 from relmap.planes.files import PlaneResult, write_planes, write_submaps
 
 OF_THE_LOG = ("observations", "iterations_without_observation")
-"""Counts that only the log could tell."""
+"""Counts that require the log."""
 
 
 def result_of_mapper(mapper: AnyMapper) -> Result:
@@ -28,7 +28,7 @@ def result_of_mapper(mapper: AnyMapper) -> Result:
     Returns
     -------
     Result
-        Of walls a `PlaneResult`.
+        For walls a `PlaneResult`.
     """
     walls, n = isinstance(mapper, PlaneMapper), mapper.n_iterations
     none = np.empty(0, dtype=np.int64)
@@ -52,7 +52,7 @@ def save_results(mapper: AnyMapper, folder: Path, pictures: Any) -> None:
     Raises
     ------
     RelmapError
-        Where it cannot be written.
+        If it cannot be written.
     """
     with staged_folder(folder) as staging:
         result = result_of_mapper(mapper)

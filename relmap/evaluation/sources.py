@@ -1,4 +1,4 @@
-"""Where the data of a run come from: a log on disk, or a simulated world."""
+"""Sources of the data of a run: a log on disk, or a simulated world."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ L = TypeVar("L", bound=Log, covariant=True)
 
 @dataclass(frozen=True, eq=False)
 class Data(Generic[L]):
-    """A log of landmarks or of point scans and, where it is known, the truth."""
+    """A log of landmarks or of point scans and, if known, the truth."""
 
     log: L
     truth: Truth | None
 
     @property
     def kind(self) -> LogKind:
-        """What the log holds."""
+        """The kind of log."""
         return "scans" if isinstance(self.log, ScanLog) else "landmarks"
 
     @property
     def ids(self) -> NDArray[np.int64] | None:
-        """Which landmark each observation is of (n,), negative if unknown; None without any."""
+        """The landmark of each observation (n,), negative if unknown; None without ids."""
         ids = self.log.ids if isinstance(self.log, ObservationLog) else None
         return None if ids is None or not (ids >= 0).any() else ids
 
@@ -126,11 +126,11 @@ class FileSource:
     path : Path
         A file or folder.
     format : str or None
-        Recognised where it is None.
+        None: recognised by content.
     scans : tuple of two int, or None
-        Which iterations.
+        Range of iterations.
     truth : Path or None
-        What to compare with; None: a folder ``truth`` beside the log, where there is one.
+        What to compare with; None: a folder ``truth`` beside the log, if any.
     """
 
     path: Path
@@ -144,7 +144,7 @@ class FileSource:
         Raises
         ------
         RelmapError
-            If the log or the truth cannot be used.
+            If the log or the truth is invalid.
         """
         variant: Variant = "planes" if self._holds_scans() else "points"
         truth, folder = self.truth, self.path if self.path.is_dir() else self.path.parent
@@ -185,7 +185,7 @@ def read_log(
     columns: Mapping[str, str] | None = None,
     topics: Sequence[str] = (),
 ) -> Log:
-    """Read some iterations of a log, or all, of what a variant maps; see `open_log`, `open_scans`.
+    """Read iterations of a log, or all, for a variant; see `open_log`, `open_scans`.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def read_log(
 
 
 def recognised_format(path: Path, variant: Variant) -> str | None:
-    """Return the name of the format that a log is recognised as; None if it is not."""
+    """Return the recognised format of a log; None if it is not recognised."""
     known = SCAN_DATASETS if variant == "planes" else DATASETS
     names = [dataset.name for dataset in known if dataset.recognises(path)]
     return names[0] if len(names) == 1 else None

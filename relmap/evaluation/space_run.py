@@ -21,22 +21,22 @@ from relmap.planes3d.table import Plane3dTable
 
 VARIANT = "planes3d"
 LEAST_SCANS = 10
-"""Scans without which a submap beside the map has no file of its own."""
+"""Minimum scans of a submap with a file of its own."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpaceResult(Result):
-    """A result whose landmarks are planes in space, at the middle of their points.
+    """A result whose landmarks are planes in space, at the mean of their points.
 
     Attributes
     ----------
     planes : Plane3dTable
-        Iterations are the log's own numbers.
+        With the iteration numbers of the log.
     parts : list of Submap
     paths : list of (stamps (k,), poses (k, 4, 4))
-        Of each submap.
+        For each submap.
     weak : (w,) int64
-        Places in `poses` of the scans that were taken to go on as before in a direction.
+        Indices in `poses` of the scans with constant motion assumed in a direction.
     """
 
     planes: Plane3dTable
@@ -57,21 +57,23 @@ def run_in_space(
     Parameters
     ----------
     mapper : Plane3dMapper
-        A fresh one.
+        A new mapper.
     log : ScanLog
     about : dict
-        What else the summary should tell.
+        Additional entries of the summary.
     refine : bool
     progress : callable, optional
-        Wraps the iterable of scans; where it ends before them, the run does.
+        Wraps the iterable of scans; if it ends early, so does the run.
 
     Raises
     ------
     RelmapError
-        Where the log is of a 2-D laser, or a scan of it is damaged.
+        If the log is from a 2-D laser, or a scan of it is damaged.
     """
     if log.dimension != 3:
-        raise RelmapError("the log is of a 2-D laser; planes3d maps clouds, so give planes instead")
+        raise RelmapError(
+            "the log is from a 2-D laser, and planes3d maps clouds: use --variant planes"
+        )
     labels, durations_s = [], []
     for scan in progress(log.scans()) if progress else log.scans():
         began = perf_counter()

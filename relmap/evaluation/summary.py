@@ -25,9 +25,9 @@ from relmap.planes.submaps import WallSubmap
 from relmap.points import PointMapper
 
 MANY = 100
-"""Rejected iterations, and observations, that the summary lists one by one."""
+"""Maximum number of rejected iterations, and observations, listed individually."""
 SHOWN = 5
-"""Weakest segments and merges that are listed."""
+"""Number of weakest segments and merges listed."""
 STATUS = ("static", "dynamic", "unmapped")
 SEGMENT = {name: name for name in ("first_iteration", "residual", "middle")}
 MERGE = {name: name for name in ("landmark", "apart_m", "residual")} | {"seen_again_as": "track"}
@@ -46,16 +46,16 @@ def summary_of(
     ----------
     mapper : PointMapper or PlaneMapper
     result : Result
-        What it made of the log.
+        Its result for the log.
     log : ObservationLog or ScanLog
     offset : int
-        The log's number of the mapper's first iteration.
+        Log number of the mapper's first iteration.
     n_groups : int
 
     Returns
     -------
     dict
-        Ready for JSON: counts, submaps and how well scans and segments fit the map.
+        JSON serialisable: counts, submaps and the residuals of scans and segments.
     """
     counts = _counts_of_walls(result) if isinstance(result, PlaneResult) else _counts(result, log)
     counts["groups"] = n_groups
@@ -79,7 +79,7 @@ def summary_of(
 
 
 def _odometry(use: OdometryUse | None, offset: int) -> dict[str, Any] | None:
-    """Return what was made of odometry, and how good it was found to be; None where none came."""
+    """Return how odometry was used, and its estimated quality; None if there was none."""
     if use is None:
         return None
     return {
@@ -143,9 +143,9 @@ def _submap_row(submap: Submap, offset: int) -> dict[str, Any]:
 
 
 def _steps(submaps: Sequence[WallSubmap], log: ObservationLog | ScanLog) -> dict[str, float | None]:
-    """Return how far apart scans of a submap lie in the median, and how wide the sensor's view is.
+    """Return the median step between scans of a submap, and the width of the sensor's view.
 
-    None if it is not known; metres and degrees.
+    None if unknown; metres and degrees.
     """
     steps = [np.linalg.inv(s.poses[:-1]) @ s.poses[1:] for s in submaps if len(s.poses) > 1]
     view_rad = log.sensor.view_rad if isinstance(log, ScanLog) else None
@@ -171,16 +171,16 @@ def ends_of(numbers: Ints, of: str) -> dict[str, Any]:
 
 
 def weakness(refined: Sequence[Refined], first_iteration: int) -> dict[str, Any] | None:
-    """Return the segments and merges that fit the map worst, ready for JSON.
+    """Return the segments and merges with the largest residuals, JSON serialisable.
 
-    Residuals are in units of what the noise explains: about 1 is as it should be.
+    Residuals are relative to their expectation from the noise: ideally about 1.
 
     Parameters
     ----------
     refined : sequence of Refined
-        Of the submaps; only the largest is described.
+        Refined submaps; only the largest is described.
     first_iteration : int
-        The log's number of the mapper's first iteration.
+        Log number of the mapper's first iteration.
 
     Returns
     -------
@@ -216,12 +216,12 @@ def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
 def timing(
     durations_s: NDArray[np.float64], refine_s: float, segmented: bool
 ) -> dict[str, float | None]:
-    """Return the times in a summary.
+    """Return the times for a summary.
 
     Parameters
     ----------
     durations_s : (k, 2) float64
-        To prepare and to map each scan, seconds.
+        Times to prepare and to map each scan, seconds.
     refine_s : float
     segmented : bool
         Whether preparation was segmentation.
@@ -238,7 +238,7 @@ def timing(
 
 
 def timing_of(durations_s: NDArray[np.float64]) -> dict[str, float | None]:
-    """Return the time per iteration in milliseconds, from that of each in seconds, (k,)."""
+    """Return statistics of the time per iteration in milliseconds, from seconds (k,)."""
     return {
         "median_ms": _median_ms(durations_s),
         "p95_ms": 1e3 * float(np.percentile(durations_s, 95)) if len(durations_s) else None,
@@ -252,7 +252,7 @@ def _median_ms(seconds: NDArray[np.float64]) -> float | None:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the software that the numbers may depend on."""
+    """Return the versions of the software that the results may depend on."""
     return {
         "relmap": relmap.__version__,
         "python": platform.python_version(),

@@ -1,7 +1,7 @@
-"""Fixed surface points of walls, from which both planes and points can be mapped.
+"""Fixed surface points of walls, which can be mapped both as planes and as points.
 
-A simulated scanner draws new points in each scan, and no point is ever seen again.  Here the points
-belong to the walls: each is a landmark, seen whenever its stretch of the wall is, with new noise
+A simulated scanner samples new points in each scan, and no point is seen twice. Here the points are
+fixed on the walls: each is a landmark, seen whenever its stretch of the wall is, with new noise
 each time.
 """
 
@@ -22,14 +22,14 @@ from relmap.simulation import Building, BuildingScan, simulate_building
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """A run past fixed points on walls, as both variants take it.
+    """A run past fixed points on walls, as input for both variants.
 
     Attributes
     ----------
     scans : ScanLog
         Without the identities of the points.
     points : ObservationLog
-        The same points, ids for the evaluation only.
+        The same points, with ids for the evaluation only.
     walls_truth, points_truth : Truth
     spacing_m : float
         Each square of this side on a wall has one point.
@@ -63,14 +63,14 @@ def wall_points(
 def scan_surface_points(
     building: Building, spacing_m: float, noise: float, seed: int
 ) -> SurfacePoints:
-    """Let a robot that drives through a building see fixed points of its walls.
+    """Simulate a robot that drives through a building and sees fixed points of its walls.
 
     Parameters
     ----------
     building : Building
-        Its path and visible walls are used, its own points are not.
+        Its path and visible walls are used, but not its points.
     spacing_m : float
-        Side of the squares that have one point each, somewhere in them, metres.
+        Side of the squares that contain one random point each, metres.
     noise : float
         Standard deviation of the normal noise of each coordinate, in units of the spacing.
     seed : int
@@ -114,7 +114,7 @@ def scan_surface_points(
 def _points_on(
     walls: NDArray[np.float64], spacing_m: float, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return points (n, 3), map frame; their walls (n,); how far along, from 0 to 1, (n,)."""
+    """Return points (n, 3), map frame; their walls (n,); position along the wall, 0 to 1, (n,)."""
     places, owner, along = [], [], []
     for number, wall in enumerate(walls):
         first, last = wall[:2], wall[2:4]
@@ -137,7 +137,7 @@ def _in_view(
     wall: NDArray[np.int64],
     along: NDArray[np.float64],
 ) -> NDArray[np.int64]:
-    """Return the points of the stretches of walls that are seen, ascending."""
+    """Return the points of the visible stretches of walls, ascending."""
     seen = scan.seen
     first = walls[seen.wall, :2]
     across = walls[seen.wall, 2:4] - first

@@ -1,4 +1,4 @@
-"""The truth that a result is compared with, from any of the forms it comes in."""
+"""The truth for an evaluation, from any of its formats."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Variant = Literal["points", "planes"]
 Judged = Literal["points", "planes", "planes3d"]
 
 TABLES: dict[Variant, str] = {"points": "landmarks.csv", "planes": "planes.csv"}
-"""What the true landmarks stand in."""
+"""Files of the true landmarks."""
 TRAJECTORY = "trajectory.tum"
 _EXPECTED = (
     f"truth/{TABLES['points']} or {TABLES['points']} in it, MRPT's ..._ground_truth.txt, "
@@ -47,20 +47,20 @@ class Truth:
     ----------
     landmark_ids : (m,) int64
     landmarks_map : (m, 3) float64, map frame of the truth, metres
-        NaN where only the identity of a landmark is known, not its place.
+        NaN if only the identity of a landmark is known, not its position.
     status : (m,) str
         "static" or "dynamic".
     stamps_s : (k,) float64
-        Seconds, or iteration numbers where there is no clock.
+        Seconds, or iteration numbers without a clock.
     poses : (k, 4, 4) float64
         T_map_robot.
     ends : (w, 2, 2) float64, map frame of the truth, metres
-        Of walls that stand still, right to left as seen from the front.
+        Ends of static walls, right to left as seen from the front.
     corner_scans : (w, 2) int64
-        In how many scans each true end was seen.
+        Number of scans that saw each true end.
     seen_m : (w, 2) float64
-        From where to where each wall was seen, metres from its first end; NaN where it was not.
-        (0, 2) where that is not known.
+        Observed extent of each wall, metres from its first end; NaN if it was not seen. (0, 2) if
+        unknown.
     relations : tuple of Relations
         Checked relations between poses, by several clocks; see `relation_errors`.
     """
@@ -77,15 +77,14 @@ class Truth:
 
 
 def read_truth(path: Path, variant: Variant = "points") -> Truth:
-    """Read the truth, or a reference in its place.
+    """Read the truth, or a reference instead.
 
     Parameters
     ----------
     path : Path
-        A folder as `relmap simulate` writes it, with ``truth/landmarks.csv`` or ``landmarks.csv``
-        (of walls ``planes.csv``), and ``trajectory.tum`` beside it where the path is known. Or a
-        trajectory as TUM or KITTI write it (`relmap.datasets.trajectories`).
-        Of points also
+        A folder written by `relmap simulate`, with ``truth/landmarks.csv`` or ``landmarks.csv``
+        (for walls ``planes.csv``), and ``trajectory.tum`` beside it if the path is known. Or a
+        trajectory in TUM or KITTI format (`relmap.datasets.trajectories`). For points also
 
         * MRPT's ``..._ground_truth.txt`` or its folder;
         * the folder of I-SLSJF's simulation, or of MRCLAM;
@@ -93,13 +92,13 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
           another program are a reference to compare with, not a truth;
         * the folder of DLR's circles, which has ids but no positions.
 
-        Of walls also
+        For walls also
 
         * a log of point scans, for the poses that it gives: a reference, or exact if simulated;
         * a ``.relations`` file, of pairs of poses that were checked by hand.  Its times are the
           robot's; a CARMEN log of the same name beside it adds the logger's times.
     variant : "points" or "planes"
-        What was mapped.
+        The mapped variant.
 
     Raises
     ------
@@ -111,11 +110,11 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
     folder = path / "truth"
     if not (folder / name).is_file():
         if variant == "planes" and folder.is_dir():
-            raise RelmapError(f"{shown(path)}: holds no truth/{name}, the walls to compare with")
-        if (path / SUMMARY).exists():
             raise RelmapError(
-                f"{shown(path)}: is a result folder without a truth, expected a truth"
+                f"{shown(path)}: contains no truth/{name} with the walls to compare with"
             )
+        if (path / SUMMARY).exists():
+            raise RelmapError(f"{shown(path)}: is a result folder without truth, expected a truth")
         folder = path
     if (folder / name).is_file():
         truth = (_read_walls if variant == "planes" else _read_landmarks)(folder / name)
@@ -134,12 +133,12 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
 
 
 def read_path_truth(path: Path) -> Truth:
-    """Read a path to compare with, of a folder as `relmap simulate` writes it or a log of scans.
+    """Read a path to compare with, from a folder of `relmap simulate` or a log of scans.
 
     Raises
     ------
     RelmapError
-        Where there is none or it is damaged.
+        If there is none or it is damaged.
     """
     require_path(path)
     for file in (path / "truth" / TRAJECTORY, path / TRAJECTORY):
@@ -150,7 +149,7 @@ def read_path_truth(path: Path) -> Truth:
 
 
 def write_truth(folder: Path, truth: Truth) -> None:
-    """Write true landmarks and their path into an existing folder.
+    """Write true landmarks and the path into an existing folder.
 
     Raises
     ------
@@ -192,7 +191,7 @@ def _read_walls(path: Path) -> Truth:
 
 
 def _read_path(path: Path) -> Truth:
-    """Read the reference for the path of a map of walls."""
+    """Read the reference path for a map of walls."""
     if path.name.endswith(RELATIONS):
         return Truth(relations=relations_by_clocks(path))
     try:
@@ -230,6 +229,6 @@ def _static(
     position: NDArray[np.float64],
     poses: NDArray[np.float64] | None = None,
 ) -> Truth:
-    """Return a truth without dynamic landmarks, stamped with the numbers of the iterations."""
+    """Return a truth without dynamic landmarks, stamped with iteration numbers."""
     poses = np.empty((0, 4, 4)) if poses is None else poses
     return Truth(ids, position, np.full(len(ids), "static"), np.arange(float(len(poses))), poses)

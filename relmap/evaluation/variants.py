@@ -1,4 +1,4 @@
-"""Planes and points from the same scans: one run of either, judged by the truth."""
+"""Planes and points from the same scans: one run of each, compared with the truth."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
-Method = Literal["planes", "points", "points, ids given"]
+Method = Literal["planes", "points", "points, known ids"]
 METHODS: tuple[Method, ...] = get_args(Method)
 HALF = 0.5
-"""A map that holds less than this share of the corners or points has failed."""
+"""Minimum coverage of a successful map."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class VariantRun:
         Noise is sigma in units of the spacing.
     seed : int
     map_rmse_m : float or None
-        Of corners or points after rigid alignment; None if nothing could be compared.
+        Error of corners or points after rigid alignment; None if nothing could be compared.
     coverage : float
-        Share of the corners or points seen ten times that are in the map.
+        Fraction of the corners or points seen ten times that are in the map.
     ate_m : float or None
-        Absolute trajectory error, over the poses that there are.
+        Absolute trajectory error, over the available poses.
     poses : float
-        Share of the scans that have a pose in the map's largest submap.
+        Fraction of the scans with a pose in the map's largest submap.
     """
 
     method: Method
@@ -52,7 +52,7 @@ class VariantRun:
 
 
 def map_of(method: Method, seen: SurfacePoints) -> tuple[Result, VariantRun]:
-    """Segment the scans and map the walls, or map the points themselves; and judge the map."""
+    """Segment the scans and map the walls, or map the points themselves; and evaluate the map."""
     if method == "planes":
         run = run_mapper(PlaneMapper(), seen.scans, refine=True, segmenter=PlaneSegmenter())
         found = evaluate(run.result, seen.walls_truth)

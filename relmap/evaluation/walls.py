@@ -1,4 +1,4 @@
-"""Shares of wall length: mapped, true, and doubled."""
+"""Wall recall and precision by length: mapped, true, and doubled walls."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from relmap.evaluation.truth import Truth
 from relmap.planes.table import PlaneTable
 
 NEAR_M, TURN = 0.1, np.cos(np.deg2rad(5.0))
-"""A wall lies on another where it is no farther off, and turned by no more (cosine)."""
+"""Largest distance and rotation (cosine) between walls that coincide."""
 SHORT_M = 0.5
-"""Walls that are no longer are not asked for."""
+"""Shorter walls are not required."""
 SAMPLE_M, MOST_SAMPLES = 0.05, 2000
-"""Walls are compared at points so far apart, and at no more than so many each."""
+"""Spacing of the points at which walls are compared, and their maximum number."""
 
 
 def judge_walls(
@@ -25,25 +25,25 @@ def judge_walls(
     true_poses: NDArray[np.float64],
     motion: tuple[Floats, Floats] | None = None,
 ) -> dict[str, float | None]:
-    """Judge the mapped walls, by their length.
+    """Evaluate the mapped walls by their length.
 
     Parameters
     ----------
     planes : PlaneTable
     truth : Truth
     poses, true_poses : (k, 4, 4) float64
-        Of the same instants; they align the two where `motion` does not.
+        Poses of the same instants, used for alignment without `motion`.
     motion : tuple of (2, 2) and (2,) float64, optional
-        R and t that bring the map to the truth.
+        R and t from the map to the truth.
 
     Returns
     -------
     dict
-        `wall_recall`, share of the true walls over 0.5 m, as far as they were seen, on which a
-        mapped wall lies; `wall_precision`, share of the mapped walls over 0.5 m that lie on true
-        ones; `doubled_length`, share of all mapped walls on which another mapped one lies.  Walls
-        lie on one another where they are within 0.1 m and 5 degrees, fronts on the same side.
-        None if there is nothing to compare.
+        `wall_recall`, fraction of the observed length of true walls over 0.5 m that is mapped;
+        `wall_precision`, fraction of the length of mapped walls over 0.5 m that coincides with true
+        ones; `doubled_length`, fraction of all mapped length that coincides with another mapped
+        wall. Walls coincide within 0.1 m and 5 degrees, with fronts on the same side. None if there
+        is nothing to compare.
     """
     mapped = planes.ends[planes.status == "static"]
     told = {"doubled_length": doubled_length(mapped)}
@@ -59,7 +59,7 @@ def judge_walls(
 
 
 def doubled_length(ends: Floats) -> float | None:
-    """Return the share of the length of walls (w, 2, 2) on which another of them lies."""
+    """Return the fraction of the length of walls (w, 2, 2) that coincides with another of them."""
     return _covered(ends, ends, others=True)
 
 
@@ -79,9 +79,9 @@ def _lengths(ends: Floats) -> Floats:
 
 
 def _covered(ends: Floats, by: Floats, others: bool = False) -> float | None:
-    """Return the share of the length of walls that lies on some of those in `by`.
+    """Return the fraction of the length of walls that coincides with some of those in `by`.
 
-    With `others` the two are the same, and none lies on itself.
+    With `others` the two sets are the same, and no wall is compared with itself.
     """
     length_m = _lengths(ends)
     if not length_m.sum():
@@ -102,7 +102,7 @@ def _covered(ends: Floats, by: Floats, others: bool = False) -> float | None:
 
 
 def _on_wall(points: Floats, wall: Ints, ends: Floats, other: Floats, beyond_m: float) -> Bools:
-    """Tell which points (n, 2) of walls lie on another wall (2, 2), or just beyond its ends."""
+    """Return which points (n, 2) of walls lie on another wall (2, 2), or just beyond its ends."""
     direction = (ends[:, 1] - ends[:, 0]) / np.maximum(_lengths(ends), 1e-12)[:, None]
     length_m = np.linalg.norm(other[1] - other[0])
     along = (other[1] - other[0]) / max(length_m, 1e-12)

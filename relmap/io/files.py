@@ -1,4 +1,4 @@
-"""Reading and writing files: all or nothing, numbers in full, errors that name file and line."""
+"""Atomic reading and writing of files, in full precision, with errors that name file and line."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from relmap.datasets.textfile import (
 from relmap.io.tables import MAX_RESULT_M
 
 MAX_TEXT = 1 << 26
-"""Characters of a text that is read at once; JSON takes twenty times as much memory."""
+"""Maximum number of characters of a text; JSON needs twenty times as much memory."""
 
 
 def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
-    """Write a whole file or nothing: an earlier file of that name stays until then.
+    """Write a whole file or nothing: an earlier file of that name is kept until then.
 
     Parameters
     ----------
@@ -54,23 +54,22 @@ def atomic_write(path: Path, content: str | bytes | memoryview) -> None:
 
 @contextmanager
 def staged_folder(folder: Path, stale: Sequence[str] = ()) -> Iterator[Path]:
-    """Offer an empty folder to write into; its files move to ``folder`` when all went well.
+    """Provide an empty folder to write into; its files move to ``folder`` on success.
 
-    Enter it before long work: a folder that cannot be written is found at once.  Where the body
-    fails, ``folder`` and the files in it are as they were before.
+    Enter it before long work, so that an unwritable folder is reported at once. If the body fails,
+    ``folder`` and its files are unchanged.
 
     Parameters
     ----------
     folder : Path
-        Where the files go; it is made if need be, with the folders above it.
+        Destination; created if missing, with its parents.
     stale : sequence of str
-        Names of files in ``folder`` that the new files put out of date; deleted at the end, but
-        for those that were written anew.
+        Names of files in ``folder`` that become obsolete; deleted at the end unless rewritten.
 
     Yields
     ------
     Path
-        The folder to write into; it may be given folders of its own.
+        The folder to write into; it may get subfolders.
 
     Raises
     ------
@@ -105,9 +104,7 @@ def _move_files(staging: Path, folder: Path) -> None:
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         if (folder / name).is_dir():
-            raise RelmapError(
-                f"cannot write {shown(folder / name)}: a folder of that name is there"
-            )
+            raise RelmapError(f"cannot write {shown(folder / name)}: a folder of that name exists")
         with (staging / name).open("rb") as stream:
             os.fsync(stream.fileno())
     for name in names:
@@ -115,7 +112,7 @@ def _move_files(staging: Path, folder: Path) -> None:
 
 
 def read_text(path: Path) -> str:
-    """Read a UTF-8 text file of moderate size, unpacking it where it is a gzip file.
+    """Read a UTF-8 text file of moderate size, plain or gzipped.
 
     Raises
     ------
@@ -142,7 +139,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     try:
         return tomllib.loads(read_text(path))
-    except (ValueError, RecursionError) as error:  # a number of thousands of digits, nested deep
+    except (ValueError, RecursionError) as error:  # huge numbers, deep nesting
         raise RelmapError(f"{shown(path)}: not TOML: {reason(error)}") from error
 
 
@@ -154,14 +151,14 @@ def write_tum(path: Path, stamps_s: Floats, poses: Floats) -> None:
     path : Path
         The file.
     stamps_s : (k,) float64
-        Seconds, or iteration numbers where there is no clock.
+        Seconds, or iteration numbers without a clock.
     poses : (k, 4, 4) float64
         T_map_robot, finite.
 
     Raises
     ------
     RelmapError
-        If a stamp or pose is not finite, a pose is beyond what `read_tum` takes, or the file
+        If a stamp or pose is not finite, a pose exceeds the limits of `read_tum`, or the file
         cannot be written.
     """
     if not (np.isfinite(stamps_s).all() and (np.abs(poses) <= MAX_RESULT_M).all()):

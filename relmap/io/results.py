@@ -1,4 +1,4 @@
-"""What a run leaves behind: the result folder, written and read."""
+"""The result folder of a run, written and read."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ LANDMARK_COLUMNS: dict[str, Kind] = {
     "moving_bin": "int",
 }
 OPTIONAL = ("submap", "moving_bin")
-"""Columns that the results of other programs, and of earlier versions, may lack."""
+"""Columns that may be missing in results of other programs and earlier versions."""
 SUBMAP_COLUMNS = ("submap", "landmark", "x", "y", "z")
 REJECTED = "rejected_id"
 TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", REJECTED), "int")
@@ -54,17 +54,17 @@ TRACK_COLUMNS: dict[str, Kind] = dict.fromkeys(("iteration", "row", "landmark", 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Which observation of the log is of which landmark; one entry per labelled observation.
+    """The landmark of each labelled observation of the log.
 
     Attributes
     ----------
     iteration : (n,) int64
-        The log's own numbers.
+        Iteration numbers of the log.
     row : (n,) int64
         0-based rows of the log.
     landmark : (n,) int64
     rejected_id : (n,) int64, optional
-        The id that was given and overruled, -1 where none was; only where there is any.
+        The given id that was overruled, or -1; only present if there is any.
     """
 
     iteration: Ints
@@ -75,23 +75,23 @@ class Tracks:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A finished run, as the result folder holds it.
+    """A finished run, as stored in the result folder.
 
     Attributes
     ----------
     landmarks : LandmarkTable
-        Every landmark ever seen; iterations are the log's own numbers.
+        Every landmark ever seen, with the iteration numbers of the log.
     tracks : Tracks
     stamps_s : (p,) float64
-        Seconds, or iteration numbers where the log has no clock.
+        Seconds, or iteration numbers if the log has no clock.
     poses : (p, 4, 4) float64
-        T_map_robot of the iterations that have one.
+        T_map_robot of the iterations with a pose.
     summary : dict
-        Configuration, versions, counts and timing, ready for JSON.
+        Configuration, versions, counts and timing, JSON serialisable.
     submaps : tuple of Submap
-        Submaps of the map, the map itself first; empty in a result that was read.
+        The submaps, the map itself first; empty for a result read from files.
     iterations : (p,) int64 or None
-        The log's own number of each pose; None in a result that was read.
+        Iteration number of each pose; None for a result read from files.
     """
 
     landmarks: LandmarkTable
@@ -109,12 +109,12 @@ class Result:
 
     @property
     def mapped(self) -> Bools:
-        """Which landmarks have a place in the map, (n,)."""
+        """Which landmarks are mapped, (n,)."""
         return np.asarray(np.isfinite(self.landmarks.position).all(axis=1))
 
 
 def write_names(folder: Path, names: Sequence[str]) -> None:
-    """Write what the landmarks 0, 1 and so on are called in the log, as ``landmark,name``."""
+    """Write the names in the log of landmarks 0, 1, ..., as ``landmark,name``."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(["landmark", "name"])
@@ -123,7 +123,7 @@ def write_names(folder: Path, names: Sequence[str]) -> None:
 
 
 def write_result(folder: Path, result: Result) -> None:
-    """Write the files of a result folder, all but the picture.
+    """Write the files of a result folder, except the picture.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def write_result(folder: Path, result: Result) -> None:
 
 
 def submaps_text(submaps: tuple[Submap, ...]) -> str:
-    """Return the landmarks that nothing ties to the map as CSV, each in the frame of its submap."""
+    """Return the landmarks not connected to the map as CSV, each in the frame of its submap."""
     rows = [
         (number, label, *position)
         for number, submap in enumerate(submaps[1:], start=1)
@@ -178,7 +178,7 @@ def ply_text(points_map: Floats) -> str:
 
 
 def json_text(content: dict[str, Any]) -> str:
-    """Return the content as indented JSON, which knows no NaN."""
+    """Return the content as indented JSON, with NaN as null."""
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 
 
@@ -192,12 +192,12 @@ def read_result(folder: Path) -> Result:
     Returns
     -------
     Result
-        Without its submaps, and the iterations of its poses.
+        Without submaps, and without the iterations of its poses.
 
     Raises
     ------
     RelmapError
-        If a file is missing or not what `write_result` writes.
+        If a file is missing or was not written by `write_result`.
     """
     if not (folder / SUMMARY).is_file():
         raise RelmapError(f"{folder} is not a result folder: no {SUMMARY} in it")

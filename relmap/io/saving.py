@@ -1,7 +1,7 @@
-"""Saved states: the columns of a mapper's parts in an ``.npz`` of numpy, which is not compressed.
+"""Saved states: the columns of a mapper's parts in an uncompressed ``.npz`` file.
 
-Beside the columns there are ``header``, a JSON text with everything that is not an array, and
-``checksum`` over everything.
+The file also contains ``header``, a JSON text with all other values, and ``checksum`` over
+everything.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from relmap.datasets.npz import DAMAGE, read_array
 from relmap.io.files import atomic_write
 
 FORMAT = 2
-"""Version of the file."""
+"""Version of the file format."""
 
 
 def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
@@ -32,11 +32,11 @@ def save_state(path: Path, parts: list[Any], about: dict[str, Any]) -> None:
     Parameters
     ----------
     path : Path
-        The file; it appears whole or not at all, and the same state gives the same bytes.
+        The file, written atomically; the same state gives the same bytes.
     parts : list
         See `relmap.core.state.saved`.
     about : dict
-        What else the file should hold, fit for JSON.
+        Additional content, JSON serialisable.
 
     Raises
     ------
@@ -66,12 +66,12 @@ def load_state(path: Path, begin: Callable[[dict[str, Any]], list[Any]]) -> None
     ----------
     path : Path
     begin : callable
-        Makes new parts from what the file holds besides the state.
+        Makes new parts from the additional content of the file.
 
     Raises
     ------
     RelmapError
-        If there is no such file, it is damaged, or it holds something else.
+        If the file is missing, damaged, or contains something else.
     """
     if not path.is_file():
         raise RelmapError(f"there is no saved map {path}, expected one that 'relmap map' wrote")
@@ -117,7 +117,7 @@ def checksum(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8]:
 
 
 def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a file, which together are no larger than it."""
+    """Return the arrays of a file, checked to be no larger than the file."""
     arrays: dict[str, NDArray[Any]] = {}
     size = path.stat().st_size
     with zipfile.ZipFile(path) as archive:

@@ -1,4 +1,4 @@
-"""Tables that hold text, gaps and whole numbers: the project's own CSV files."""
+"""Tables with text, missing values and integers: the project's own CSV files."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 Kind = Literal["int", "float", "float or empty", "text"]
-"""What a column of a table holds.
+"""Type of a column of a table.
 
 ``float`` is measured or given, at most `MAX_COORDINATE_M`; ``float or empty`` is computed, at most
 `MAX_RESULT_M`, and an empty cell reads as NaN.
 """
 
 MAX_RESULT_M = 1e70
-"""Where a map or a path may have drifted to, metres: squares of that are still finite."""
+"""Largest coordinate of a drifted map or path, metres: its square is still finite."""
 
 MAX_WORD = 32
-"""Characters of a text at most: numpy gives all texts of a column the room of the longest."""
+"""Maximum number of characters of a text: numpy allocates the longest for each row."""
 
 
 def compressed(text: str) -> bytes:
-    """Return the text as gzip data that depends on nothing but the text."""
+    """Return the text as reproducible gzip data."""
     return gzip.compress(text.encode(), compresslevel=5, mtime=0)
 
 
 def number(value: float) -> str:
-    """Return the shortest text that reads back as the very same float; NaN gives no text."""
+    """Return the shortest text that reads back as the same float; NaN gives an empty text."""
     return "" if value != value else repr(float(value))
 
 
@@ -62,9 +62,9 @@ def read_table(
     path : Path
         ``.csv`` or ``.csv.gz``.
     columns : mapping of str to Kind
-        Wanted columns and what they hold.
+        Wanted columns and their types.
     optional : collection of str
-        Those that may be missing.
+        Columns that may be missing.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def read_table(
     Raises
     ------
     RelmapError
-        If the file cannot be read, lacks a column or holds something else in a cell.
+        If the file cannot be read, lacks a column or has an invalid cell.
     """
     found: dict[str, _Column] = {}
     width = 0
@@ -101,7 +101,7 @@ def read_table(
 
 
 def _records(path: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
-    """Yield the records that hold anything."""
+    """Yield the non-empty records."""
     try:
         for cells in reader:
             if cells:
@@ -111,7 +111,7 @@ def _records(path: Path, reader: Iterator[list[str]]) -> Iterator[list[str]]:
 
 
 class _Column:
-    """The cells of a column, as numbers at 8 bytes each or as short texts."""
+    """The cells of a column, as numbers of 8 bytes each or as short texts."""
 
     def __init__(self, name: str, kind: Kind, place: int) -> None:
         self._name = name
@@ -121,7 +121,7 @@ class _Column:
         self._texts: list[str] = []
 
     def add(self, path: Path, line: int, cells: list[str]) -> None:
-        """Take in the cell of a record."""
+        """Add the cell of a record."""
         text = cells[self._place].strip()
         if self._kind == "text":
             if len(text) > MAX_WORD:

@@ -1,1 +1,1 @@
-"""What people would use instead of relmap."""
+"""Baseline methods for the comparison."""

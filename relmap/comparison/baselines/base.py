@@ -1,4 +1,4 @@
-"""What baselines share: a label for each observation, a pose for each scan."""
+"""Common parts of the baselines: a label for each observation, a pose for each scan."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
 class Baseline(ABC):
-    """A method to compare with; see `relmap.evaluation.feeding.Method`.
+    """A baseline; see `relmap.evaluation.feeding.Method`.
 
     Parameters
     ----------
@@ -37,22 +37,22 @@ class Baseline(ABC):
     def update(
         self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.int64]:
-        """Take in one scan; see `Method.update`."""
+        """Process one scan; see `Method.update`."""
 
     def _keep(
         self, labels: NDArray[np.int64], T_map_robot: NDArray[np.float64]
     ) -> NDArray[np.int64]:
-        """Keep what a scan has given, and return its labels (n,)."""
+        """Store the results of a scan, and return its labels (n,)."""
         self._labels.append(labels)
         self._poses.append(T_map_robot)
         return labels
 
     def finish(self) -> None:
-        """Do what remains at the end of the log: nothing for methods that work scan by scan."""
+        """Finish the log: nothing to do for incremental methods."""
         return
 
     def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
-        """Return the labels (n,): no landmark is ever merged with another."""
+        """Return the labels (n,) unchanged: landmarks are never merged."""
         return labels
 
     @property
@@ -62,7 +62,7 @@ class Baseline(ABC):
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every scan, as found then, (k, 4, 4); NaN where there is none."""
+        """``T_map_robot`` of every scan, as estimated at that time, (k, 4, 4); NaN if unknown."""
         return np.array(self._poses).reshape(-1, 4, 4)
 
     @property
@@ -92,12 +92,12 @@ class Baseline(ABC):
 
 
 class KnownBaseline(Baseline):
-    """A baseline that is given the ids; observations without an id are left out."""
+    """A baseline with known association; observations without an id are left out."""
 
     def update(
         self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.int64]:
-        """Take in one scan; see `Method.update`."""
+        """Process one scan; see `Method.update`."""
         ids = np.full(len(points_robot), -1, np.int64) if ids is None else ids
         labels = np.where(ids >= 0, ids, -1)
         known = labels >= 0
@@ -110,7 +110,7 @@ class KnownBaseline(Baseline):
 
     @abstractmethod
     def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
-        """Take in points (n, d) of landmarks (n,); return the pose, None if nothing fixes it."""
+        """Process points (n, d) of landmarks (n,); return the pose, None if undetermined."""
 
 
 def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Pose | None:
@@ -119,18 +119,18 @@ def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Po
     Parameters
     ----------
     points_robot, places : (n, d) float64, metres
-        Observations and where these landmarks are on the map; d is 2 or 3.
+        Observations and the mapped positions of their landmarks; d is 2 or 3.
 
     Returns
     -------
     Pose or None
-        None if they fix no rotation.
+        None if they determine no rotation.
     """
     return fit_rigid(points_robot, places) if fixes_rotation(places) else None
 
 
 def map_of(places: Mapping[int, NDArray[np.float64]]) -> LandmarkMap:
-    """Return the map of landmarks by their labels; each place is (d,), metres."""
+    """Return the map of landmarks by label; each position is (d,), metres."""
     labels = sorted(places)
     if not labels:
         return NO_MAP
@@ -138,14 +138,14 @@ def map_of(places: Mapping[int, NDArray[np.float64]]) -> LandmarkMap:
 
 
 def turned_by(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivative (n, d, r) of turned points (n, d) by a small turn about each axis."""
+    """Return the Jacobian (n, d, r) of rotated points (n, d) by a rotation about each axis."""
     if points.shape[1] == 2:
         return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
     return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
 
 
 def rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return rotations (n, d, d) by turns (n, 1) in the plane or (n, 3) in space, radians."""
+    """Return rotations (n, d, d) from angles (n, 1) in the plane or vectors (n, 3), radians."""
     if turns.shape[1] == 3:
         return Rotation.from_rotvec(turns).as_matrix()
     cos, sin = np.cos(turns[:, 0]), np.sin(turns[:, 0])

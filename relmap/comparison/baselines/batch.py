@@ -1,8 +1,8 @@
-"""Batch least squares over all observations: the limit that a map can reach.
+"""Batch least squares over all observations: a lower bound of the map error.
 
-Poses and landmarks are solved for together by sparse Gauss-Newton, with the poses eliminated
-(Schur complement), from a start given by another map.  Under Gaussian noise its error is the
-Cramer-Rao bound.  It is an oracle to compare with: slow, and written apart from the mapper.
+Poses and landmarks are solved for together by sparse Gauss-Newton, with the poses eliminated (Schur
+complement), from a start given by another map.  Under Gaussian noise its error is the Cramer-Rao
+bound.  It serves as a reference: slow, and independent of the mapper's code.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Batch:
 def batch_least_squares(
     observations: Batch, start_map: NDArray[np.float64], iterations: int = 50
 ) -> NDArray[np.float64]:
-    """Return the landmarks (m, d) that fit all observations best.
+    """Return the landmarks (m, d) that best fit all observations.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def batch_least_squares(
         landmarks = landmarks + step
         if np.abs(step).max() < CONVERGED_M * (1 + np.abs(landmarks).max()):
             return landmarks
-    raise RelmapError(f"batch least squares did not settle in {iterations} iterations")
+    raise RelmapError(f"batch least squares did not converge in {iterations} iterations")
 
 
 def _require_one_map(observations: Batch, m: int) -> None:
@@ -101,7 +101,9 @@ def _poses(
         rows = observations.pose == pose
         found = fitted(observations.points_robot[rows], landmarks[observations.landmark[rows]])
         if found is None:
-            raise RelmapError(f"batch least squares: pose {pose} is not fixed by what it sees")
+            raise RelmapError(
+                f"batch least squares: pose {pose} is not determined by its observations"
+            )
         R[pose], t[pose] = found
     return R, t
 
@@ -112,14 +114,14 @@ def _gauss_newton(
     t: NDArray[np.float64],
     landmarks: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return one step: turns (k, d, d) and shifts (k, d) of the poses, shifts of the landmarks."""
+    """Return a step: rotations (k, d, d) and shifts (k, d) of poses, shifts of landmarks."""
     n, d = observations.points_robot.shape
     k, m = len(R), len(landmarks)
     turned = np.einsum("nij,nj->ni", R[observations.pose], observations.points_robot)
     residual = (turned + t[observations.pose] - landmarks[observations.landmark]).ravel()
     by_pose = np.concatenate([turned_by(turned), np.tile(np.eye(d), (n, 1, 1))], axis=2)
     q = by_pose.shape[2]
-    J_pose = _block_columns(by_pose, observations.pose, k)[:, q:]  # the first pose is the frame
+    J_pose = _block_columns(by_pose, observations.pose, k)[:, q:]  # the first pose is fixed
     J_map = _block_columns(np.tile(-np.eye(d), (n, 1, 1)), observations.landmark, m)
     products = np.zeros((k, q, q))
     np.add.at(products, observations.pose, np.swapaxes(by_pose, 1, 2) @ by_pose)

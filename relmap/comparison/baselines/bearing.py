@@ -1,4 +1,4 @@
-"""Range, yaw and pitch of landmarks, with derivatives: the sensor model of the EKF."""
+"""Range, yaw and pitch of landmarks, with Jacobians: the sensor model of the EKF."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Floats = NDArray[np.float64]
 def predicted(
     R: Floats, t: Floats, landmarks_map: Floats, points_robot: Floats, config: EkfConfig
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Compare observations with what the pose and the map predict.
+    """Compare observations with their prediction from the pose and the map.
 
     Parameters
     ----------
     R, t : (d, d), (d,) float64
         ``T_map_robot``.
     landmarks_map, points_robot : (n, d) float64, metres
-        The landmarks on the map, and where they were observed.
+        Mapped positions of the landmarks, and their observations.
     config : EkfConfig
 
     Returns
     -------
     innovation : (n, d) float64
-        Observed less predicted range, yaw and pitch.
+        Observed minus predicted range, yaw and pitch.
     by_pose : (n, d, q) float64
-        Derivative of the prediction by a shift and by a small turn of the pose, in the map frame.
+        Jacobian of the prediction by a shift and a small rotation of the pose, in the map frame.
     by_landmark : (n, d, d) float64
     variance : (n, d) float64
-        Of the observed values.
+        Variance of the observed values.
     """
     d = len(t)
     R_sensor, t_sensor = config.T_robot_sensor[:d, :d], config.T_robot_sensor[:d, 3]
@@ -59,9 +59,9 @@ def inverse_model(
     -------
     places : (n, d) float64, map frame, metres
     by_pose : (n, d, q) float64
-        Derivative of the places by a shift and by a small turn of the pose.
+        Jacobian of the positions by a shift and a small rotation of the pose.
     covariance : (n, d, d) float64
-        Of the places, from the noise of the observations alone.
+        Covariance of the positions, from the noise of the observations alone.
     """
     d = len(t)
     R_sensor, t_sensor = config.T_robot_sensor[:d, :d], config.T_robot_sensor[:d, 3]
@@ -102,7 +102,7 @@ def _jacobian(points: Floats) -> Floats:
 
 
 def _variance(observed: Floats, config: EkfConfig) -> Floats:
-    """Return the variances (n, d) of range, yaw and pitch of what was observed at (n, d)."""
+    """Return the variances (n, d) of range, yaw and pitch of observations at (n, d)."""
     if config.bearing_sd_rad is not None:
         sd = [config.range_sd_m, *[config.bearing_sd_rad] * (observed.shape[1] - 1)]
         return np.tile(np.square(sd), (len(observed), 1))

@@ -1,15 +1,15 @@
 """Range-bearing EKF SLAM without odometry: the filter that section V compares with.
 
-One Gaussian over the robot's pose and all landmarks.  The turn is estimated as a small rotation on
-top of a matrix, the landmarks are Cartesian, an observation is range, yaw and pitch (planar: range
-and yaw).  There is no odometry, so the prediction is one of two:
+One Gaussian over the robot's pose and all landmarks.  The rotation is estimated as a small
+perturbation of a matrix, the landmarks are Cartesian, an observation is range, yaw and pitch
+(planar: range and yaw).  There is no odometry, so there are two choices for the prediction:
 
-* ``standing``: where it was, as MRPT does (Blanco, "Derivation and implementation of a full 6D
+* ``standing``: the last pose, as in MRPT (Blanco, "Derivation and implementation of a full 6D
   EKF-based solution to range-bearing SLAM", University of Malaga, 2008; `CRangeBearingKFSLAM`);
   MRPT's process noise is 0.1 m on each axis and 0.05 on each component of the quaternion, which is
-  a turn of 0.1 rad about each axis;
-* ``fitted``: where the scan fits the map best, with a process noise so large that the prediction
-  says nothing: it is merely where the equations are linearised.
+  a rotation of 0.1 rad about each axis;
+* ``fitted``: the pose at which the scan fits the map best, with process noise so large that the
+  prediction has no weight and only defines the linearisation point.
 
 Sola, "Simultaneous localization and mapping with the extended Kalman filter", 2014, explains the
 equations.  An iteration costs O(m^2) for m landmarks.
@@ -30,7 +30,7 @@ from relmap.comparison.methods.base import Setup
 from relmap.core.landmarks import LandmarkMap
 
 UNKNOWN_M, UNKNOWN_RAD = 10.0, 1.0
-"""Process noise that says nothing, beside a step of the robot."""
+"""Process noise large enough to give the prediction no weight, relative to a step of the robot."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ class EkfConfig:
     range_sd_m : float
         Standard deviation of an observed range.
     bearing_sd_rad : float or None
-        Of an observed yaw and pitch; None: as wide as the range is exact, whatever the distance.
+        Of an observed yaw and pitch; None: such that the error across equals that of the range at
+        any distance.
     T_robot_sensor : (4, 4) float64
         Pose of the sensor on the robot.
     """
@@ -73,14 +74,14 @@ class Ekf(KnownBaseline):
         self._config = config
         self._turns = 1 if dimension == 2 else 3
         self._q = dimension + self._turns
-        """Components of the pose in the state: they come first."""
+        """Components of the pose in the state, which come first."""
         self._R, self._t = np.eye(dimension), np.zeros(dimension)
         self._row: dict[int, int] = {}
         self._map = np.empty((0, dimension))
         self._P = np.zeros((self._q, self._q))
 
     def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose:
-        """Predict, correct by what is on the map, add what is new."""
+        """Predict, correct with mapped landmarks, add new ones."""
         rows = np.array([self._row.get(label, -1) for label in labels.tolist()], np.int64)
         old = rows >= 0
         if self._row:
@@ -99,7 +100,7 @@ class Ekf(KnownBaseline):
         self._P[np.arange(self._q), np.arange(self._q)] += noise
 
     def _correct(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
-        """Take in observations of mapped landmarks, all at once."""
+        """Update with observations of mapped landmarks, all at once."""
         if not len(rows):
             return
         innovation, by_pose, by_landmark, variance = predicted(
@@ -112,7 +113,8 @@ class Ekf(KnownBaseline):
         H = np.hstack([by_pose.reshape(n * d, q), of_map.reshape(n * d, n * d)])
         PHt = self._P[:, columns] @ H.T
         S = H @ PHt[columns] + np.diag(variance.ravel())
-        # With S = L L', the gain is W L^-1 and the covariance loses W W', where W = P H' L'^-1.
+        # With S = L L', the gain is W L^-1 and the covariance is reduced by W W', where W = P H'
+        # L'^-1.
         L = np.linalg.cholesky(S)
         W = solve_triangular(L, PHt.T, lower=True, check_finite=False).T
         self._move(W @ solve_triangular(L, innovation.ravel(), lower=True, check_finite=False))
@@ -125,7 +127,7 @@ class Ekf(KnownBaseline):
         self._map = self._map + step[q:].reshape(-1, d)
 
     def _add(self, labels: list[int], points: NDArray[np.float64]) -> None:
-        """Put new landmarks on the map."""
+        """Add new landmarks to the map."""
         if not labels:
             return
         d, n = self._d, len(labels)
@@ -147,7 +149,7 @@ class Ekf(KnownBaseline):
 def as_mrpt_ships_it(told: Setup) -> Ekf:
     """Return the filter that predicts standing still, with MRPT's process noise.
 
-    MRPT takes one standard deviation for all bearings: that of a landmark at half the range.
+    MRPT uses one standard deviation for all bearings: that of a landmark at half the range.
     """
     bearing_sd_rad = told.sigma_m / (told.range_m / 2)
     return Ekf(told.dimension, EkfConfig("standing", 0.1, 0.1, told.sigma_m, bearing_sd_rad))

@@ -10,10 +10,10 @@ from relmap.core.landmarks import LandmarkMap
 
 
 class FrameToFrame(KnownBaseline):
-    """Fits each scan to the one before by least squares and chains what comes out.
+    """Fits each scan to the previous one by least squares and chains the motions.
 
-    A landmark is the mean of its observations, each placed with the chained pose of its scan.  A
-    scan that shares too little with the last one placed is left out.
+    A landmark is the mean of its observations, each transformed by the chained pose of its scan. A
+    scan that shares too little with the last placed one is left out.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class FrameToFrame(KnownBaseline):
         return R, t
 
     def _step(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> bool:
-        """Move the pose on to a scan; return whether the last one fixes it."""
+        """Advance the pose to a scan; return whether the last one determines it."""
         if self._last is None:
             return True
         _, here, before = np.intersect1d(labels, self._last[0], return_indices=True)

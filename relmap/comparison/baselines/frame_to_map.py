@@ -1,4 +1,4 @@
-"""Frame-to-map averaging: the plain way to map landmarks whose ids are known."""
+"""Frame-to-map averaging: the simplest way to map landmarks with known ids."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from relmap.datasets.base import ObservationLog
 class FrameToMap(KnownBaseline):
     """Fits every scan to the map by least squares, then averages the scan into the map.
 
-    Each landmark is the mean of all its observations so far, each brought into the map with the
-    pose of its scan; every mapped landmark in a scan counts alike in the fit.  A scan whose mapped
-    landmarks fix no pose is left out, and so is what `KnownAssociation` does not believe.
+    Each landmark is the mean of all its observations so far, each transformed by the pose of its
+    scan; all mapped landmarks in a scan have equal weight in the fit. A scan whose mapped landmarks
+    determine no pose is left out, as are observations that `KnownAssociation` rejects.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class FrameToMap(KnownBaseline):
         return pose
 
     def _fitted(self, landmarks: NDArray[np.int64], points: NDArray[np.float64]) -> Pose | None:
-        """Return the pose of a scan, or None if the map fixes none."""
+        """Return the pose of a scan, or None if the map does not determine it."""
         if len(points) and not self._counts.values.any():
             return np.eye(self._d), np.zeros(self._d)
         known = self._counts.values[landmarks] > 0
@@ -57,7 +57,7 @@ class FrameToMap(KnownBaseline):
 
     @property
     def map(self) -> LandmarkMap:
-        """The landmarks mapped so far, in ascending order of their ids."""
+        """The landmarks mapped so far, in ascending order of ids."""
         labels = self._association.labels_of(np.arange(len(self._counts)))
         order = np.argsort(labels)
         order = order[self._counts.values[order] > 0]

@@ -3,8 +3,8 @@
 Kaess et al., "iSAM2: Incremental smoothing and mapping using the Bayes tree", IJRR 2012; Dellaert
 and Kaess, "Factor graphs for robot perception", 2017.
 
-An observation is a unit vector and a range, which gtsam has a factor for; with a bearing as wide as
-the range is exact it says what a Cartesian observation with equal noise on each axis says.
+An observation is a unit vector and a range, for which gtsam has a factor; if the error across
+equals that of the range, it is equivalent to a Cartesian observation with isotropic noise.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.base import ObservationLog
 
 PRIOR_SD = 1e-6
-"""Of the first pose, which makes the frame, metres and radians."""
+"""Prior noise of the first pose, which defines the frame, metres and radians."""
 RELINEARIZE = 0.01
-"""Change of a variable, metres or radians, that relinearises it: as in gtsam's own examples."""
+"""Relinearisation threshold, metres or radians: as in gtsam's own examples."""
 
 
 class Factors:
@@ -42,7 +42,7 @@ class Factors:
     gtsam : module
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Where each variable of the graph begins.
+        Initial value of each variable of the graph.
 
     Raises
     ------
@@ -59,7 +59,7 @@ class Factors:
         self.clear()
 
     def clear(self) -> None:
-        """Begin an empty graph; a later pose is not the first any more."""
+        """Begin an empty graph; later poses then have no prior."""
         self.graph: Any = self.gtsam.NonlinearFactorGraph()
         self.values: Any = self.gtsam.Values()
 
@@ -71,19 +71,19 @@ class Factors:
         return int(self.gtsam.symbol("x", k))
 
     def add_landmark(self, label: int, place: NDArray[np.float64]) -> None:
-        """Add a landmark that begins at a place (d,), metres."""
+        """Add a landmark with an initial position (d,), metres."""
         self.values.insert(self.landmark_key(label), place)
 
     def add_scan(
         self, k: int, pose: Pose, points: NDArray[np.float64], labels: Sequence[int]
     ) -> None:
-        """Add iteration `k` with its observations; the first one makes the frame.
+        """Add iteration `k` with its observations; the first one defines the frame.
 
         Parameters
         ----------
         k : int
         pose : Pose
-            Where it begins.
+            Initial pose.
         points : (n, d) float64, robot frame, metres
         labels : sequence of int
             Landmark of each point.
@@ -115,7 +115,7 @@ class Factors:
         return kind(pose_key, self.landmark_key(label), bearing, r, noise)
 
     def landmark(self, values: Any, label: int) -> NDArray[np.float64]:
-        """Return the place (d,) of a landmark in gtsam's values."""
+        """Return the position (d,) of a landmark in gtsam's values."""
         at = values.atPoint2 if self._d == 2 else values.atPoint3
         return np.asarray(at(self.landmark_key(label)))
 
@@ -128,7 +128,7 @@ class Factors:
 
 
 class Isam2(KnownBaseline):
-    """Smooths after every scan; a new pose begins where its scan fits the map best.
+    """Smooths after every scan; a new pose is initialised by fitting its scan to the map.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class Isam2(KnownBaseline):
         self._places: dict[int, NDArray[np.float64]] = {}
 
     def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
-        """Add one scan and smooth; return the pose that it begins with."""
+        """Add one scan and smooth; return the initial pose."""
         seen, k = labels.tolist(), len(self._poses)
         start = self._start(points, seen)
         if start is None:
@@ -166,7 +166,7 @@ class Isam2(KnownBaseline):
         return start
 
     def _start(self, points: NDArray[np.float64], seen: list[int]) -> Pose | None:
-        """Return a pose to begin with; None if the map fixes none."""
+        """Return an initial pose; None if the map does not determine one."""
         if not self._places:
             return (np.eye(self._d), np.zeros(self._d)) if seen else None
         old = [row for row, label in enumerate(seen) if label in self._places]
@@ -175,13 +175,13 @@ class Isam2(KnownBaseline):
 
     @property
     def map(self) -> LandmarkMap:
-        """The landmarks, as smoothed by all scans so far."""
+        """The landmarks, smoothed over all scans so far."""
         values = self._solver.calculateEstimate()
         return map_of({label: self._factors.landmark(values, label) for label in self._places})
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """The poses, as smoothed by all scans so far."""
+        """The poses, smoothed over all scans so far."""
         values, poses = self._solver.calculateEstimate(), super().trajectory
         for k in np.flatnonzero(np.isfinite(poses[:, 0, 0])).tolist():
             poses[k] = self._factors.pose_matrix(values, k)
@@ -189,7 +189,7 @@ class Isam2(KnownBaseline):
 
 
 class GtsamBatch(SolvedAtTheEnd):
-    """Solves when the log is over, from where frame-to-map averaging ends.
+    """Solves once at the end of the log, initialised by frame-to-map averaging.
 
     Parameters
     ----------

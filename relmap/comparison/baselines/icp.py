@@ -1,4 +1,4 @@
-"""KISS-ICP and small_gicp on the points of each scan: a path, and no map of landmarks.
+"""KISS-ICP and small_gicp on the points of each scan: a path, without a map of landmarks.
 
 Vizzo et al., "KISS-ICP: In defense of point-to-point ICP", RA-L 2023; Koide, "small_gicp: Efficient
 and parallel algorithms for point cloud registration", JOSS 2024; both need ``relmap[peers]``.
@@ -17,17 +17,17 @@ from relmap.core.landmarks import in_space
 BEYOND = 1.25
 """Range of KISS-ICP, in units of the farthest observation; its voxel is a hundredth of that."""
 REACH = 1 / 32
-"""Largest distance of points that small_gicp matches, as a share of the farthest observation."""
+"""Largest distance of points matched by small_gicp, relative to the farthest observation."""
 FINE = 1 / 200
-"""Voxel that a scan is thinned by, likewise."""
+"""Voxel size for subsampling a scan, likewise."""
 FEWEST = 11
-"""Points without which small_gicp does nothing: then the motion is taken to go on."""
+"""Minimum number of points for small_gicp; with fewer, constant motion is assumed."""
 ENOUGH = 200
-"""Points of a scan from which on it is GICP: a covariance takes ten neighbours; else plain ICP."""
+"""Minimum number of points for GICP, whose covariances use ten neighbours; else plain ICP."""
 
 
 class KissIcp(Baseline):
-    """Registers each scan to a voxel map of those before; no deskewing: a scan is one instant.
+    """Registers each scan to a voxel map of earlier ones; no deskewing: a scan is instantaneous.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class KissIcp(Baseline):
 
 
 class SmallGicp(Baseline):
-    """Chains registrations, each begun at the motion of the one before (constant velocity).
+    """Chains registrations, each initialised with the previous motion (constant velocity).
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SmallGicp(Baseline):
         return self._keep(np.full(len(points), -1, np.int64), self._pose)
 
     def _registered(self, points: NDArray[np.float64]) -> Any:
-        """Register points (n, 3) to those of the last scan."""
+        """Register points (n, 3) to those of the previous scan."""
         align, reach = self._small_gicp.align, REACH * self._range_m
         if min(len(points), len(self._last)) < ENOUGH:
             cloud = self._small_gicp.PointCloud

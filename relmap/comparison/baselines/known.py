@@ -1,4 +1,4 @@
-"""The best map of a log whose ids are known: batch least squares over all that was identified."""
+"""The optimal map of a log with known ids: batch least squares over all identified landmarks."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from relmap.datasets.base import ObservationLog
 def least_squares_map(log: ObservationLog) -> LandmarkMap:
     """Map the identified landmarks of a log by batch least squares.
 
-    Iterations that see fewer identified landmarks than fix a pose (two in the plane, three in
-    space) are left out, and so are landmarks that frame-to-map averaging, the start, cannot place.
+    Iterations with fewer identified landmarks than determine a pose (two in the plane, three in
+    space) are left out, as are landmarks that frame-to-map averaging, used for initialisation,
+    cannot place.
 
     Parameters
     ----------
@@ -66,7 +67,7 @@ def _of_landmarks(log: ObservationLog, labels: NDArray[np.int64]) -> Observation
 
 
 class BatchLeastSquares(SolvedAtTheEnd):
-    """Solves for all poses and landmarks at once: the limit that a map can reach."""
+    """Solves for all poses and landmarks at once: a lower bound of the map error."""
 
     def _solved(self, log: ObservationLog) -> LandmarkMap:
         return least_squares_map(log)

@@ -1,4 +1,4 @@
-"""Methods that solve for everything at the end: the log, collected scan by scan."""
+"""Methods that solve once at the end; the log is collected scan by scan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from relmap.datasets.base import ObservationLog
 
 
 class SolvedAtTheEnd(KnownBaseline):
-    """Keeps all scans, and maps them when the log is over.
+    """Collects all scans, and maps them at the end of the log.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class SolvedAtTheEnd(KnownBaseline):
 
     @property
     def trajectory(self) -> NDArray[np.float64]:
-        """The poses (k, 4, 4) with which each scan fits the map best; NaN where none is fixed."""
+        """The poses (k, 4, 4) that fit each scan to the map; NaN if undetermined."""
         log, found = self._log, self._map
         assert log.ids is not None
         k, d = len(log), self._d

@@ -1,1 +1,1 @@
-"""Methods that can be compared: one small file each, behind one Protocol."""
+"""Methods that can be compared: one small file each, behind one protocol."""

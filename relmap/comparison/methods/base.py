@@ -12,7 +12,7 @@ from relmap.evaluation.sources import LogKind
 
 @dataclass(frozen=True)
 class Setup:
-    """What a method is given before it starts.
+    """Information given to a method before it starts.
 
     Attributes
     ----------
@@ -31,21 +31,21 @@ class Setup:
 
 @dataclass(frozen=True)
 class MethodInfo:
-    """A method and what must be known to choose it.
+    """A method and the information needed to choose it.
 
     Attributes
     ----------
     name : str
     make : callable
-        Makes a fresh one.
+        Makes a new instance.
     logs : tuple of "landmarks", "scans"
-        What it can be given.
+        Accepted kinds of logs.
     refine : bool
-        Whether the map is refined when the log is over.
+        Whether the map is refined at the end of the log.
     needs_ids : bool
         Whether it needs known ids.
     needs : str or None
-        Module of the optional extra that it is made of.
+        Module of the optional extra that it requires.
     """
 
     name: str
@@ -57,7 +57,7 @@ class MethodInfo:
 
     @property
     def missing(self) -> str | None:
-        """What must be installed before it can run; None if nothing is missing."""
+        """Reason why it cannot run; None if nothing is missing."""
         if self.needs is None or importlib.util.find_spec(self.needs) is not None:
             return None
         return f"{self.needs} is not installed: pip install 'relmap[peers]'"

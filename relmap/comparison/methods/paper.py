@@ -1,4 +1,4 @@
-"""relmap with the paper's settings, to compare with the defaults."""
+"""relmap with the paper's settings, for comparison with the defaults."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from relmap.points.mapper import PointMapper
 from relmap.points.model import PointModel
 
 PAPER = MapperConfig(max_missed=0, refine_live=False)
-"""As sections II and III have it: gone once missed, and not refined on the way."""
+"""Settings of sections II and III: no missed iterations, no live refinement."""
 
 
 class PaperPointModel(PointModel):
-    """Where no ids are given, scans are matched to the previous iteration alone."""
+    """Without ids, scans are matched to the previous iteration only."""
 
     def association(self, config: MapperConfig) -> Registration:
         """Return the paper's matching."""
@@ -28,7 +28,7 @@ class PaperPointModel(PointModel):
 
 
 class PaperPointMapper(PointMapper):
-    """Maps points as the paper does."""
+    """Maps points as in the paper."""
 
     def _model(self) -> PointModel:
         return PaperPointModel()

@@ -39,7 +39,7 @@ METHODS: tuple[MethodInfo, ...] = (
     MethodInfo("kiss-icp", lambda told: KissIcp(told.range_m), _ALL, needs="kiss_icp"),
     MethodInfo("small-gicp", lambda told: SmallGicp(told.range_m), _ALL, needs="small_gicp"),
 )
-"""In the order of the tables."""
+"""In the order of tables."""
 
 
 def find_method(name: str) -> MethodInfo:
@@ -55,7 +55,7 @@ def find_method(name: str) -> MethodInfo:
 
 
 def fitting_methods(log: LogKind, association: Association) -> list[MethodInfo]:
-    """Return the methods that a log of this kind can be given to."""
+    """Return the methods that accept a log of this kind."""
     return [
         method
         for method in METHODS
@@ -64,12 +64,12 @@ def fitting_methods(log: LogKind, association: Association) -> list[MethodInfo]:
 
 
 def check_method(method: MethodInfo, log: LogKind, association: Association) -> None:
-    """Make sure that a method can be given such a log.
+    """Check that a method accepts such a log.
 
     Raises
     ------
     RelmapError
-        If it cannot.
+        If it does not.
     """
     fit = ", ".join(other.name for other in fitting_methods(log, association))
     if log not in method.logs:

@@ -1,4 +1,4 @@
-"""One method on one log: run, timed, and compared with the truth."""
+"""Runs one method on one log, timed, and compares the result with the truth."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ ACCURACY = (
 )
 """Figures that are the same in every run.
 
-`matched` landmarks or corners are behind the RMSE; `often_rmse_m` is of the landmarks seen in ten
-iterations alone, as coverage is: methods that map what they saw once are compared by it.
+`matched` is the number of landmarks or corners in the RMSE; `often_rmse_m` covers only landmarks
+seen in ten iterations, as coverage does, for comparison with methods that map landmarks seen once.
 """
 OF_A_MAP = ("matched", "coverage", "landmarks_per_true", "purity")
-"""Figures that a method without a map cannot have."""
+"""Figures that a method without a map does not have."""
 PATH = ("path_coverage", "relation_m", "relation_rad")
-"""Further figures of the path: the share of the iterations that have a pose in the map, which of a
-map in submaps are those of the largest, and the error of checked relations between poses."""
+"""Further figures of the path: the fraction of iterations with a pose in the map, which for a map
+in submaps is the largest one, and the error of checked relations between poses."""
 COST = ("median_ms", "mean_ms", "last_100_median_ms", "total_s", "memory_mb")
-"""Figures that depend on the machine: processor time of one core, and what the process grew by."""
+"""Figures that depend on the machine: processor time of one core, and memory growth."""
 WARM_UP = {"landmarks": 30, "scans": 4}
-"""Iterations of a log that are run before, so that all is loaded and compiled."""
+"""Iterations of a log that are run first, so that everything is loaded and compiled."""
 GUESSED_FROM = 200
-"""Iterations that the noise of a log is estimated from."""
+"""Number of iterations from which the noise of a log is estimated."""
 FEW_M = 0.01
-"""Noise that is assumed where a log does not tell."""
+"""Noise assumed if it cannot be estimated from the log."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class MethodRun:
     Attributes
     ----------
     result : Result
-        Of walls a `PlaneResult`.
+        For walls a `PlaneResult`.
     figures : dict
         `ACCURACY`, `PATH` and `COST`, None if one is not available.
     """
@@ -75,9 +75,9 @@ class MethodRun:
 def run_method(
     info: MethodInfo, data: Data[Log], association: Association, sigma_m: float | None = None
 ) -> MethodRun:
-    """Run a method over a log and compare what comes out with the truth.
+    """Run a method on a log and compare the result with the truth.
 
-    One thread in every library; a part of the log is run before, on a method of its own.
+    All libraries use one thread; a part of the log is run first, on a separate instance.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def run_method(
     data : Data
     association : "nearest" or "known"
     sigma_m : float, optional
-        Noise that methods are given, metres; estimated from the log if not given.
+        Noise passed to methods, metres; estimated from the log if not given.
 
     Returns
     -------
@@ -115,23 +115,23 @@ def run_method(
 def try_method(
     name: str, source: Source, association: Association, sigma_m: float | None
 ) -> tuple[MethodRun | None, str]:
-    """Run a method where it can run; see `run_method`.
+    """Run a method if possible; see `run_method`.
 
     Parameters
     ----------
     name : str
     source : Source
-        Of the data.
+        Source of the data.
     association : "nearest" or "known"
     sigma_m : float or None
-        Noise that methods are given, metres.
+        Noise passed to methods, metres.
 
     Returns
     -------
     run : MethodRun or None
         None if it failed.
     note : str
-        Why; empty where all went well.
+        The reason; empty on success.
     """
     try:
         return run_method(find_method(name), source.load(), association, sigma_m), ""
@@ -140,7 +140,7 @@ def try_method(
 
 
 def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
-    """Return what methods are given about a log beforehand.
+    """Return the information about a log that methods get in advance.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _noise_of(log: ObservationLog) -> float:
 
 
 def _accuracy(result: Result, data: Data[Log]) -> dict[str, float | None]:
-    """Compare a result with the truth; a method without a map has no figures of one."""
+    """Compare a result with the truth; a method without a map has no map figures."""
     figures: dict[str, float | None] = dict.fromkeys((*ACCURACY, *PATH))
     if data.truth is None:
         return figures

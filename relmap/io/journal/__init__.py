@@ -1,8 +1,8 @@
-"""The journal of a run: what was seen and taken for what, kept so that a run survives.
+"""The journal of a run: observations and associations, stored so that a run can be resumed.
 
-A journal is an SQLite file; `relmap.io.journal.layout` documents its tables, which any tool that
-reads SQLite can read.  As the mapping is deterministic, feeding a mapper what is in the journal
-gives the very mapper that wrote it; so nothing else is kept.
+A journal is an SQLite file; `relmap.io.journal.layout` documents its tables, readable by any SQLite
+tool. Mapping is deterministic, so mapping the scans of the journal again restores the mapper
+exactly; nothing else is stored.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The SQLite file of a journal: made whole or not at all, and opened for writing."""
+"""The SQLite file of a journal: created atomically, and opened for writing."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from relmap.core.errors import RelmapError, reason
 from relmap.io.journal.layout import APPLICATION, END, SCHEMA, End, Layout, meta_checksum
 
 CACHE_KIB = 16384
-"""Pages that wait in memory until then: a second of the mapping makes some 3 MB."""
+"""Pages cached in memory before a write: a second of mapping produces some 3 MB."""
 CHECKPOINT_PAGES = 4000
-"""Pages in the write-ahead log at which it is worked into the file."""
+"""Pages in the write-ahead log that trigger a checkpoint."""
 
 BESIDE = ("-wal", "-shm")
 """How names of the files end that SQLite keeps beside its own."""
@@ -23,7 +23,7 @@ THERE = "journal {} already exists: resume its run, or name another"
 
 
 def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
-    """Make an empty journal, whole or not at all, and return where it ends.
+    """Create an empty journal atomically, and return its end.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
     """
     if path.exists():
         raise RelmapError(THERE.format(path))
-    # What a run that was killed left beside a file that is gone would be taken for this one's.
+    # Files left by a killed run beside a deleted journal would be taken for this one's.
     remove(path, BESIDE)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
@@ -61,24 +61,24 @@ def create_file(path: Path, layout: Layout, meta: dict[str, Any]) -> End:
 
 
 def _name(part: Path, path: Path) -> None:
-    """Let a file be found under its name, if no other has it."""
+    """Give a file its final name, if no other has it."""
     try:
         path.hardlink_to(part)
     except FileExistsError:
         raise
-    except OSError:  # a file system without links
+    except OSError:  # a file system without hard links
         part.replace(path)
 
 
 def remove(path: Path, endings: tuple[str, ...] = ("", *BESIDE)) -> None:
-    """Remove an SQLite file and what stands beside it, as far as they are there."""
+    """Remove an SQLite file and its auxiliary files, if they exist."""
     for ending in endings:
         with suppress(OSError):
             path.with_name(path.name + ending).unlink()
 
 
 def connected(path: Path, new: bool = False) -> sqlite3.Connection:
-    """Open an SQLite file for writing; what a transaction commits is on disk."""
+    """Open an SQLite file for writing, with durable commits."""
     mode = "rwc" if new else "rw"
     connection = sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",

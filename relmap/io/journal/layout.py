@@ -1,36 +1,35 @@
-"""What a journal holds: its tables and their meaning, for points and for planes.
+"""The tables of a journal, for points and for planes.
 
-``PRAGMA application_id`` marks a journal among SQLite files, ``PRAGMA user_version`` is the
-version of what follows.
+``PRAGMA application_id`` marks a journal among SQLite files, ``PRAGMA user_version`` is the version
+of the tables.
 
 ``meta``
     ``key`` and ``value``, a text in JSON: ``variant`` ("points" or "planes"), ``configuration`` of
-    the mapper, ``versions`` of relmap and what it is built on, and ``run``: what the command line
-    was asked for, null where a program of its own keeps the journal.  ``end`` tells how many
-    ``scans`` there are, and the ``checksum`` at the end; it changes with each transaction.
+    the mapper, ``versions`` of relmap and what it is built on, and ``run``: the arguments of the
+    command line, null if a library user keeps the journal. ``end`` has the number of ``scans`` and
+    the ``checksum`` at the end; it changes with each transaction.
 ``scans``
-    One row for each update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 where
-    ids came with it), ``checksum``; of planes ``beams``, see `relmap.planes.beams`, in bytes.
+    One row per update: ``iteration`` from 0, ``rows`` in ``observations``, ``known`` (1 if it has
+    ids), ``checksum``; of planes ``beams``, see `relmap.planes.beams`, in bytes.
 ``observations``
-    One row for each observation in the order of ``iteration`` and ``row``, as given to the mapper.
-    Of points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id``
-    null where none came, and ``landmark``, the label that the mapper gave it.
-    Of planes the right end ``x0``, ``y0`` and the left end ``x1``, ``y1``, robot frame, metres, the
-    extent ``z0``, ``z1``, ``sd`` of the wall's distance, ``end0`` and ``end1`` (1 for a corner,
-    else 0), and ``landmark``, the number of the wall.
+    One row per observation in the order of ``iteration`` and ``row``, as given to the mapper. For
+    points ``x``, ``y``, ``z`` in the robot frame, metres, ``z`` null in a planar world, ``id`` null
+    without one, and ``landmark``, the label assigned by the mapper. For planes the right end
+    ``x0``, ``y0`` and the left end ``x1``, ``y1``, robot frame, metres, the extent ``z0``, ``z1``,
+    ``sd`` of the wall's distance, ``end0`` and ``end1`` (1 for a corner, else 0), and ``landmark``,
+    the number of the wall.
 ``covariances``
-    Only where covariances came with points: ``iteration``, ``row``, and ``xx``, ``xy``, ``xz``,
-    ``yy``, ``yz``, ``zz``, robot frame, square metres, those of z null in a planar world.
+    Only if points have covariances: ``iteration``, ``row``, and ``xx``, ``xy``, ``xz``, ``yy``,
+    ``yz``, ``zz``, robot frame, square metres, those of z null in a planar world.
 ``odometry``
-    Only where odometry came: ``iteration``, and ``motion``, the pose of the robot in its frame one
+    Only with odometry: ``iteration``, and ``motion``, the pose of the robot in its frame one
     iteration before, a 4 by 4 matrix row by row, 16 little-endian numbers of 8 bytes.
 ``calls``
-    What else was asked of the mapper, "finish" or "refine", when it had taken in the scans before
-    ``iteration``.
+    Other calls of the mapper, "finish" or "refine", made after the scans before ``iteration``.
 
 A checksum is the CRC-32 of everything from the beginning, in the order in which it came: of
-``meta`` (see `meta_checksum`), and of each scan and call that followed (see `checksum`).  So
-no accidental change, loss, addition or reordering goes unnoticed.
+``meta`` (see `meta_checksum`), and of each scan and call that followed (see `checksum`).  So any
+accidental change, loss, addition or reordering is detected.
 """
 
 from __future__ import annotations
@@ -46,14 +45,14 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 
 SCHEMA = 3
-"""Version of the tables; since 3 each checksum is of everything before it."""
+"""Version of the tables; since 3 each checksum covers everything before it."""
 APPLICATION = 0x726C6D70
-"""What SQLite's ``application_id`` says: relmap."""
+"""SQLite's ``application_id`` of relmap."""
 END = "end"
 """The key of ``meta`` that marks the end of the journal."""
 META = "CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT)"
 PAIRS = ("xx", "xy", "xz", "yy", "yz", "zz")
-"""The entries of a covariance: those of its upper triangle."""
+"""The entries of a covariance: its upper triangle."""
 COVARIANCES = (
     f"CREATE TABLE covariances (iteration INTEGER, row INTEGER, {' REAL, '.join(PAIRS)} REAL)"
 )
@@ -69,11 +68,11 @@ class Layout:
     ----------
     variant : str
     values : tuple of str
-        The columns of what was seen, with their types.
+        The columns of the observations, with their types.
     has_ids : bool
-        Whether ids may come with what was seen.
+        Whether observations may have ids.
     has_beams : bool
-        Whether beams may come with it.
+        Whether scans may have beams.
     """
 
     variant: str
@@ -99,7 +98,7 @@ class Layout:
 
     @property
     def tables(self) -> dict[str, str]:
-        """The SQL that makes each table."""
+        """The SQL statements that create the tables."""
         beams = ", beams BLOB" * self.has_beams
         return {
             "meta": META,
@@ -118,14 +117,14 @@ LAYOUTS = {layout.variant: layout for layout in (POINTS, PLANES)}
 
 @dataclass(frozen=True)
 class End:
-    """Where a journal ends.
+    """The end of a journal.
 
     Attributes
     ----------
     scans : int
-        How many it holds.
+        Number of scans.
     checksum : int
-        Of everything in it.
+        Checksum of the whole content.
     """
 
     scans: int
@@ -133,18 +132,18 @@ class End:
 
     @property
     def text(self) -> str:
-        """What ``meta`` holds of it."""
+        """Its representation in ``meta``."""
         return json.dumps(asdict(self))
 
 
 def meta_checksum(rows: Iterable[tuple[str, str]]) -> int:
-    """Return the CRC-32 of keys and values of ``meta``, by key, each with a zero byte behind it."""
+    """Return the CRC-32 of the sorted keys and values of ``meta``, each followed by a zero."""
     told = (text for row in sorted(rows) if row[0] != END for text in row)
     return zlib.crc32("".join(f"{text}\0" for text in told).encode())
 
 
 def call_checksum(name: str, before: int) -> int:
-    """Return the CRC-32 with a call, after that of everything before."""
+    """Return the CRC-32 continued with a call."""
     return zlib.crc32(name.encode(), before)
 
 
@@ -158,12 +157,11 @@ def checksum(
     odometry: Floats | None = None,
     before: int = 0,
 ) -> int:
-    """Return the CRC-32 with a scan, after that of everything before.
+    """Return the CRC-32 continued with a scan.
 
-    It is that of the iteration number, n, n c, and 1 or 0 for whether ids came, the values (n, c)
-    row by row, the ids where they came, the landmarks (n,), and where they came the covariances
-    (n, d, d) row by row, and the odometry (4, 4); all as little-endian numbers of 8 bytes; and of
-    the beams.
+    It covers the iteration number, n, n c, and 1 or 0 for the presence of ids, the values (n, c)
+    row by row, the ids if any, the landmarks (n,), the covariances (n, d, d) row by row and the
+    odometry (4, 4) if any; all as little-endian numbers of 8 bytes; and the beams.
     """
     head = struct.pack("<4q", iteration, len(labels), values.size, ids is not None)
     came = [part for part in (ids, labels, covariances, odometry) if part is not None]

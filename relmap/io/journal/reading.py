@@ -1,4 +1,4 @@
-"""Reading a journal: what is whole in it, and where it is damaged."""
+"""Reading a journal: its intact part, and the location of damage."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ from relmap.io.journal.layout import (
 )
 
 MOST_ROWS = 10_000_000
-"""Observations in one scan above which the number is damage."""
+"""Number of observations in one scan above which the file is damaged."""
 NOWHERE = End(-1, 0)
-"""Where a journal ends that does not tell."""
+"""End of a journal that does not state it."""
 _WRONG = (sqlite3.Error, TypeError, ValueError, OverflowError, UnicodeError, RecursionError)
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedScan:
-    """One scan, as the mapper took it in.
+    """One scan, as given to the mapper.
 
     Attributes
     ----------
     values : (n, c) float64
-        In the order of the layout's columns; of points (n, 2) in a planar world.
+        In the order of the layout's columns; for points (n, 2) in a planar world.
     ids : (n,) int64 or None
     labels : (n,) int64
-        What the mapper called the landmarks.
+        Labels assigned by the mapper.
     covariances : (n, d, d) float64 or None
-        Of points, where they came; None for a scan without observations.
+        For points, if given; None for a scan without observations.
     beams : bytes
     odometry : (4, 4) float64 or None
-        How the robot moved since the scan before, where that came.
+        Motion of the robot since the previous scan, if given.
     """
 
     values: Floats
@@ -76,16 +76,16 @@ class JournalReader:
     meta : dict
         See `relmap.io.journal.layout`.
     calls : dict
-        What was asked of the mapper before each iteration.
+        Calls of the mapper before each iteration.
     end : End
-        Where it ends, by what it says.
+        Its end, as stated.
     read : End
-        The last scan that `scans` has yielded.
+        End of the last scan yielded by `scans`.
 
     Raises
     ------
     RelmapError
-        If it is not a journal, or one of another version, or nothing of it can be recovered.
+        If it is not a journal, is of another version, or nothing can be recovered.
     """
 
     def __init__(self, path: Path) -> None:
@@ -100,7 +100,7 @@ class JournalReader:
             raise RelmapError(f"journal {path} cannot be opened: {reason(error)}") from error
         try:
             self._check_version()
-            # All is read as of now, even while another process writes.
+            # Everything is read as of now, even while another process writes.
             self._connection.execute("BEGIN")
             self._require({"meta": META})
             self.meta, self.end, begin = self._read_meta()
@@ -116,7 +116,7 @@ class JournalReader:
             size, whole = path.stat().st_size, stated_size(path)
             if size < whole:
                 raise RelmapError(
-                    f"journal {path} is cut short, {size} of {whole} bytes: what is left can be "
+                    f"journal {path} is truncated, {size} of {whole} bytes: the rest can be "
                     "recovered: relmap resume --salvage does it"
                 ) from error
             raise RelmapError(
@@ -138,12 +138,12 @@ class JournalReader:
         self._connection.close()
 
     def scans(self) -> Iterator[RecordedScan]:
-        """Yield every scan, the first first.
+        """Yield every scan in order.
 
         Raises
         ------
         RelmapError
-            If the journal is damaged; all scans before that were yielded.
+            If the journal is damaged; all scans before the damage were yielded.
         """
         self.read = self._before
         try:
@@ -180,21 +180,21 @@ class JournalReader:
             ) from error
 
     def _called(self, k: int) -> int:
-        """Return the checksum with the calls after the last scan read."""
+        """Return the checksum including the calls after the last scan read."""
         check = self.read.checksum
         for call in self.calls.get(k, []):
             check = call_checksum(call, check)
         return check
 
     def _covariances(self) -> sqlite3.Cursor | None:
-        """Return a cursor at the first covariance; None if none came."""
+        """Return a cursor at the first covariance; None if there are none."""
         if "covariances" not in self._more:
             return None
         names = ", ".join(("iteration", "row", *PAIRS))
         return self._connection.execute(f"SELECT {names} FROM covariances ORDER BY rowid")
 
     def _motions(self) -> dict[int, Floats]:
-        """Return the odometry of each scan that came with one."""
+        """Return the odometry of each scan that has it."""
         if "odometry" not in self._more:
             return {}
         rows = self._connection.execute("SELECT iteration, motion FROM odometry").fetchall()
@@ -203,7 +203,7 @@ class JournalReader:
     def _scan(
         self, cursor: sqlite3.Cursor, k: int, n: int, known: int, beams: list[bytes]
     ) -> RecordedScan:
-        """Return scan k, whose observations are next; what should be empty must be."""
+        """Return scan k, whose observations are next; check that unused fields are empty."""
         if not 0 <= n <= MOST_ROWS or known not in (0, int(self.layout.has_ids)):
             raise ValueError(f"a scan of {told(n)} rows, with ids: {told(known)}")
         if any(type(part) is not bytes for part in beams):
@@ -236,7 +236,7 @@ class JournalReader:
         self._connection.execute("PRAGMA trusted_schema = OFF")
 
     def _read_meta(self) -> tuple[dict[str, Any], End, int]:
-        """Return what the journal says of itself, where it ends, and the checksum of all that."""
+        """Return the metadata of the journal, its end, and the checksum of the metadata."""
         rows = self._connection.execute("SELECT key, value FROM meta").fetchall()
         meta = {key: json.loads(value) for key, value in rows}
         if not isinstance(meta.get("configuration"), dict) or meta.get("variant") not in LAYOUTS:
@@ -254,17 +254,17 @@ class JournalReader:
         return bool(self._connection.execute(sql, (table,)).fetchone()[0])
 
     def _require(self, tables: dict[str, str]) -> None:
-        """Make sure that tables are just what they should be: nothing hides behind their names."""
+        """Check that tables are as expected, without triggers or views."""
         found = self._connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
         made = {name: sql for kind, name, sql in found if kind == "table"}
         for name, sql in tables.items():
             if made.get(name) != sql:
-                raise ValueError(f"its table {name} is not as it should be")
+                raise ValueError(f"its table {name} has an unexpected definition")
         if any(kind == "trigger" for kind, _, _ in found):
             raise ValueError("it has a trigger")
 
     def _read_calls(self) -> dict[int, list[str]]:
-        """Return what was asked of the mapper before each iteration."""
+        """Return the calls of the mapper before each iteration."""
         calls: dict[int, list[str]] = {}
         for iteration, call in self._connection.execute(
             "SELECT iteration, call FROM calls ORDER BY rowid"
@@ -276,7 +276,7 @@ class JournalReader:
 
 
 def _next(cursor: sqlite3.Cursor, k: int, n: int, what: str) -> list[tuple[Any, ...]]:
-    """Return the next n rows of scan k, without its number and theirs."""
+    """Return the next n rows of scan k, without iteration and row numbers."""
     rows = cursor.fetchmany(n) if n else []
     if len(rows) != n or [row[:2] for row in rows] != [(k, i) for i in range(n)]:
         raise ValueError(f"{what} are missing")
@@ -303,7 +303,7 @@ def _matrices(cursor: sqlite3.Cursor, k: int, n: int, d: int) -> Floats:
 
 
 def stated_size(path: Path) -> int:
-    """Return the bytes that an SQLite file should have by what it says; 0 where it says nothing."""
+    """Return the size in bytes of an SQLite file according to its header; 0 if unknown."""
     with path.open("rb") as stream:
         head = stream.read(100)
     if len(head) < 100 or not head.startswith(b"SQLite format 3\0"):

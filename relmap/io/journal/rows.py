@@ -11,15 +11,15 @@ from relmap.core.arrays import Floats, Ints
 from relmap.io.journal.layout import COVARIANCES, ODOMETRY, PAIRS, Layout
 
 Statements = list[tuple[str, list[tuple[Any, ...]]]]
-"""SQL, and the rows of values that it is executed with."""
+"""SQL, and the rows of values to execute it with."""
 BLOCK = 32
-"""Rows that one statement writes."""
+"""Rows written by one statement."""
 
 
 def observation_rows(
     layout: Layout, k: int, values: Floats, ids: Ints | None, labels: Ints
 ) -> Statements:
-    """Return what writes the observations of scan k; see `Journal.append`."""
+    """Return the statements that write the observations of scan k; see `Journal.append`."""
     n = len(labels)
     columns = values.T.tolist() if n else []
     slots = ["?"] * (2 + len(columns)) + ["NULL"] * (len(layout.values) - len(columns))
@@ -31,7 +31,7 @@ def observation_rows(
 
 
 def covariance_rows(k: int, covariances: Floats) -> Statements:
-    """Return what writes the covariances (n, d, d) of scan k into a table of their own."""
+    """Return the statements that write the covariances (n, d, d) of scan k into their table."""
     n, d = covariances.shape[:2]
     entries = {
         "xyz"[a] + "xyz"[b]: covariances[:, a, b].tolist()
@@ -44,7 +44,7 @@ def covariance_rows(k: int, covariances: Floats) -> Statements:
 
 
 def odometry_rows(k: int, motion: Floats) -> Statements:
-    """Return what writes the motion (4, 4) to scan k into a table of its own."""
+    """Return the statements that write the motion (4, 4) to scan k into its table."""
     row = (k, np.ascontiguousarray(motion, dtype="<f8").tobytes())
     return [_made(ODOMETRY), ("INSERT INTO odometry VALUES (?, ?)", [row])]
 
@@ -54,7 +54,7 @@ def _made(table: str) -> tuple[str, list[tuple[Any, ...]]]:
 
 
 def _blocks(slots: str, numbers: list[float], n: int) -> Statements:
-    """Return what writes n rows of numbers, many with one statement: that takes half."""
+    """Return the statements that write n rows of numbers, many per statement: twice as fast."""
     statements: Statements = []
     width, end = slots.count("?"), n - n % BLOCK
     for begin, stop, k in ((0, end, BLOCK), (end, n, 1)):

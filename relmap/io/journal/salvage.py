@@ -1,4 +1,4 @@
-"""Recovering what is whole of a damaged journal."""
+"""Recovering the intact part of a damaged journal."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from relmap.io.journal.reading import JournalReader, stated_size
 from relmap.io.journal.writing import Journal
 
 MOST_MISSING = 1 << 40
-"""Bytes beyond which the size that a file states is damage."""
+"""File size above which the stated size is damaged."""
 
 
 def salvage(path: Path) -> int:
-    """Replace a damaged journal by one that holds the scans before the damage.
+    """Replace a damaged journal by one with the scans before the damage.
 
     The damaged file is kept, with ``.damaged`` appended to its name.
 
@@ -65,7 +65,7 @@ def _beside(path: Path, ending: str) -> Path:
 
 
 def _copy(path: Path, copy: Path) -> None:
-    """Copy a journal, filled up to its size where it was cut short: SQLite wants it so."""
+    """Copy a journal, padded to its stated size if truncated, as SQLite requires."""
     shutil.copyfile(path, copy)
     with suppress(FileNotFoundError):
         shutil.copyfile(_beside(path, "-wal"), _beside(copy, "-wal"))
@@ -76,7 +76,7 @@ def _copy(path: Path, copy: Path) -> None:
 
 
 def _recover(damaged: Path, whole: Path) -> int:
-    """Write the scans before the damage to a journal; return how many they are."""
+    """Write the scans before the damage to a journal; return their number."""
     with JournalReader(damaged) as reader:
         remove(whole)
         journal = Journal(whole, reader.layout, create_file(whole, reader.layout, reader.meta))

@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 GET_END = f"SELECT value FROM meta WHERE key = '{END}'"
 SET_END = f"UPDATE meta SET value = ? WHERE key = '{END}'"
 INTERVAL_S = 1.0
-"""How often what was written is made sure of."""
+"""Interval between durable writes."""
 
 
 class Entry(NamedTuple):
-    """A scan or a call that waits to be written, and where the journal ends with it."""
+    """A scan or a call waiting to be written, and the end of the journal including it."""
 
     statements: Statements
     end: End
 
 
 class Journal:
-    """Keeps scans in an SQLite file: at the latest after a second, or at once by `flush`.
+    """Stores scans in an SQLite file: after at most a second, or at once by `flush`.
 
-    A process may be killed at any moment: what was made sure of stays.  Where the file cannot be
-    written, a full disk above all, what is not in it yet waits in memory and is tried again.
+    Committed data survive if the process is killed. If the file cannot be written, for example on a
+    full disk, uncommitted data are kept in memory and written later.
 
     Parameters
     ----------
     path : Path
-        A journal that exists; see `create` and `go_on`.
+        An existing journal; see `create` and `go_on`.
     layout : Layout
     end : End
-        Where it ends.
+        Its end.
     """
 
     def __init__(self, path: Path, layout: Layout, end: End) -> None:
@@ -61,7 +61,7 @@ class Journal:
 
     @classmethod
     def create(cls, path: Path, layout: Layout, meta: dict[str, Any]) -> Journal:
-        """Begin a journal.
+        """Create a journal.
 
         Raises
         ------
@@ -72,9 +72,9 @@ class Journal:
 
     @classmethod
     def go_on(cls, reader: JournalReader) -> Journal:
-        """Go on with a journal after its last scan, which a reader has read.
+        """Continue a journal after its last scan, which a reader has read.
 
-        Calls after that are left out: the program that goes on repeats them.
+        Later calls are dropped: the continuing program repeats them.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Journal:
 
     @property
     def n_scans(self) -> int:
-        """How many scans were taken in."""
+        """Number of scans appended."""
         return self._end.scans
 
     @property
@@ -97,12 +97,12 @@ class Journal:
         return self._waiting[-1].end if self._waiting else self._sure
 
     def ready(self) -> None:
-        """Make sure that there is room for more.
+        """Check that more scans can be appended.
 
         Raises
         ------
         RelmapError
-            If scans taken in before could not be written, and still cannot.
+            If earlier scans could not be written, and still cannot.
         """
         if self._failure is not None:
             self.flush()
@@ -116,18 +116,18 @@ class Journal:
         beams: bytes = b"",
         odometry: Floats | None = None,
     ) -> None:
-        """Take in one scan; where it cannot be written, the next `ready` or `flush` says so.
+        """Append one scan; if it cannot be written, the next `ready` or `flush` reports it.
 
         Parameters
         ----------
         values : (n, c) float64
-            What was seen, in the order of the layout's columns; of points (n, 2) or (n, 3).
+            Observations, in the order of the layout's columns; for points (n, 2) or (n, 3).
         ids : (n,) int64 or None
         labels : (n,) int64
         covariances : (n, d, d) float64, optional
-            Of points.
+            Only for points.
         beams : bytes
-            Where the layout has beams.
+            If the layout has beams.
         odometry : (4, 4) float64, optional
         """
         k, n = self.n_scans, len(labels)
@@ -147,12 +147,12 @@ class Journal:
         self._try(sure=monotonic() - self._sure_at >= INTERVAL_S)
 
     def call(self, name: str) -> None:
-        """Note that something else is asked of the mapper, and make sure of all before it.
+        """Record another call of the mapper, and commit everything before it.
 
         Raises
         ------
         RelmapError
-            If it cannot be written; it is then not noted.
+            If it cannot be written; it is then not recorded.
         """
         k, check = self.n_scans, call_checksum(name, self._end.checksum)
         self._waiting.append(
@@ -165,7 +165,7 @@ class Journal:
             raise
 
     def flush(self) -> None:
-        """Make sure of everything taken in: whatever happens now, it is on disk.
+        """Commit everything appended to disk.
 
         Raises
         ------
@@ -199,7 +199,7 @@ class Journal:
             self.close()
 
     def _try(self, sure: bool) -> None:
-        """Write what waits, and make sure of it where that is asked; note a failure."""
+        """Write pending data, commit if requested, and record a failure."""
         done = False
         try:
             self._write(sure)
@@ -229,23 +229,23 @@ class Journal:
         self._sure_at = monotonic()
 
     def _begin(self, connection: sqlite3.Connection) -> None:
-        """Begin a transaction, and leave out what the file holds: an interrupt may leave that open.
+        """Begin a transaction, after rolling back one that an interrupt left open.
 
         Raises
         ------
         sqlite3.IntegrityError
-            Where the file ends where this journal never did.
+            If the end of the file is unknown to this journal.
         """
         connection.execute("BEGIN IMMEDIATE")
         (text,) = connection.execute(GET_END).fetchone() or (None,)
         ends = [self._sure, *(entry.end for entry in self._waiting)]
         there = [k for k, end in enumerate(ends) if end.text == text]
         if not there:
-            raise sqlite3.IntegrityError("another program has gone on with it")
+            raise sqlite3.IntegrityError("another program has continued it")
         self._sure, self._waiting = ends[there[-1]], self._waiting[there[-1] :]
 
     def _roll_back(self) -> None:
-        """Take back what was written in part; it waits in memory."""
+        """Roll back a partial write; its data are kept in memory."""
         self._written = 0
         if self._connection is not None and self._connection.in_transaction:
             with suppress(sqlite3.Error):
