@@ -194,7 +194,10 @@ def test_grid() -> None:
         ({"method": "ekf", "world": "moon"}, "figure-eight or building"),
         ({"method": "ekf", "association": "nearest"}, "needs known ids"),
         ({"method": "relmap-planes", "world": "building"}, "association = 'nearest'"),
-        ({"method": "relmap-planes", "world": "building", "density": 5}, "applies only to the figure eight"),
+        (
+            {"method": "relmap-planes", "world": "building", "density": 5},
+            "applies only to the figure eight",
+        ),
         ({"method": "relmap-planes"}, "cannot map a log of landmarks"),
         ({"method": "ekf", "sigma": 10**400}, "sigma is 1000.*; it must be 0 to 1000 metres"),
         ({"method": "ekf", "seed": 10**5000}, "seed is a number with thousands of digits"),

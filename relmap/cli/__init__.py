@@ -1,4 +1,4 @@
-"""The command line: one verb per file, and one line for what goes wrong."""
+"""The command line: one file per verb, errors as one line."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from relmap.cli import (
 from relmap.cli.console import INTERRUPTED
 from relmap.core.errors import RelmapError
 
-# typer exports what is raised for a bad value, but not the class above it, of all bad usage.
+# typer exports the exception for a bad value, but not its base class for all usage errors.
 _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 BAD_INPUT = 2
@@ -91,13 +91,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        The arguments after the program's name; those of this process by default.
+        The arguments after the program name; by default those of this process.
 
     Returns
     -------
     int
-        What the process should exit with: 0, 2 for bad input, 130 where Ctrl-C ended it, 1 where
-        the reader of the output is gone.
+        Exit status: 0, 2 for bad input, 130 after Ctrl-C, 1 if the reader of the output is gone.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     _announce()
@@ -124,7 +123,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Stderr(logging.Handler):
-    """Tells a person that the library is busy compiling."""
+    """Reports that the library is compiling."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write one line."""
@@ -151,6 +150,6 @@ def _usage_line(error: Any) -> str:
 
 
 def _leave_pipe() -> int:
-    # The reader of our output is gone; Python must not try to flush to it at exit.
+    # The reader of our output is gone; prevent Python from flushing to it at exit.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return UNHEARD

@@ -1,4 +1,4 @@
-"""``python -m relmap.cli``: the same as the command ``relmap``."""
+"""``python -m relmap.cli``: same as the command ``relmap``."""
 
 from __future__ import annotations
 

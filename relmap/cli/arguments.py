@@ -1,4 +1,4 @@
-"""Arguments that several verbs share: logs, intervals, output folders, settings."""
+"""Arguments shared by several verbs: logs, intervals, output folders, settings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
 Odometry = Literal["auto", "none"]
 Mapped = Literal["points", "planes", "planes3d"]
-"""What `relmap map` maps; other verbs know the first two."""
+"""Variants of `relmap map`; other verbs accept the first two."""
 
 
 class Interval(NamedTuple):
@@ -29,7 +29,7 @@ class Interval(NamedTuple):
 
 
 def interval(text: str) -> Interval:
-    """Return the interval that ``A:B`` names.
+    """Return the interval given as ``A:B``.
 
     Raises
     ------
@@ -43,12 +43,12 @@ def interval(text: str) -> Interval:
 
 
 def columns(text: str) -> dict[str, str]:
-    """Return what ``ours=theirs,ours=theirs`` names.
+    """Return the pairs given as ``ours=theirs,ours=theirs``.
 
     Raises
     ------
     RelmapError
-        Where it is not pairs, or names a column twice.
+        If it is not a list of pairs, or a column occurs twice.
     """
     pairs = [part.partition("=") for part in text.split(",")]
     found = {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
@@ -58,12 +58,12 @@ def columns(text: str) -> dict[str, str]:
 
 
 def folder(text: str) -> Path:
-    """Return the folder that an option names.
+    """Return the folder given by an option.
 
     Raises
     ------
     typer.BadParameter
-        If it is empty, as an unset variable of a shell makes it.
+        If it is empty, for example because of an unset shell variable.
     """
     if not text:
         raise typer.BadParameter("it is empty, expected the name of a folder")
@@ -96,7 +96,7 @@ Noise = Annotated[
 ]
 Density = Annotated[float, typer.Option(help="Figure eight only: landmarks per 100 m of the path.")]
 Dynamic = Annotated[
-    float, typer.Option(help="Figure eight only: share of the landmarks that move, 0 to 1.")
+    float, typer.Option(help="Figure eight only: fraction of moving landmarks, 0 to 1.")
 ]
 Seed = Annotated[
     int, typer.Option(help="Seed of the random numbers: the same seed simulates the same world.")
@@ -104,12 +104,12 @@ Seed = Annotated[
 
 
 def refuse(is_wrong: object, message: str) -> None:
-    """Refuse arguments that cannot be used together or do not exist.
+    """Raise an error if arguments are incompatible or unknown.
 
     Raises
     ------
     RelmapError
-        With the message, where `is_wrong` is true.
+        With the message, if `is_wrong` is true.
     """
     if is_wrong:
         raise RelmapError(message)
@@ -120,15 +120,15 @@ def read_config(
     registration: str | None = None,
     unused: Mapping[str, str] | None = None,
 ) -> MapperConfig:
-    """Read a mapper's configuration from a TOML file; the default one where there is none.
+    """Read a mapper's configuration from a TOML file; defaults without a file.
 
     Parameters
     ----------
     path : Path or None
     registration : str, optional
-        Overrides that of the file.
+        Overrides the file.
     unused : mapping, optional
-        Settings that the run would ignore, and why.
+        Settings that the run would ignore, with the reason.
 
     Raises
     ------

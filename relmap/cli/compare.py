@@ -23,7 +23,7 @@ World = Literal["figure-eight", "building"]
 
 HELP = """Compare methods on the same data: relmap's own, and others.
 
-INPUT is a log of landmarks or of point scans, as 'relmap map' takes it; or a world is simulated.
+INPUT is a log of landmarks or of point scans, as for 'relmap map'; or simulate a world.
 It prints one table and writes DIR/comparison.csv, comparison.png, and of each method
 trajectory-METHOD.tum and map-METHOD.png.
 
@@ -37,13 +37,13 @@ Examples:
 \b
 Methods for landmarks:
   relmap-points        refined at the end
-  relmap-points-live   as the map stands when the log is over
+  relmap-points-live   the map at the end of the log, without final refinement
   relmap-points-paper  the paper's settings: nearest of the previous iteration, no refinement
-  frame-to-frame *     fits every scan to the one before and chains the steps
+  frame-to-frame *     fits every scan to the previous one and chains the steps
   frame-to-map *       fits every scan to the map, then averages it in
-  ekf-mrpt *           EKF SLAM without odometry that predicts standing still, as MRPT ships it
+  ekf-mrpt *           EKF SLAM without odometry, with a standing prediction, as in MRPT
   ekf *                the same, linearised where the scan fits the map best
-  batch *              sparse least squares over all observations at the end: the limit
+  batch *              sparse least squares over all observations: a lower bound of the error
   isam2 *+             gtsam's iSAM2
   gtsam-batch *+       gtsam's batch solver
   kiss-icp +           KISS-ICP: a path, no landmarks
@@ -58,15 +58,15 @@ Methods for point scans:
 \b
 The figures:
   RMSE        of landmarks (walls: of corners) after rigid alignment [m]
-  of          number of landmarks behind it: those that the method mapped
+  of          number of landmarks in the RMSE: those that the method mapped
   RMSE10      RMSE of those seen at least ten times
-  cover       share of the landmarks seen at least ten times that are in the map
-  ATE, RPE    error of the path, as a whole and from one step to the next [m]
-  path        share of the iterations with a pose; with several submaps, in the largest only
+  cover       fraction of the landmarks seen at least ten times that are in the map
+  ATE, RPE    absolute and relative error of the path [m]
+  path        fraction of iterations with a pose; with several submaps, in the largest only
   pairs, turn mean error against checked relations between poses [m], [rad]
   ms, mean    processor time of an iteration, median and mean [ms]; one thread
   end         median of the last 100 iterations [ms]
-  total       time of the whole log, with the work at its end [s]
+  total       time of the whole log, including the final steps [s]
   MB          growth of the process
 """
 
@@ -87,7 +87,7 @@ COLUMNS = {
     "total": ("total_s", "time"),
     "MB": ("memory_mb", "count"),
 }
-"""Of each column the name of its figure, and what kind of figure it is."""
+"""Name and kind of figure for each column."""
 OF_CORNERS = {"RMSE": ("corner_rmse_m", "")}
 
 _Source = Annotated[
@@ -98,13 +98,11 @@ _Simulate = Annotated[
 ]
 _Methods = Annotated[
     str | None,
-    typer.Option(metavar="A,B,...", help="Methods to run; by default all that fit the data."),
+    typer.Option(metavar="A,B,...", help="Methods to run; by default all that accept the data."),
 ]
 _Association = Annotated[
     args.Association | None,
-    typer.Option(
-        help="Whether methods are given the ids of the log; by default where the log has ids."
-    ),
+    typer.Option(help="Whether methods get the ids of the log; by default if the log has ids."),
 ]
 _Truth = Annotated[
     Path | None,
@@ -117,12 +115,12 @@ _Truth = Annotated[
 _Sigma = Annotated[
     float | None,
     typer.Option(
-        help="Noise of each coordinate, metres: of the simulation (0.05 by default), and "
-        "what methods are given as the noise of a log (estimated if not given)."
+        help="Noise of each coordinate, metres: in the simulation (0.05 by default), and "
+        "the noise passed to methods for a log (estimated if not given)."
     ),
 ]
 _Iterations = Annotated[
-    int | None, typer.Option(help="Of a simulated world; one loop if not given.")
+    int | None, typer.Option(help="Number of scans of a simulated world; one loop if not given.")
 ]
 
 
@@ -208,7 +206,7 @@ def _compared(
     association: args.Association,
     sigma_m: float | None,
 ) -> Iterator[Compared]:
-    """Run the methods, and tell on stderr of each that could not."""
+    """Run the methods, and report on stderr those that failed."""
     from relmap.comparison.compare import compare
 
     running = compare(source, methods, association, sigma_m)
@@ -246,7 +244,7 @@ def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) ->
 
 
 def _draw_map(picture: Path, result: Result, data: Data[Log], name: str) -> None:
-    """Draw what a method made of the data, and the truth where it is known."""
+    """Draw the map of a method, and the truth if known."""
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.evaluate import match_walls
     from relmap.evaluation.landmarks import overlay
@@ -265,7 +263,7 @@ def _draw_map(picture: Path, result: Result, data: Data[Log], name: str) -> None
 
 
 def print_rows(title: str, rows: Iterable[Compared]) -> None:
-    """Print the table; methods that did not run stand below it."""
+    """Print the table, followed by the methods that did not run."""
     rows = list(rows)
     ran = [(row.method, row.run.figures) for row in rows if row.run is not None]
     columns = dict(COLUMNS)

@@ -1,4 +1,4 @@
-"""What the verbs share to talk to a person: progress and tables."""
+"""Progress and tables of all verbs."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import typer
 T = TypeVar("T")
 
 INTERRUPTED = 130
-"""What the process exits with where Ctrl-C ended it."""
+"""Exit status after Ctrl-C."""
 PATIENCE_S = 1.0
-"""Work that is done sooner shows no progress."""
+"""Work shorter than this shows no progress."""
 EVERY_S = 10.0
-"""Off a terminal, seconds between two lines of progress."""
+"""Seconds between two lines of progress if not on a terminal."""
 STEADY_S = 600.0
-"""Time over which the speed is averaged, to tell how long the rest will take."""
+"""Time over which the speed is averaged to estimate the remaining time."""
 WIDEST = 1000
-"""Columns of a table at most: it is as wide as it needs to be, whatever the terminal."""
+"""Maximum width of a table: it is as wide as needed, independent of the terminal."""
 
 
 def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
-    """Yield the items; show on stderr how far it is where it takes long, see `with_bar`."""
+    """Yield the items; show progress on stderr if it takes long, see `with_bar`."""
     began = monotonic()
     source = iter(items)
     done = 0
@@ -40,18 +40,18 @@ def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 def with_bar(
     items: Iterable[T], total: int, what: str, done: int = 0, began: float | None = None
 ) -> Iterator[T]:
-    """Yield the items; show on stderr how far it is, where that is no terminal by lines.
+    """Yield the items; show progress on stderr, as lines if it is not a terminal.
 
     Parameters
     ----------
     items : iterable
-        What is left.
+        The remaining items.
     total : int
     what : str
     done : int
-        How many were done before.
+        Number of items already done.
     began : float, optional
-        When, by `time.monotonic`; now if not given.
+        Start time, by `time.monotonic`; now if not given.
     """
     from rich.console import Console
     from rich.progress import Progress
@@ -68,7 +68,7 @@ def with_bar(
 
 
 def _reported(items: Iterable[T], total: int, what: str, done: int, began: float) -> Iterator[T]:
-    """Yield the items; tell on stderr now and then how many are done."""
+    """Yield the items; print a line on stderr at intervals."""
     told = began
     for number, item in enumerate(items, done + 1):
         yield item
@@ -80,7 +80,7 @@ def _reported(items: Iterable[T], total: int, what: str, done: int, began: float
 
 
 def lasting(seconds: float) -> str:
-    """Return how long something takes as a person reads it."""
+    """Return a duration in readable form."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
@@ -88,12 +88,12 @@ def lasting(seconds: float) -> str:
 
 @contextmanager
 def busy(what: str) -> Iterator[Callable[[str], None]]:
-    """Tell on stderr what is being done where it takes long, where that is no terminal by lines.
+    """Show the current activity on stderr if it takes long, as lines if not on a terminal.
 
     Yields
     ------
     callable
-        Takes what is being done now.
+        Takes the current activity.
     """
     from rich.console import Console
 
@@ -114,7 +114,7 @@ def busy(what: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def _told_by_lines(what: str) -> Iterator[Callable[[str], None]]:
-    """Tell on stderr now and then what is being done, and since when."""
+    """Print the current activity and its duration on stderr at intervals."""
     doing, over, began = [what], Event(), monotonic()
 
     def tell() -> None:
@@ -132,7 +132,7 @@ def _told_by_lines(what: str) -> Iterator[Callable[[str], None]]:
 
 
 def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table on stdout, its first column to the left and the others to the right."""
+    """Print a table on stdout, first column left-aligned, the others right-aligned."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -148,13 +148,13 @@ def print_table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]
 
 
 def figure(value: float | None, kind: str = "") -> str:
-    """Return a figure as a person reads it.
+    """Return a figure in readable form.
 
     Parameters
     ----------
     value : float or None
     kind : "count", "share" or "time", optional
-        What it is, if no error or ratio.
+        Kind of figure, if not an error or ratio.
     """
     if value is None:
         return "-"

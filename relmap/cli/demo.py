@@ -1,4 +1,4 @@
-"""``relmap demo``: both variants on simulated scans, and one page that shows what comes out."""
+"""``relmap demo``: both variants on simulated scans, and one page with the results."""
 
 from __future__ import annotations
 
@@ -19,11 +19,10 @@ if TYPE_CHECKING:
 
 HELP = """See relmap at work on simulated scans.
 
-Both variants are compared with the truth.  First a robot flies a figure eight of 740 m past 185
-point landmarks and sees them with a noise of 5 cm.  It is mapped twice: with the identity of each
-landmark given ('known'), and without ('nearest').  Then a robot drives through a building and sees
-fixed points of its walls, with little noise and with much.  The same scans are mapped as planes and
-as points.
+Both variants are compared with the truth. First a robot flies a figure eight of 740 m past 185
+point landmarks and observes them with a noise of 5 cm. The log is mapped with known ids ('known')
+and without ids ('nearest'). Then a robot drives through a building and observes fixed points on its
+walls, with low and with high noise. The same scans are mapped as planes and as points.
 
 DIR/index.html shows all pictures.  DIR holds the files of 'relmap simulate' and 'relmap map', and
 DIR/nearest those of the map without identities.
@@ -36,7 +35,7 @@ Example:
 INDEX = "index.html"
 SPACING_M, ITERATIONS = 0.3, 80
 NOISES = {"little": 0.05, "much": 0.3}
-"""Of the points on walls, in units of their spacing."""
+"""Noise of the points on walls, in units of their spacing."""
 Rows = Sequence[Sequence[str]]
 
 
@@ -52,7 +51,7 @@ def demo_command(
 
 
 def _figure_eight(out: Path, seed: int) -> str:
-    """Map the figure eight with and without ids; return its part of the page."""
+    """Map the figure eight with and without ids; return its section of the page."""
     from relmap.cli.evaluate import evaluate_folder, rows_of
     from relmap.cli.mapping import map_input
     from relmap.cli.simulate import write_figure_eight
@@ -69,12 +68,12 @@ def _figure_eight(out: Path, seed: int) -> str:
     title, header = "point landmarks of the figure eight", ("figure", "known", "nearest")
     print_table(title, header, rows)
     _draw(out, known, evaluations[0])
-    text = "Mapped with the identity of each landmark given (known), and without (nearest)."
+    text = "Mapped with known ids (known), and without ids (nearest)."
     return _part(title, text, header, rows, "map.png")
 
 
 def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
-    """Draw the map again, now with the truth in it."""
+    """Draw the map again, with the truth."""
     from relmap.cli.evaluate import find_log
     from relmap.evaluation.landmarks import overlay
     from relmap.evaluation.truth import read_truth
@@ -91,7 +90,7 @@ def _draw(out: Path, run: Run, evaluation: Evaluation) -> None:
 
 
 def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
-    """Map the same scans as planes and as points; return their part of the page."""
+    """Map the same scans as planes and as points; return their section of the page."""
     from relmap.evaluation.surface_points import wall_points
     from relmap.plots.variants import both_maps, write_both_png
 
@@ -102,7 +101,7 @@ def _both_variants(out: Path, name: str, noise: float, seed: int) -> str:
     write_both_png(out / picture, maps, title)
     header, rows = ("figure", "planes", "points"), _rows(maps)
     print_table(title, header, rows)
-    text = f"Points on the walls are about {SPACING_M:g} m apart, and no identities are given."
+    text = f"Points on the walls are about {SPACING_M:g} m apart, and no ids are given."
     return _part(title, text, header, rows, picture)
 
 
@@ -112,7 +111,7 @@ def _rows(maps: BothMaps) -> Rows:
         ("RMSE of corners, of points [m]", *(figure(run.map_rmse_m) for run in runs)),
         ("coverage", *(figure(run.coverage) for run in runs)),
         ("ATE [m]", *(figure(run.ate_m) for run in runs)),
-        ("share of the scans with a pose", *(figure(run.poses) for run in runs)),
+        ("fraction of scans with a pose", *(figure(run.poses) for run in runs)),
     ]
 
 

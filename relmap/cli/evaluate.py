@@ -26,8 +26,8 @@ TRUTH is
   a trajectory, in the format of TUM or of KITTI (with its times.txt beside it)
   MRPT's ..._ground_truth.txt
   the folder of I-SLSJF's simulation (slsjf-sim), or of MRCLAM (mrclam)
-  the folder of Victoria Park: trees mapped by another program, a reference rather than a truth
-  the folder of DLR's circles: ids without places, so there is no RMSE
+  the folder of Victoria Park: trees mapped by another program, a reference, not a truth
+  the folder of DLR's circles: ids without positions, so there is no RMSE
   walls only: a log of point scans with poses, or a .relations file of checked relations
   planes in space only: a log of clouds with poses, or a folder as 'relmap simulate' writes it
 
@@ -39,15 +39,15 @@ Example:
 The figures:
   corner_rmse_m       walls: as landmark_rmse_m, for corners
   false corners       walls: mapped corners that match no true one, and are not in the RMSE
-  wall_recall         walls: share of the true walls over 0.5 m, as far as they were seen,
-                      on which a mapped one lies (within 0.1 m and 5 degrees)
-  wall_precision      walls: share of the mapped walls over 0.5 m that lie on true ones
-  doubled_length      walls: share of the mapped length that is mapped twice
+  wall_recall         walls: fraction of the observed length of true walls over 0.5 m
+                      that is mapped (within 0.1 m and 5 degrees)
+  wall_precision      walls: fraction of the length of mapped walls over 0.5 m that is true
+  doubled_length      walls: fraction of the mapped length that is mapped twice
   landmark_rmse_m     root mean square error of the mapped landmarks, after rigid alignment
-  coverage            share of the landmarks seen at least ten times that are in the map
-  landmarks_per_true  mapped landmarks per true one; above 1, some are mapped twice
-  purity              share of observations given to the right landmark
-  ate_m, rpe_m        absolute and relative error of the path: as a whole, and step by step
+  coverage            fraction of the landmarks seen at least ten times that are in the map
+  landmarks_per_true  mapped landmarks per true one; above 1 if some are mapped twice
+  purity              fraction of observations assigned to the correct landmark
+  ate_m, rpe_m        absolute and relative error of the path
   relation_m, _rad    walls: mean error against checked relations between poses
 
 A figure that is not available is "-" in the table and null in evaluation.json; if this truth could
@@ -69,7 +69,7 @@ FIGURES = {
     "relation_rad": "relations [rad]",
 }
 BESIDE = ("observations.csv", "observations.csv.gz")
-"""Logs that are looked for beside the truth."""
+"""Logs searched for beside the truth."""
 
 
 def evaluate_command(
@@ -113,7 +113,7 @@ def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:
 
 
 def _false_corners(counts: dict[str, int]) -> str:
-    """Return how many of the mapped corners are false; "-" against a truth without walls."""
+    """Return the number of false mapped corners; "-" against a truth without walls."""
     if "false_corners" not in counts:
         return "-"
     false = counts["false_corners"]
@@ -121,12 +121,12 @@ def _false_corners(counts: dict[str, int]) -> str:
 
 
 def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evaluation:
-    """Evaluate a result folder and write its ``evaluation.json``; draw walls in the true ones.
+    """Evaluate a result folder and write its ``evaluation.json``; draw walls over the true ones.
 
     Raises
     ------
     RelmapError
-        If the result, the truth or the log cannot be used, or the file cannot be written.
+        If the result, the truth or the log is invalid, or the file cannot be written.
     """
     from relmap.evaluation.evaluate import evaluate, match_walls
     from relmap.evaluation.truth import read_path_truth, read_truth
@@ -150,7 +150,7 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
 
 
 def find_log(result: Result, truth: Path, log: Path | None) -> ObservationLog | None:
-    """Return the log that was mapped: the one given, where it was then, or beside the truth.
+    """Return the mapped log: the given one, from its original path, or beside the truth.
 
     Raises
     ------

@@ -14,18 +14,18 @@ Target = Literal["grid", "dxf", "svg", "geojson", "g2o", "ply"]
 
 HELP = """Write the map of a result in the format of another program.
 
-RESULT is a folder that 'relmap map' wrote; of a run that broke into submaps the largest is
-exported.  OUT is a file, or a folder (a name without an ending), in which the file is called map.
+RESULT is a folder written by 'relmap map'; if the run broke into submaps, the largest is exported.
+OUT is a file, or a folder (a name without extension), in which the file is called map.
 
 \b
   grid     occupancy grid, a PGM picture and a YAML file, for the map servers of ROS; planar maps.
-           What beams went through is free.  They are in RESULT/mapper.npz; without it give the log
-           with --log, or all but the walls is unknown
+           Cells crossed by beams are free.  The beams are in RESULT/mapper.npz; without it give the
+           log with --log, otherwise all but the walls is unknown
   dxf      AutoCAD R12: walls, corners or landmarks, and the path, each in a layer; metres
   svg      the map from above, in metres
   geojson  walls and corners, or landmarks, with the columns of the tables; in metres, not in
            longitude and latitude
-  g2o      pose graph; of points with the landmarks, and with --log with what was measured
+  g2o      pose graph; for points with the landmarks, and with --log with the measurements
   ply      walls as edges and faces, or landmarks as points
 
 \b
@@ -43,11 +43,11 @@ def export_command(
     ],
     log: Annotated[
         Path | None,
-        typer.Option(metavar="LOG", help="Of grid and g2o, the log that was mapped."),
+        typer.Option(metavar="LOG", help="For grid and g2o: the log that was mapped."),
     ] = None,
     resolution: Annotated[
         float | None,
-        typer.Option(metavar="METRES", help="Of grid, the size of a cell; 0.05 if not given."),
+        typer.Option(metavar="METRES", help="For grid: the size of a cell; 0.05 if not given."),
     ] = None,
 ) -> None:
     """Export a map; the help text explains the arguments."""

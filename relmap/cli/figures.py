@@ -1,4 +1,4 @@
-"""``relmap figures``: the paper's figures from runs of this software."""
+"""``relmap figures``: the paper's figures, reproduced with relmap."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-HELP = """Reproduce the paper's figures, beside what it claims.
+HELP = """Reproduce the paper's figures, beside the paper's claims.
 
-NUMBER is 4 to 7 or 9 to 17; all of them by default.  The others are sketches without
-results.  'crossing' names a picture that the paper does not have: planes and points over the noise.
+NUMBER is 4 to 7 or 9 to 17; all of them by default. The others are sketches without results.
+'crossing' is a figure that is not in the paper: planes and points over the noise.
 
 \b
 It writes into DIR
   index.html     all of them: the paper's claim, our figure and the verdict side by side
   figureNN.png   each as a picture
-  figureNN.csv   the data behind it (of some more: figureNN-*.csv, figure05.gif)
+  figureNN.csv   the data behind it (for some also figureNN-*.csv, figure05.gif)
   verdicts.csv   figure, value and verdict
 
-Figure 17 is of real data: the folder of Victoria Park, or one that holds it as victoria-park, is
-given with --data.  Figures 14 and 15 are times: run them on a quiet machine.  Each figure is
-written when it is done, and stays where a later one fails or Ctrl-C ends the run.
+Figure 17 needs real data: the folder of Victoria Park, or its parent with the name victoria-park,
+given with --data. Figures 14 and 15 measure times: run them on a quiet machine. Each figure is
+written when it is done, and is kept if a later one fails or Ctrl-C ends the run.
 
 \b
 Examples:
@@ -62,7 +62,7 @@ def figures_command(
 
 
 def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | None) -> list[Made]:
-    """Run figures, tell the verdict on each, and write each with the page when it is done."""
+    """Run figures, report their verdicts, and write each with the page when it is done."""
     from relmap.figures.making import check_data, chosen_figures, make_figure, write_page
     from relmap.io.files import staged_folder
 
@@ -82,7 +82,7 @@ def _figures_into(out: Path, names: Sequence[str], quick: bool, data: Path | Non
 
 
 def _counting(tell: Callable[[str], None], what: str) -> Watch:
-    """Return a wrapper that shows how many items of a loop are done."""
+    """Return a wrapper that shows the progress of a loop."""
 
     def watch(items: Sequence[T], /) -> Iterator[T]:
         for number, item in enumerate(items, 1):
@@ -96,6 +96,6 @@ def _say(made: Made) -> None:
     name = made.figure.name
     shown = f"figure {name}" if name.isdigit() else name
     if made.outcome is None:
-        typer.echo(f"relmap: {shown} is left out: it {made.note}", err=True)
+        typer.echo(f"relmap: {shown} is skipped: it {made.note}", err=True)
     else:
         typer.echo(f"{shown}: {made.outcome.verdict}. {made.outcome.ours}")

@@ -1,4 +1,4 @@
-"""Ctrl-C that lets a loop come to a good end."""
+"""Ctrl-C that ends a loop gracefully."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def stoppable() -> Iterator[Callable[[], bool]]:
-    """Offer a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
+    """Provide a function that returns whether Ctrl-C was pressed; a second Ctrl-C interrupts.
 
-    Where signals cannot be caught, outside the main thread, or are to be ignored, Ctrl-C does what
-    it did.
+    Outside the main thread, or if signals are ignored, Ctrl-C is not changed.
     """
     asked = threading.Event()
     before = signal.getsignal(signal.SIGINT)

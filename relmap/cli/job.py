@@ -1,4 +1,4 @@
-"""What `relmap map` was asked for, also as a journal keeps it for `relmap resume`."""
+"""The job of `relmap map`, also stored in a journal for `relmap resume`."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ class Job:
     Attributes
     ----------
     source, out, settings, variant, association, interval, log_format, refine, journal
-        As the command line takes them.
+        Arguments of the command line.
     folder : Path
-        That other paths are relative to.
+        Folder to which other paths are relative.
     resumed : bool
-        Whether the journal already exists, and to be gone on with.
+        Whether to continue an existing journal.
     onto : Path or None
-        Result folder whose map the log is added to.
+        Result folder with the map to which the log is added.
     animate : bool
-        Of walls, whether to draw the whole run.
+        For walls: whether to draw the whole run.
     odometry : "auto" or "none"
-        Whether to use the odometry of the log, where it has any.
+        Whether to use the odometry of the log, if any.
     columns : dict of str to str, or None
-        What a table calls its columns.
+        Column names of a table.
     topics : tuple of str
-        Of a bag, those to read where there are several of a kind.
+        Topics of a bag to read if there are several of a kind.
     sigmas : tuple of float or None
         Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
-        Tells whether to stop before the log is at its end.
+        Returns whether to stop before the end of the log.
     """
 
     source: Path
@@ -71,7 +71,7 @@ class Job:
 
     @property
     def noted(self) -> dict[str, Any]:
-        """What a journal keeps of it."""
+        """The part stored in a journal."""
         return {
             "folder": str(self.folder),
             "input": str(self.source),
@@ -89,7 +89,7 @@ class Job:
 
     @property
     def command(self) -> str:
-        """What maps the log again, without folders and settings."""
+        """The part needed to map the log again, without folders and settings."""
         words = ["relmap", "map", self.source.name, "-o", "RESULT"]
         if self.variant == "planes":
             words += ["--variant", "planes"]
@@ -108,19 +108,19 @@ class Job:
 
     @classmethod
     def of_journal(cls, path: Path, meta: dict[str, Any], variant: Variant) -> Job:
-        """Return the job that a journal was kept for.
+        """Return the job stored in a journal.
 
         Raises
         ------
         RelmapError
-            If it was kept by another program.
+            If it was written by another program.
         """
         from relmap.core.config import MapperConfig
 
         run = meta.get("run")
         if run is None:
             raise RelmapError(
-                f"journal {path} was not kept by relmap map and does not name its log; "
+                f"journal {path} was not written by relmap map and does not name its log; "
                 "continue it with PointMapper.resume or PlaneMapper.resume"
             )
         try:
@@ -147,11 +147,11 @@ class Job:
             raise RelmapError(f"journal {path}: its run cannot be read: {error!r}") from error
 
     def at(self, path: Path) -> Path:
-        """Return where a path of the job is."""
+        """Return the location of a path of the job."""
         return self.folder / path if self.resumed else path
 
     def mapper(self, after: Callable[[Any], object] | None = None) -> AnyMapper:
-        """Return the mapper to begin or to go on with; `after` as `Mapper.resume` takes it."""
+        """Return the mapper to start or to continue with; `after` as for `Mapper.resume`."""
         from relmap.planes import PlaneMapper
         from relmap.points import PointMapper
 
@@ -163,7 +163,7 @@ class Job:
         return kind(self.settings, journal=self.journal, run=self.noted)
 
     def scans(self, scans: Iterable[T], total: int) -> Iterator[T]:
-        """Yield scans until it is to stop, and show how far it is."""
+        """Yield scans until stopped, and show progress."""
         for scan in tracked(scans, total, "mapping"):
             yield scan
             if self.stopped():
@@ -176,7 +176,7 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
     Raises
     ------
     RelmapError
-        If the journal is damaged or the log is no longer the one that it was begun with.
+        If the journal is damaged or the log is not the one it was started with.
     """
     from relmap.io.journal import JournalReader
 
@@ -185,7 +185,7 @@ def journaled_labels(job: Job, log: Log) -> list[NDArray[Any]]:
     labels, now = [], iter(log.scans())
     with JournalReader(job.journal) as reader:
         for k, was in enumerate(reader.scans()):
-            # Of walls the journal holds what was segmented, not the points of the scans.
+            # For walls the journal contains the segmented planes, not the points of the scans.
             if job.variant == "points" and not _is_same(was, next(now, None)):
                 raise RelmapError(
                     f"{job.source} is not the log of journal {job.journal}: scan {k} differs"

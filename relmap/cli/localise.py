@@ -1,4 +1,4 @@
-"""``relmap localise``: find where scans were taken in a map that already exists."""
+"""``relmap localise``: find where scans were taken in an existing map."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from relmap.cli.console import tracked
 
 HELP = """Find where scans were taken in an existing map.
 
-INPUT is a log as for 'relmap map', RESULT a folder that it wrote, which is not changed.  Each scan
-is found on its own: the robot may have been carried anywhere between two scans.  It writes
-DIR/trajectory.tum, the pose of each scan that was found, in the frame of the map, and a picture,
-DIR/map.png.  A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
+INPUT is a log as for 'relmap map', RESULT a folder written by it, which is not changed. Each scan
+is localised independently: the robot may have been carried anywhere between two scans. It writes
+DIR/trajectory.tum, the pose of each localised scan in the frame of the map, and a picture,
+DIR/map.png. A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
 shows must be in the map.
 
 \b

@@ -18,11 +18,12 @@ if TYPE_CHECKING:
 
 HELP = """Make a map from a log of landmarks that a moving robot saw.
 
-INPUT is a file or folder.  The simplest is a CSV file with the header iteration,x,y,z or
-iteration,x,y (a planar world) and one row per landmark seen: its place in the robot's frame
-(x ahead, y left, z up, metres).  A column id may tell which landmark it is.  The odometry that a
-log has is used; beside any log it may stand in odometry.csv, with the header iteration,x,y,yaw or
-iteration,x,y,z,qx,qy,qz,qw: how the robot moved from the iteration before to this one.
+INPUT is a file or folder. The simplest is a CSV file with the header iteration,x,y,z or
+iteration,x,y (a planar world) and one row per observation of a landmark: its position in the robot
+frame (x ahead, y left, z up, metres). An optional column id identifies the landmark. If the log has
+odometry, it is used; any log may also have a file odometry.csv beside it, with the header
+iteration,x,y,yaw or iteration,x,y,z,qx,qy,qz,qw: the motion of the robot from the previous
+iteration to this one.
 
 \b
 Formats of INPUT:
@@ -42,20 +43,20 @@ With --variant planes INPUT is a log of point scans, and walls are mapped:
   scans-npz        scans.npz as 'relmap simulate building' writes it, or its folder
   carmen-log       2-D laser scans of CARMEN, .log or .log.gz
   mrpt-laser2d     2-D laser scans of MRPT's simulation, *.scans.csv.gz
-  point-clouds     a folder of .pcd or .ply files, one for each scan
+  point-clouds     a folder of .pcd or .ply files, one per scan
   bag-scans        a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2
                    (pip install 'relmap[bags]')
   kitti-bin        a folder of .bin files, float32 x, y, z and intensity, one for each scan
   depth-images     a folder of 16-bit depth images *.depth.png, with camera-intrinsics.txt
 
-With --variant planes3d, too, but it maps planes of any direction, and the sensor may move in all
-directions and tilt: clouds of a lidar or a depth camera.
+With --variant planes3d the same formats are read, but planes of any direction are mapped, and the
+sensor may move in all directions and tilt: clouds of a lidar or a depth camera.
 
-It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (a page
-to look around in the map and to replay the run), submaps.csv, summary.json and mapper.npz, the
-state to go on from, and of walls also planes.csv and bench.png: the last scan, its planes, the map
-and its groups; with --animate the whole run like that in bench.gif.  Ctrl-C ends the mapping early
-and writes what was mapped so far; pressed again it ends at once.
+It writes DIR/landmarks.csv, tracks.csv.gz, trajectory.tum, map.ply, map.png, report.html (an
+interactive page with the map and a replay of the run), submaps.csv, summary.json and mapper.npz,
+the saved state, and for walls also planes.csv and bench.png: the last scan, its planes, the map and
+its groups; with --animate the whole run as bench.gif. Ctrl-C ends the mapping early and writes the
+map so far; pressed again it exits at once.
 
 \b
 Examples:
@@ -69,7 +70,7 @@ Examples:
 _Variant = Annotated[
     args.Mapped,
     typer.Option(
-        help="What the landmarks are: points; walls in point scans; or planes of any direction in "
+        help="Kind of landmarks: points; walls in point scans; or planes of any direction in "
         "clouds of a carried lidar or depth camera."
     ),
 ]
@@ -78,7 +79,7 @@ _Voxel = Annotated[
     typer.Option(
         "--voxel",
         metavar="METRES",
-        help="Of planes3d, size of the voxels in which planes begin; by the clouds if not given.",
+        help="For planes3d: initial voxel size; chosen from the clouds if not given.",
     ),
 ]
 _Association = Annotated[
@@ -89,15 +90,15 @@ _Refine = Annotated[
     bool,
     typer.Option(
         "--refine/--no-refine",
-        help="At the end, bring all landmarks to where all observations agree best.",
+        help="Refine the map at the end by joint least squares over all observations.",
     ),
 ]
 _Registration = Annotated[
     Literal["constellation", "nearest-previous"] | None,
     typer.Option(
         "--registration",
-        help="How observations without ids are matched: by constellations that agree, or "
-        "the paper's way, to the nearest of the previous iteration.",
+        help="How observations without ids are matched: by consistent constellations, or "
+        "as in the paper, to the nearest of the previous iteration.",
     ),
 ]
 _Config = Annotated[
@@ -113,8 +114,8 @@ _Journal = Annotated[
     typer.Option(
         "--journal",
         metavar="FILE",
-        help="Keep what is read and found in this SQLite file, so that 'relmap resume FILE' "
-        "can go on if the run ends early.",
+        help="Record the run in this SQLite file, so that 'relmap resume FILE' "
+        "can continue it if it ends early.",
     ),
 ]
 _RangeSigma = Annotated[
@@ -122,8 +123,8 @@ _RangeSigma = Annotated[
     typer.Option(
         "--range-sigma",
         metavar="METRES",
-        help="Noise of the measured ranges, a standard deviation; with --bearing-sigma each "
-        "observation is weighted by its own noise. By default, as the log gives it.",
+        help="Standard deviation of the measured ranges; with --bearing-sigma each "
+        "observation is weighted by its own noise. By default as given by the log.",
     ),
 ]
 _BearingSigma = Annotated[
@@ -131,7 +132,7 @@ _BearingSigma = Annotated[
     typer.Option(
         "--bearing-sigma",
         metavar="RADIANS",
-        help="Noise of the measured bearings, in radians; goes with --range-sigma.",
+        help="Standard deviation of the measured bearings, radians; requires --range-sigma.",
     ),
 ]
 _ElevationSigma = Annotated[
@@ -139,13 +140,13 @@ _ElevationSigma = Annotated[
     typer.Option(
         "--elevation-sigma",
         metavar="RADIANS",
-        help="In space, that of the angles above the horizontal; as --bearing-sigma if not given.",
+        help="In space: the same for elevations; by default --bearing-sigma.",
     ),
 ]
 _Odometry = Annotated[
     args.Odometry,
     typer.Option(
-        help="Use the odometry that the log has, or that lies beside it as odometry.csv or "
+        help="Use the odometry of the log, or of a file beside it, odometry.csv or "
         "odometry.tum; or none, as in the paper."
     ),
 ]
@@ -155,7 +156,7 @@ _Columns = Annotated[
         "--columns",
         metavar="x=PX,y=PY,...",
         parser=args.columns,
-        help="What a table of your own (CSV, Parquet) calls the columns iteration, stamp "
+        help="Column names of a table (CSV, Parquet) for iteration, stamp "
         "(seconds), x, y, z and id; others are ignored.",
     ),
 ]
@@ -164,7 +165,7 @@ _Topics = Annotated[
     typer.Option(
         "--topic",
         metavar="NAME",
-        help="Of a bag with several topics of scans, detections or odometry, the one to read; may "
+        help="The topic to read if a bag has several with scans, detections or odometry; may "
         "be given once for each of these.",
     ),
 ]
@@ -173,13 +174,13 @@ _Onto = Annotated[
     typer.Option(
         "--onto",
         metavar="RESULT",
-        help="Add the log to the map in this result folder: where a scan is found in it, the "
-        "mapping goes on from there.",
+        help="Add the log to the map in this result folder: once a scan is localised in it, "
+        "mapping continues from there.",
     ),
 ]
 _Animate = Annotated[
     bool,
-    typer.Option("--animate", help="Of walls, draw the whole run as an animation, bench.gif."),
+    typer.Option("--animate", help="For walls: draw the whole run as an animation, bench.gif."),
 ]
 
 
@@ -206,11 +207,11 @@ def map_command(
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
-    args.refuse(voxel is not None and variant != "planes3d", "--voxel goes with --variant planes3d")
+    args.refuse(voxel is not None and variant != "planes3d", "--voxel requires --variant planes3d")
     if variant == "planes3d":
         sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
         others = (known, registration, config, journal, onto, animate, columns, topic)
-        message = "--variant planes3d takes --scans, --format, --refine and --voxel alone"
+        message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
         args.refuse(any((*others, *sigmas_given)) or odometry != "auto", message)
         low = voxel is not None and not 0 < voxel < float("inf")
         args.refuse(low, f"--voxel is {voxel}; it must be above 0")
@@ -227,19 +228,23 @@ def map_command(
             )
             report_space(job, voxel)
         return
-    args.refuse(columns and (planes or log_format), "--columns is for tables of landmarks alone")
+    args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
     if onto is not None:
-        args.refuse(planes, "--onto adds to a map of points; walls are mapped in one go")
-        args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
+        args.refuse(planes, "--onto applies only to maps of points, not walls")
+        args.refuse(
+            journal, "--journal records a run from its beginning, so it cannot be used with --onto"
+        )
         args.refuse(
             config or registration,
-            "--onto goes on with the settings of the earlier run: give no others",
+            "--onto uses the settings of the earlier run: give no others",
         )
     if planes:
         wrong = known or registration
-        args.refuse(wrong, "walls have no ids: --association and --registration are for points")
+        args.refuse(
+            wrong, "walls have no ids: --association and --registration apply only to points"
+        )
     elif known:
-        message = "--registration is for observations without ids: leave out --association"
+        message = "--registration applies to observations without ids: omit --association"
         args.refuse(registration, message)
     sigmas = _sigmas(planes, range_sigma, bearing_sigma, elevation_sigma)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
@@ -268,11 +273,11 @@ def map_command(
 def _sigmas(
     planes: bool, range_m: float | None, bearing_rad: float | None, elevation_rad: float | None
 ) -> tuple[float, ...] | None:
-    """Return the noise of range, bearing and, where it is given, elevation."""
+    """Return the noise of range, bearing and, if given, elevation."""
     given = [sigma for sigma in (range_m, bearing_rad, elevation_rad) if sigma is not None]
-    args.refuse(given and planes, "walls tell their noise themselves: leave out --range-sigma")
+    args.refuse(given and planes, "the noise of walls is estimated: omit --range-sigma")
     one = given and (range_m is None or bearing_rad is None)
-    args.refuse(one, "--range-sigma and --bearing-sigma go together")
+    args.refuse(one, "--range-sigma and --bearing-sigma must be given together")
     for sigma in given:
         args.refuse(not 0 < sigma < float("inf"), f"a sigma is {sigma}; it must be above 0")
     return tuple(given) or None

@@ -1,4 +1,4 @@
-"""From a log to a result folder, as `relmap map`, `resume` and `demo` make it."""
+"""From a log to a result folder, for `relmap map`, `resume` and `demo`."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def map_log(job: Job) -> tuple[Run, int]:
     -------
     run : Run
     n_files : int
-        How many files were written.
+        Number of files written.
 
     Raises
     ------
     RelmapError
-        If an argument or the log cannot be used, or the folder cannot be written; an earlier
-        result in it is then as it was.
+        If an argument or the log is invalid, or the folder cannot be written; an earlier result in
+        it is then unchanged.
     """
     from relmap.io.files import staged_folder
 
@@ -68,16 +68,14 @@ def _log_of(job: Job) -> Log:
         log = read_log(source, job.variant, job.log_format, job.interval, job.columns, job.topics)
     ids = getattr(log, "ids", None)
     if job.association == "known" and (ids is None or not (ids >= 0).any()):
-        raise RelmapError(
-            f"--association known needs the identity of each landmark, and {source} has no ids"
-        )
+        raise RelmapError(f"--association known needs ids, and {source} has none")
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
         typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
 
 
 def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
-    """Return a log whose points are as noisy as a sensor of range and bearing makes them."""
+    """Return a log with the covariances of a range and bearing sensor."""
     from dataclasses import replace
 
     from relmap.core.sensor import range_bearing_covariances
@@ -90,7 +88,7 @@ def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
 
 
 def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
-    """Map a log, and write result and pictures into an existing folder."""
+    """Map a log, and write results and pictures into an existing folder."""
     from relmap.evaluation.run import run_mapper
     from relmap.io.results import write_names
 
@@ -132,7 +130,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 def _taken_up(
     job: Job, mapper: AnyMapper, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
-    """Yield scans; those that go on with a map are looked for in it until one is found."""
+    """Yield scans; with an existing map, localise them in it until one is found."""
     from relmap.points import PointMapper
 
     tied = job.onto is None or job.association == "known"
@@ -162,7 +160,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
 
 
 def stale_files(out: Path) -> list[str]:
-    """Return the files of an earlier result, of walls too, that this one puts out of date."""
+    """Return the files of an earlier result, also of walls, that become obsolete."""
     from relmap.io.results import NAMES
     from relmap.planes.files import PLANES, submap_files
     from relmap.plots.report import REPORT
@@ -194,7 +192,7 @@ def _write(folder: Path, run: Run, job: Job) -> None:
 def _bench(
     job: Job, log: Log, n_seen: int
 ) -> tuple[BenchRecorder | None, Callable[[PlaneMapper], None] | None]:
-    """Return what looks at walls while they are mapped, and mapped again; None of points."""
+    """Return the recorder of wall mapping; None for points."""
     from relmap.datasets.scans import ScanLog
 
     if not isinstance(log, ScanLog):
@@ -209,7 +207,7 @@ def _bench(
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:
-    """Draw the last scan, and where asked for, the animation."""
+    """Draw the last scan and, if requested, the animation."""
     from relmap.plots.bench import write_bench_gif, write_bench_png
 
     last = bench.last()

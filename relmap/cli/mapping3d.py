@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 
 def report_space(job: Job, voxel_m: float | None) -> None:
-    """Map a log of clouds, and tell what came out.
+    """Map a log of clouds, and report the result.
 
     Raises
     ------
     RelmapError
-        Where the log cannot be used, or the folder cannot be written; an earlier result in it is
-        then as it was.
+        If the log is invalid, or the folder cannot be written; an earlier result in it is then
+        unchanged.
     typer.Exit
-        Where the run was interrupted.
+        If the run was interrupted.
     """
     from relmap.cli.mapping import stale_files
     from relmap.datasets.scans import ScanLog
@@ -89,9 +89,9 @@ def _told(job: Job, result: SpaceResult, n_files: int) -> str:
         return f"{told}; no plane was found: the clouds show none, or are not in metres"
     if len(submaps) > 1:
         told += (
-            f"; the run broke into {len(submaps)} submaps that nothing ties to one another: the "
+            f"; the run broke into {len(submaps)} unconnected submaps: the "
             f"largest, of {submaps[0]['scans']} scans and {submaps[0]['metres']:.1f} m, is the map"
         )
     if weak := len(summary["weak_links"]):
-        told += f"; scans that no plane tied in some direction, taken to go on as before: {weak}"
+        told += f"; scans with a direction in which constant motion was assumed: {weak}"
     return told

@@ -1,4 +1,4 @@
-"""``relmap merge``: make one map of two."""
+"""``relmap merge``: combine two maps."""
 
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from relmap.cli.console import busy
 
 SECOND = "trajectory-2.tum"
 
-HELP = """Make one map of the maps in two result folders, of points or of walls, without their logs.
+HELP = """Combine the maps of two result folders, of points or of walls, without their logs.
 
-B is brought into the frame of A where what both show ties them: landmarks that lie to one another
-as in A, or walls that lie on walls of A.  Where nothing does, or in more ways than one, it is
-refused.  Of runs that broke into submaps the largest are merged.  It writes into C what 'relmap
-map' writes but mapper.npz, report.html and bench.png; tracks.csv.gz is empty, trajectory.tum is the
-path of A, and trajectory-2.tum that of B in the same frame.  In landmarks.csv and planes.csv the
-iterations of B follow on those of A.
+B is aligned to A by common landmarks with the same relative locations, or by coinciding walls. It
+is an error if there is no alignment, or more than one. If a run broke into submaps, its largest is
+merged. It writes into C the files of 'relmap map' except mapper.npz, report.html and bench.png;
+tracks.csv.gz is empty, trajectory.tum is the path of A, and trajectory-2.tum that of B in the same
+frame. In landmarks.csv and planes.csv the iterations of B follow those of A.
 
 \b
 Example:

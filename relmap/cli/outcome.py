@@ -1,4 +1,4 @@
-"""Run a job, and say what became of it, early or not."""
+"""Run a job, and report its outcome, complete or not."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from relmap.cli.job import Job
 from relmap.cli.mapping import map_log
 
 WHOLE = 0.9
-"""Share of the scans in the largest submap of a run that did not break."""
+"""Minimum fraction of the scans in the largest submap of an unbroken run."""
 
 
 def report(job: Job) -> None:
-    """Map a log, and tell what came out.
+    """Map a log, and report the result.
 
     Raises
     ------
     typer.Exit
-        Where the run was interrupted.
+        If the run was interrupted.
     """
     began = monotonic()
     run, n_files = map_log(job)
@@ -48,15 +48,17 @@ def report(job: Job) -> None:
         )
     typer.echo(told)
     if job.onto and job.association == "nearest" and summary["tied_at"] is None:
-        typer.echo(f"no scan was found in the map of {job.onto}: the log is a submap of its own")
+        typer.echo(
+            f"no scan was localised in the map of {job.onto}: the log forms a separate submap"
+        )
     if summary["interrupted"]:
         if job.journal is not None:
-            typer.echo(f"'relmap resume {job.journal}' goes on with it")
+            typer.echo(f"'relmap resume {job.journal}' continues it")
         raise typer.Exit(INTERRUPTED)
 
 
 def each(median_ms: float | None) -> str:
-    """Return how long an iteration took, as part of a message."""
+    """Return the time of an iteration, as part of a message."""
     if median_ms is None:
         return "none of them new"
     value, unit = (median_ms / 1e3, "s") if median_ms >= 1e3 else (median_ms, "ms")
@@ -65,7 +67,7 @@ def each(median_ms: float | None) -> str:
 
 
 def torn(summary: dict[str, Any]) -> str:
-    """Return into which submaps a run of walls broke, and its weak links: the end of a message."""
+    """Return the submaps of a broken run of walls, and its weak links: the end of a message."""
     submaps = summary["submaps"]
     failed = sum(not submap["refined"] for submap in submaps) if summary["refined"] else 0
     told = ""
@@ -78,12 +80,12 @@ def torn(summary: dict[str, Any]) -> str:
     if failed:
         told += f"; {failed} of {len(submaps)} submaps could not be refined"
     if weak := len(summary["weak_links"]):
-        told += f"; links whose length nothing measured, so that the motion was continued: {weak}"
+        told += f"; links with unmeasured length, for which constant motion was assumed: {weak}"
     return told + _advice(summary)
 
 
 def _advice(summary: dict[str, Any]) -> str:
-    """Return what may hold a run together that fell to pieces, as the end of a message."""
+    """Return advice for a run that broke into submaps, as the end of a message."""
     scans = [submap["scans"] for submap in summary["submaps"]]
     steps = summary["steps"]
     if len(scans) < 2 or scans[0] >= WHOLE * sum(scans) or steps["median_m"] is None:
@@ -93,45 +95,45 @@ def _advice(summary: dict[str, Any]) -> str:
     return (
         f". More overlap between scans helps: shorter steps (here "
         f"{steps['median_m']:.2f} m and {steps['median_deg']:.0f} degrees in the median) or a "
-        f"wider view{view}; odometry, where there is any, bridges breaks"
+        f"wider view{view}; odometry, if available, bridges breaks"
     )
 
 
 def doubted(trust: dict[str, Any]) -> str:
-    """Return how far association is to be trusted, as the end of a message."""
+    """Return the reliability of the association, as the end of a message."""
     tied, unique, undone = (trust[key] for key in ("tied_scans", "unique_scans", "undone_merges"))
     told = ""
     if tied is not None and min(tied, unique) < 1:
         told += (
-            f"; {100 * tied:.1f} % of the scans were tied to those before, {100 * unique:.1f} % "
-            f"by more matches than chance explains"
+            f"; {100 * tied:.1f} % of the scans were matched to earlier ones, {100 * unique:.1f} % "
+            f"with more matches than expected by chance"
         )
     return told + (f"; {undone} merge{'s' if undone > 1 else ''} undone" if undone else "")
 
 
 def on_odometry(odometry: dict[str, Any] | None) -> str:
-    """Return what rests on odometry alone, or that it is wrong, as the end of a message."""
+    """Return what depends on odometry alone, or that it is wrong, as the end of a message."""
     if odometry is None:
         return ""
     if odometry["wrong_throughout"]:
-        return "; odometry contradicts what was seen and was left out"
+        return "; odometry contradicts the observations and was not used"
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
-    told = f"; {alone} scans are tied by odometry alone, as good as it is" if alone else ""
-    return told + (f"; odometry was left out at {left_out} scans" if left_out else "")
+    told = f"; {alone} scans are linked by odometry alone" if alone else ""
+    return told + (f"; odometry was rejected at {left_out} scans" if left_out else "")
 
 
 def untied(submaps: int) -> str:
-    """Return how many submaps of a map are apart, as the end of a message."""
+    """Return the number of separate submaps of a map, as the end of a message."""
     if submaps < 1:
         return ""
-    return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be tied to the map"
+    return f"; {submaps} submap{'s' if submaps > 1 else ''} could not be connected to the map"
 
 
 def unconverged(refinement: dict[str, Any] | None) -> str:
-    """Return that a refinement did not converge, as a line after a message."""
+    """Return a warning that a refinement did not converge, as a line after a message."""
     if refinement is None or refinement["converged"]:
         return ""
     return (
         "\nWARNING: the refinement did not converge, so the map is the best one found and may be "
-        "wrong; look for wrong ids or matches, or compare with --no-refine"
+        "wrong; check for wrong ids or matches, or compare with --no-refine"
     )

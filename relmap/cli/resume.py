@@ -1,4 +1,4 @@
-"""``relmap resume``: go on with a run that ended early."""
+"""``relmap resume``: continue a run that ended early."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def resume_command(
         bool,
         typer.Option(
             "--salvage",
-            help="Of a damaged journal recover all before the damage, and go on from there. "
+            help="Recover the undamaged beginning of a journal, and continue from there. "
             "The damaged file is kept as FILE.damaged.",
         ),
     ] = False,

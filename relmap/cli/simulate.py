@@ -1,4 +1,4 @@
-"""``relmap simulate``: make a world with a known truth."""
+"""``relmap simulate``: simulate a world with known truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Kind = Literal[
 Sensor = Literal["isotropic", "range", "bearing", "growing", "stereo"]
 
 app = typer.Typer(
-    help="""Simulate a robot in a world whose truth is known.
+    help="""Simulate a robot in a world with known truth.
 
 \b
 Example:
@@ -47,10 +47,10 @@ Example:
 
 _FIGURE_EIGHT = """Simulate a flight past point landmarks.
 
-It writes DIR/observations.csv (the observations, with the true identity of each landmark) and
-the truth: DIR/truth/landmarks.csv and DIR/truth/trajectory.tum.  The path is a figure eight of
-740 m that climbs 40 m and comes down again; a loop takes 900 iterations.  With --odometry it
-also writes DIR/odometry.csv.
+It writes DIR/observations.csv (the observations, with the true identity of each landmark) and the
+truth: DIR/truth/landmarks.csv and DIR/truth/trajectory.tum. The path is a figure eight of 740 m
+that climbs and descends 40 m; a loop takes 900 iterations. With --odometry it also writes
+DIR/odometry.csv.
 
 \b
 Examples:
@@ -58,11 +58,11 @@ Examples:
   relmap simulate figure-eight -o sparse --density 3 --odometry 0.01:0.1
 """
 
-_WORLD = """Simulate landmarks that are hard to tell apart.
+_WORLD = """Simulate landmarks that are hard to associate.
 
-It writes DIR/observations.csv (ids as they were read, -1 for false detections) and the truth:
+It writes DIR/observations.csv (observed ids, -1 for false detections) and the truth:
 DIR/truth/landmarks.csv, DIR/truth/trajectory.tum and DIR/truth/ids.csv (the true landmark of each
-row of the log).  The sensor sees 25 m far.
+row of the log).  The range of the sensor is 25 m.
 
 \b
 Example:
@@ -72,10 +72,10 @@ Example:
 _BUILDING = """Simulate a drive past the walls of a building.
 
 It writes DIR/scans.npz (the points of every scan, robot frame; x and y only for a laser), a picture
-building.png, and the truth: DIR/truth/planes.csv (one row for each side of a wall) and
-DIR/truth/trajectory.tum.  The robot drives round a corridor lined with rooms, past their open
-doors, in 250 to 310 scans per loop.  The sensor sees 8 m far, with a view of 90 degrees (laser:
-180).
+building.png, and the truth: DIR/truth/planes.csv (one row per side of a wall) and
+DIR/truth/trajectory.tum. The robot drives round a corridor lined with rooms, past their open doors,
+in 250 to 310 scans per loop. The sensor has a range of 8 m and a field of view of 90 degrees
+(laser: 180).
 
 \b
 Example:
@@ -113,7 +113,7 @@ def figure_eight_command(
 def write_figure_eight(
     out: Path, source: EightSource, counted: wheels.Counted = wheels.NONE
 ) -> str:
-    """Simulate the figure eight into a folder and return a line of counts.
+    """Simulate the figure eight into a folder and return a line with counts.
 
     Raises
     ------
@@ -149,11 +149,11 @@ def world_command(
             "bearing; growing with the range; or that of a stereo camera."
         ),
     ] = "isotropic",
-    missed: Annotated[float, typer.Option(help="Share of the detections that fail.")] = 0.0,
+    missed: Annotated[float, typer.Option(help="Fraction of the detections that fail.")] = 0.0,
     spurious: Annotated[
-        float, typer.Option(help="False detections, as a share of the true ones.")
+        float, typer.Option(help="False detections, as a fraction of the true ones.")
     ] = 0.0,
-    wrong_ids: Annotated[float, typer.Option(help="Share of the ids that are wrong.")] = 0.0,
+    wrong_ids: Annotated[float, typer.Option(help="Fraction of wrong ids.")] = 0.0,
     turn: Annotated[
         float, typer.Option(help="Degrees that the sensor turns to either side between scans.")
     ] = 0.0,
@@ -225,7 +225,7 @@ def building_command(
     ] = "building",
     moving: Annotated[
         int,
-        typer.Option(help="Number of swinging doors; in panels, of panels that slide and turn."),
+        typer.Option(help="Number of swinging doors; in panels, of moving panels."),
     ] = 0,
     beams: Annotated[
         int | None,
@@ -243,7 +243,7 @@ def building_command(
     people: Annotated[int, typer.Option(help="Laser only: number of people walking about.")] = 0,
     clutter: Annotated[
         float,
-        typer.Option(help="Laser only: share of the beams that meet small objects, up to 0.5."),
+        typer.Option(help="Laser only: fraction of beams that hit small objects, up to 0.5."),
     ] = 0.0,
     odometry: wheels.Noise = None,
     odometry_bias: wheels.Bias = None,

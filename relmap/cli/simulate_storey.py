@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 HELP = """Simulate a lidar or depth camera carried through two rooms of a house.
 
-It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, and which
-plane it is of) and DIR/truth/trajectory.tum.  There are a floor, a ceiling, a sloped roof, tables
-and cupboards; the sensor sways and tilts.
+It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, and its
+plane) and DIR/truth/trajectory.tum. There are a floor, a ceiling, a sloped roof, tables and
+cupboards; the sensor sways and tilts.
 
 \b
 Example:

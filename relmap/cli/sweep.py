@@ -27,20 +27,20 @@ SPEC is a small TOML file.  Each key has one value or a list; every combination 
   sigma = [0.05, 0.1]                      # noise, metres
   noise = ["gaussian", "uniform"]
   density = [25, 100]                      # landmarks per 100 m of the path
-  dynamic = [0.0, 0.4]                     # share of the landmarks that move
+  dynamic = [0.0, 0.4]                     # fraction of moving landmarks
   seed = "0:10"                            # 0 to 9; or a list
   iterations = 900
   association = "known"                    # or "nearest"
   world = "figure-eight"                   # or "building"
 
-Every finished cell is kept in DIR/cells: after an interruption the same command goes on where it
-was.  At the end it prints the medians over the seeds and writes
+Every finished cell is stored in DIR/cells: after an interruption the same command continues. At the
+end it prints the medians over the seeds and writes
 
 \b
-  DIR/sweep.csv      one row per cell; the same whatever the number of workers
+  DIR/sweep.csv      one row per cell; independent of the number of workers
   DIR/sweep.parquet  the same table (needs pip install 'relmap[parquet]')
   DIR/sweep.png      the errors over the first number that was varied
-  DIR/timing.csv     how long an iteration took; measure with --workers 1
+  DIR/timing.csv     times per iteration; measure with --workers 1
 
 \b
 Examples:
@@ -48,13 +48,13 @@ Examples:
   relmap sweep noise.toml -o noise --dask tcp://192.168.0.1:8786
 
 On a cluster relmap is installed on every machine; 'dask scheduler' and 'dask worker ADDRESS' start
-the two sides (pip install 'relmap[cluster]').  Work of a machine that fails goes to the others.
+the two sides (pip install 'relmap[cluster]'). Work of a failed machine is given to the others.
 """
 
 T = TypeVar("T")
 
-AXES = {"sigma": "noise [m]", "density": "landmarks per 100 m", "dynamic": "share that moves"}
-"""What is varied, by its name on an axis."""
+AXES = {"sigma": "noise [m]", "density": "landmarks per 100 m", "dynamic": "fraction moving"}
+"""Axis labels of the varied keys."""
 MEDIANS = ("RMSE", "of", "cover", "ATE", "RPE", "ms", "mean")
 """Columns of `relmap compare` whose medians are printed."""
 
@@ -63,7 +63,7 @@ def sweep_command(
     spec: Annotated[Path, typer.Argument(metavar="SPEC", help="What to run: a TOML file.")],
     out: Out,
     workers: Annotated[
-        int | None, typer.Option(help="Processes; one for each core if not given.")
+        int | None, typer.Option(help="Processes; one per core if not given.")
     ] = None,
     dask: Annotated[
         str | None,
@@ -75,7 +75,7 @@ def sweep_command(
 
     refuse(workers is not None and workers < 1, f"--workers is {workers}; it must be 1 or more")
     both = workers is not None and dask is not None
-    refuse(both, "--workers is for this machine; with --dask the cluster has its own")
+    refuse(both, "--workers applies to this machine; with --dask the cluster has its own")
     cells = read_spec(spec)
     finished = _sweep_into(out, cells, -1 if workers is None else workers, dask)
     _print_medians(cells, finished)
@@ -88,7 +88,7 @@ def sweep_command(
 def _sweep_into(
     out: Path, cells: Sequence[Cell], workers: int, scheduler: str | None
 ) -> list[Finished]:
-    """Run what is not finished yet, and write the tables."""
+    """Run the unfinished cells, and write the tables."""
     from relmap.comparison.sweep import CellStore, run_cells
 
     store = CellStore(out)
@@ -106,7 +106,7 @@ def _sweep_into(
     except KeyboardInterrupt:
         typer.echo(
             f"relmap: {len(found)} of {len(cells)} cells are finished; "
-            "the same command goes on with the others",
+            "the same command continues with the others",
             err=True,
         )
         raise
@@ -130,7 +130,7 @@ def _write(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
 
 
 def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
-    """Draw the errors over the first number that was varied, a line for each of the rest."""
+    """Draw the errors over the first varied number, a line for each of the others."""
     from relmap.comparison.sweep_spec import varying
     from relmap.plots.sweep import SweepRow, write_sweep_png
 
@@ -149,7 +149,7 @@ def _draw(out: Path, cells: Sequence[Cell], rows: Sequence[Finished]) -> None:
 
 
 def _print_medians(cells: Sequence[Cell], finished: Sequence[Finished]) -> None:
-    """Print the medians over the seeds, one row for each combination of the rest."""
+    """Print the medians over the seeds, one row per combination of the other keys."""
     from relmap.comparison.sweep_spec import varying
 
     keys = [key for key in varying(list(cells)) if key != "method"]

@@ -1,4 +1,4 @@
-"""The odometry of a simulated robot, as ``relmap simulate`` takes its options and writes it."""
+"""The odometry options of ``relmap simulate``, and the file of simulated odometry."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 Fault = Literal["slip", "reversed", "stale"]
 
 SLIPS = 0.1
-"""Share of the steps that slipping wheels count double."""
+"""Fraction of steps that slipping wheels count twice."""
 LATE_S, LATE_ITERATIONS = 0.5, 3.0
-"""How late stale odometry is, with and without a clock."""
+"""Delay of stale odometry, with and without a clock."""
 
 
 class Pair(NamedTuple):
-    """What is said of the way and of the turn."""
+    """Two numbers, for translation and rotation."""
 
     way: float
     turn: float
@@ -56,7 +56,7 @@ Noise = Annotated[
         "--odometry",
         metavar="WAY:TURN",
         parser=pair,
-        help="Write odometry.csv of wheels whose steps are wrong by WAY, a share of the step, and "
+        help="Write odometry.csv with errors of each step: WAY, a fraction of its length, and "
         "TURN, degrees; standard deviations, as 0.01:0.1.",
     ),
 ]
@@ -66,7 +66,7 @@ Bias = Annotated[
         "--odometry-bias",
         metavar="WAY:TURN",
         parser=pair,
-        help="What these wheels always count too much: a share of the way, and degrees to the left "
+        help="Systematic odometry errors: a fraction of the distance, and degrees to the left "
         "a metre.",
     ),
 ]
@@ -74,33 +74,33 @@ Broken = Annotated[
     Fault | None,
     typer.Option(
         "--odometry-fault",
-        help="slip: a tenth of the steps is counted double; reversed: back for ahead; stale: 0.5 s "
-        "late, or three iterations where there is no clock.",
+        help="slip: a tenth of the steps counts twice; reversed: wrong sign; stale: 0.5 s "
+        "late, or three iterations without a clock.",
     ),
 ]
 
 
 @dataclass(frozen=True)
 class Counted:
-    """What ``--odometry`` and the options beside it ask for."""
+    """The ``--odometry`` options."""
 
     noise: Pair | None
     bias: Pair | None
     fault: Fault | None
 
     def wheels(self) -> Wheels | None:
-        """Return the wheels, checked; None if no odometry is asked for.
+        """Return the validated odometry noise; None without odometry.
 
         Raises
         ------
         RelmapError
-            If a number is out of range, or a bias or fault is asked of no odometry.
+            If a number is out of range, or a bias or fault is given without odometry.
         """
         from relmap.simulation.odometry import Wheels
 
         if self.noise is None:
             if self.bias or self.fault:
-                raise RelmapError("--odometry-bias and --odometry-fault go with --odometry")
+                raise RelmapError("--odometry-bias and --odometry-fault require --odometry")
             return None
         bias = self.bias or Pair(0.0, 0.0)
         wheels = Wheels(
@@ -123,7 +123,7 @@ def write_odometry(
     stamps_s: NDArray[np.float64] | None,
     seed: int,
 ) -> int:
-    """Write the odometry of a simulated way into a folder; return how many files these are."""
+    """Write the odometry of a simulated path into a folder; return the number of files."""
     import numpy as np
 
     from relmap.datasets.odometry import write_odometry_csv
@@ -133,7 +133,7 @@ def write_odometry(
     wheels = counted.wheels()
     if wheels is None:
         return 0
-    # A generator of its own: what the robot sees is the same with and without odometry.
+    # A separate generator: the observations are the same with and without odometry.
     rng = np.random.default_rng([seed, len(poses)])
     odometry = wheel_odometry(poses, wheels, rng)
     at = np.arange(float(len(poses))) if stamps_s is None else stamps_s

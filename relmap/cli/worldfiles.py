@@ -1,4 +1,4 @@
-"""The files that ``relmap simulate`` makes of a world."""
+"""The files written by ``relmap simulate``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def write_points(folder: Path, log: ObservationLog, truth: Truth) -> str:
-    """Write a run past landmarks into an existing folder and return a line of counts."""
+    """Write a run past landmarks into an existing folder and return a line with counts."""
     from relmap.datasets.observation_csv import write_observation_csv
     from relmap.evaluation.truth import write_truth
 
@@ -37,7 +37,7 @@ def write_building(folder: Path, building: Building) -> None:
 
     truth = folder / "truth"
     truth.mkdir()
-    axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans the plane
+    axes = slice(2 if building.scans[0].ranges_m is not None else 3)  # a laser scans a plane
     scans = [scan.points[:, axes] for scan in building.scans]
     view = SensorView(building.sensor.view_rad, building.sensor.range_m)
     write_scans_npz(folder / "scans.npz", scans, building.stamps_s, view)
