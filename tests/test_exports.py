@@ -205,7 +205,7 @@ def test_without_beams_all_but_the_walls_is_unknown_and_that_is_said(
     export(bare, "grid", tmp_path / "grid")
     grid = serve(tmp_path / "grid" / "map.yaml")
     assert set(np.unique(grid.cells)) == {OCCUPIED, UNKNOWN}
-    assert "all unknown but what is mapped" in capsys.readouterr().out
+    assert "all unknown except the map" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("given", [True, False])

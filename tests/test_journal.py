@@ -222,7 +222,7 @@ def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
     begun(path)
     one, other = PointMapper.resume(path), PointMapper.resume(path)
     run(one, scans[60:65]).flush()
-    with pytest.raises(RelmapError, match="another program has gone on with it; the 60 "):
+    with pytest.raises(RelmapError, match="another program has continued it; the 60 "):
         run(other, scans[60:65]).flush()
     one.close()
     assert PointMapper.resume(path).n_iterations == 65
@@ -234,7 +234,7 @@ def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
         ("PRAGMA user_version = 4", "is of version 4, and this relmap reads 3: a newer relmap"),
         ("PRAGMA user_version = 2", "is of version 2, and this relmap reads 3: map its log again"),
         ("PRAGMA application_id = 7", "not a journal of relmap"),
-        ("DROP TABLE scans", "table scans is not as it should be"),
+        ("DROP TABLE scans", "table scans has an unexpected definition"),
         ("DELETE FROM meta WHERE key = 'variant'", "lacks variant or configuration"),
         ("UPDATE meta SET value = '{' WHERE key = 'variant'", "header is damaged"),
         ("UPDATE calls SET call = 'x'", ""),
@@ -358,7 +358,9 @@ def test_mapping_again_must_give_what_was_noted(tmp_path: Path) -> None:
     for k, scan in enumerate(scans):
         other.append(scan.values, scan.ids, scan.labels + (k == 31))
     other.close()
-    with pytest.raises(RelmapError, match=r"iteration 31 mapped again gives other.*numpy"):
+    with pytest.raises(
+        RelmapError, match=r"iteration 31 mapped again gives landmarks other.*numpy"
+    ):
         PointMapper.resume(path)
 
 

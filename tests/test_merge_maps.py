@@ -200,7 +200,7 @@ def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
     [
         ("lab-a", "eight-a", "lab-a is a map of walls and "),
         ("eight-a", "twin", "no place of one is in the other"),
-        ("lab-a", "corridor", "nothing ties"),
+        ("lab-a", "corridor", "no unique alignment"),
         ("lab-a", "gone", "gone is not a result folder"),
     ],
 )
@@ -240,7 +240,7 @@ def test_a_place_that_stands_twice_is_refused(
     write_planes(tmp_path / "twice", PlaneTable(**twice))
     merge = ["merge", tmp_path / "twice", halves / "lab-b", "-o", tmp_path / "out"]
     assert main([str(word) for word in merge]) == 2
-    assert "m of walls lie on walls in one way, and " in capsys.readouterr().err
+    assert "m of walls overlap in one alignment, and " in capsys.readouterr().err
 
 
 def test_freiburg_079_in_two_parts(shared_data: Path, tmp_path: Path) -> None:

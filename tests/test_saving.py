@@ -185,7 +185,7 @@ def test_a_change_is_told(tmp_path: Path, change: Any) -> None:
         (lambda a, h: h.update(format=1), "is of format 1, .* reads 2; map its log again"),
         (lambda a, h: a.update(graph=a["header"]), "is of format 1 or less, .*map its log again"),
         (lambda a, h: a.pop("landmarks/weight"), "another version .*weight is missing; map its"),
-        (lambda a, h: a.update(more=a["landmarks/weight"]), "more is not known; map its log again"),
+        (lambda a, h: a.update(more=a["landmarks/weight"]), "more is unknown; map its log again"),
         (
             lambda a, h: h["values"].pop("association/first_scan"),
             "first_scan is missing; map its log",

@@ -1,1 +1,1 @@
-"""Maps in the formats of other programs; `formats.FORMATS` names them."""
+"""Export of maps to the formats of other programs, listed in `formats.FORMATS`."""

@@ -1,4 +1,4 @@
-"""What of a result is exported: mapped walls or landmarks, and the path."""
+"""The exported part of a result: mapped walls or landmarks, and the path."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ T = TypeVar("T", LandmarkTable, PlaneTable)
 
 @dataclass(frozen=True, eq=False)
 class MapContent:
-    """The map of a result, without what has no place in it; map frame, metres.
+    """The map of a result, without unmapped landmarks; map frame, metres.
 
     Attributes
     ----------
     result : Result
-        As read.
+        The result as read.
     landmarks : LandmarkTable
-        The mapped ones; of walls their corners.
+        The mapped landmarks; for walls the corners.
     walls : PlaneTable or None
-        The mapped ones; None for a map of points.
+        The mapped walls; None for a map of points.
     """
 
     result: Result
@@ -38,7 +38,7 @@ class MapContent:
 
     @property
     def path(self) -> list[NDArray[np.float64]]:
-        """The positions of the robot: pieces (k, 3), parted where the path leaps."""
+        """The positions of the robot: pieces (k, 3), split where the path jumps."""
         drawn = broken_at_jumps(self.result.poses[:, :3, 3])
         parts = np.split(drawn, np.flatnonzero(np.isnan(drawn[:, 0])))
         pieces = [part[np.isfinite(part[:, 0])] for part in parts]
@@ -46,7 +46,7 @@ class MapContent:
 
     @property
     def places(self) -> NDArray[np.float64]:
-        """All places (n, 3) of landmarks, ends of walls and the path."""
+        """All positions (n, 3) of landmarks, ends of walls and the path."""
         parts = [self.landmarks.position, self.result.poses[:, :3, 3]]
         if self.walls is not None:
             ends = self.walls.ends.reshape(-1, 2)
@@ -55,7 +55,7 @@ class MapContent:
 
     @property
     def told(self) -> str:
-        """How much there is, in a few words."""
+        """A short summary of the content."""
         n, poses = len(self.landmarks.landmark), len(self.result.poses)
         if self.walls is None:
             return f"{n} landmarks, a path of {poses} poses"
@@ -63,12 +63,12 @@ class MapContent:
 
 
 def read_content(folder: Path) -> MapContent:
-    """Read what of a result folder is exported.
+    """Read the exported part of a result folder.
 
     Raises
     ------
     RelmapError
-        Where a file is missing or not what `relmap map` writes.
+        If a file is missing or was not written by `relmap map`.
     """
     result = read_any(folder)
     walls = None

@@ -20,7 +20,7 @@ SVG_STYLE = (
     "stroke-width:1.5px;stroke-linecap:round}"
 )
 DOT = 0.002
-"""Radius of a dot, as a share of the picture's longer side."""
+"""Radius of a dot, relative to the longer side of the picture."""
 
 
 def dxf_text(content: MapContent) -> str:
@@ -48,7 +48,7 @@ Tags = Iterator[tuple[int, object]]
 
 
 def _at(code: int, place: NDArray[np.float64]) -> Tags:
-    """Yield x, y and z of a place (3,): group codes that differ by ten."""
+    """Yield x, y and z of a position (3,), with group codes that differ by ten."""
     for axis, value in enumerate(place.tolist()):
         yield code + 10 * axis, repr(value + 0.0)
 

@@ -1,4 +1,4 @@
-"""The formats that a map is exported to, and how each is written."""
+"""The export formats, and how each is written."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from relmap.io.files import atomic_write, staged_folder
 
 RESOLUTION_M = 0.05
 NAME = "map"
-"""What a file is called that is written into a folder."""
+"""Name of a file that is written into a folder."""
 
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be exported, and how.
+    """What to export, and how.
 
     Attributes
     ----------
@@ -42,21 +42,21 @@ class Order:
 
 
 Files = dict[str, str | bytes]
-"""What files hold, by their names."""
+"""File contents by name."""
 Rendered = tuple[Files, str]
-"""Files, and the message that describes them."""
+"""Files, and a message that describes them."""
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format.
+    """An export format.
 
     Attributes
     ----------
     endings : tuple of str
-        What its files end with; the first is the usual one.
+        Accepted extensions; the first is the default.
     render : callable
-        Returns the files of a map that is to be written to a path.
+        Returns the files of a map for a given path.
     """
 
     endings: tuple[str, ...]
@@ -72,18 +72,18 @@ def export(order: Order, to: str, out: Path) -> str:
     to : str
         One of `FORMATS`.
     out : Path
-        The file; or a folder, which has no ending or is there already.
+        The file; or a folder, which has no extension or exists already.
 
     Returns
     -------
     str
-        What was written, as a message.
+        A message about the written files.
 
     Raises
     ------
     RelmapError
-        Where the result or the log cannot be used, the map does not fit the format, or the file
-        cannot be written.
+        If the result or the log is invalid, the map does not fit the format, or the file cannot be
+        written.
     """
     form = FORMATS[to]
     path = out / f"{NAME}{form.endings[0]}" if out.is_dir() or not out.suffix else out
@@ -108,9 +108,9 @@ def _svg(path: Path, content: MapContent, order: Order) -> Rendered:
 
 def _g2o(path: Path, content: MapContent, order: Order) -> Rendered:
     seen = sightings(order.result, content, order.log) if content.walls is None else None
-    told = "" if seen is None else f", {len(seen.pose)} sightings"
+    told = "" if seen is None else f", {len(seen.pose)} observations"
     if seen is not None and seen.points_robot is None:
-        told += " as they lie in the map: --log LOG gives those measured"
+        told += " computed from the map: give --log LOG for the measured ones"
     return {path.name: g2o_text(content, seen)}, content.told + told
 
 
@@ -120,7 +120,7 @@ def _grid(path: Path, content: MapContent, order: Order) -> Rendered:
     rows, columns = grid.pixels.shape
     told = f"{columns} x {rows} cells of {grid.resolution_m:g} m, "
     if lines is None:
-        told += "all unknown but what is mapped: free space needs mapper.npz in the result folder, "
+        told += "all unknown except the map: free space needs mapper.npz in the result folder, "
         told += "or --log LOG"
     else:
         told += f"free space from {len(lines[0])} beams"

@@ -10,14 +10,14 @@ from relmap.exports.content import MapContent
 from relmap.planes.files import CORNER, OPEN
 
 FRAME = "local: x and y in metres in the frame of the map, not longitude and latitude (WGS 84)"
-"""RFC 7946 knows no other frame than WGS 84, so the file must say it."""
+"""RFC 7946 only allows WGS 84, so the file states its frame."""
 
 
 def geojson_text(content: MapContent) -> str:
     """Return a map as a FeatureCollection with a member `frame`.
 
-    Walls are LineStrings from the right end to the left one, corners and landmarks Points, the
-    path is a MultiLineString.
+    Walls are LineStrings from the right to the left end, corners and landmarks Points, the path is
+    a MultiLineString.
     """
     features = [*_walls(content), *_landmarks(content), _path(content)]
     whole = {"type": "FeatureCollection", "frame": FRAME, "features": features}

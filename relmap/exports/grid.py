@@ -1,4 +1,4 @@
-"""An occupancy grid as ROS's map servers read it: a PGM picture and a YAML file."""
+"""An occupancy grid for ROS's map servers: a PGM picture and a YAML file."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from relmap.exports.sight import Lines
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
 """Pixels of the trinary mode."""
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
-"""Unknown is (255 - 205) / 255 = 0.19608, and must not fall below the second."""
+"""Unknown is (255 - 205) / 255 = 0.19608, which must not be below the second."""
 STOPPED = 0.25
-"""Share of the beams that reached a cell, and ended there, from which on it is occupied."""
+"""Fraction of the beams reaching a cell that must end there for it to be occupied."""
 BULK = (0.0005, 0.9995)
-"""Between these quantiles of the ends of beams reaches the grid, at least."""
+"""The grid covers at least the range between these quantiles of the beam ends."""
 RIM = 5
-"""Cells around all that is known."""
+"""Margin, in cells, around the known area."""
 MOST_CELLS = 100_000_000
 NEAREST_M, FARTHEST_M = 1e-3, 100.0
 """Least and largest size of a cell."""
@@ -28,7 +28,7 @@ NEAREST_M, FARTHEST_M = 1e-3, 100.0
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells seen from above.
+    """A grid seen from above.
 
     Attributes
     ----------
@@ -49,8 +49,8 @@ class Grid:
 def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Grid:
     """Return the grid of a planar map.
 
-    Occupied are the cells of mapped walls, or landmarks, and those in which at least a quarter of
-    the beams that reached them ended; free are all others that a beam passed.
+    Occupied are the cells of mapped walls or landmarks, and those in which at least a quarter of
+    the beams that reached them ended; all other cells crossed by a beam are free.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Gr
     Raises
     ------
     RelmapError
-        Where the map is in space or empty, or the grid would be too large.
+        If the map is in space or empty, or the grid would be too large.
     """
     from relmap.exports.grid_kernels import cast
 
@@ -85,7 +85,7 @@ def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Gr
 
 
 def _obstacles(content: MapContent) -> NDArray[np.float64]:
-    """Return what is mapped as lines (n, 2, 2); a landmark is a line of no length."""
+    """Return the mapped walls or landmarks as lines (n, 2, 2); a landmark has length 0."""
     if content.walls is not None:
         return content.walls.ends
     return np.repeat(content.landmarks.position[:, None, :2], 2, axis=1)
@@ -99,7 +99,7 @@ def _frame(
     if len(ends):
         places = np.concatenate([places, np.quantile(ends, BULK, axis=0)])
     if not len(places):
-        raise RelmapError("the map is empty: there is nothing to make a grid of")
+        raise RelmapError("the map is empty: no grid can be made")
     first = np.floor(places.min(axis=0) / resolution_m) - RIM
     columns, rows = np.floor(places.max(axis=0) / resolution_m) + RIM + 1 - first
     if not rows * columns <= MOST_CELLS:
@@ -117,7 +117,7 @@ def pgm_bytes(grid: Grid) -> bytes:
 
 
 def yaml_text(picture: str, grid: Grid) -> str:
-    """Return what a map server needs to know of a picture, by the picture's name."""
+    """Return the YAML description of a picture with a given name."""
     x, y = map(_decimal, grid.origin_m.tolist())
     name = picture.replace("'", "''")
     return (
@@ -132,6 +132,6 @@ def yaml_text(picture: str, grid: Grid) -> str:
 
 
 def _decimal(value: float) -> str:
-    """Return a number without a power of ten: some readers of YAML take 1e-05 for text."""
+    """Return a number without exponent: some YAML readers treat 1e-05 as text."""
     text = f"{value:.12f}".rstrip("0")
     return text + "0" if text.endswith(".") else text

@@ -14,16 +14,16 @@ Cells = NDArray[np.int64]
 
 @compiled
 def cast(begins: NDArray[Any], ends: NDArray[Any], passed: Cells, ended: Cells) -> None:
-    """Count in which cells lines end, and through which others they pass before.
+    """Count the cells in which lines end, and those through which they pass before.
 
-    A line that leaves the grid is followed no farther.
+    A line is followed only until it leaves the grid.
 
     Parameters
     ----------
     begins, ends : (n, 2) float64
         In units of cells: the cell in row i and column j reaches from (j, i) to (j + 1, i + 1).
     passed, ended : (rows, columns) int64
-        Counts, added to.
+        Counts, incremented in place.
     """
     rows, columns = passed.shape
     for k in range(len(begins)):
@@ -32,7 +32,7 @@ def cast(begins: NDArray[Any], ends: NDArray[Any], passed: Cells, ended: Cells) 
         j, i = int(np.floor(x)), int(np.floor(y))
         last_j, last_i = int(np.floor(ends[k, 0])), int(np.floor(ends[k, 1]))
         right, up = (1 if dx > 0 else -1), (1 if dy > 0 else -1)
-        # How far along the line, as a share of it, the next column and the next row begin.
+        # Position along the line, as a fraction, of the next column and the next row.
         next_x = ((j + (dx > 0)) - x) / dx if dx != 0 else np.inf
         next_y = ((i + (dy > 0)) - y) / dy if dy != 0 else np.inf
         for _ in range(abs(last_j - j) + abs(last_i - i)):

@@ -11,8 +11,8 @@ from relmap.exports.content import MapContent
 def ply_text(content: MapContent) -> str:
     """Return a map as ASCII PLY in full precision.
 
-    Of a wall there is an edge along its foot, and where its height is known a face, whose front is
-    that of the wall.  Landmarks are vertices alone.
+    A wall has an edge along its foot and, if its height is known, a face with the same front.
+    Landmarks are vertices only.
     """
     vertices, edges, faces = (
         content.landmarks.position,
@@ -27,7 +27,8 @@ def ply_text(content: MapContent) -> str:
         high = np.flatnonzero(z[:, 1] > z[:, 0])
         tops = 2 * n + np.arange(2 * len(high)).reshape(-1, 2)
         vertices = np.concatenate([foot.reshape(-1, 3), head[high].reshape(-1, 3)])
-        # From the front the right end comes first: left, right, and back along the top turn left.
+        # Seen from the front the right end comes first: left, right, and back along the top is
+        # counter-clockwise.
         faces = np.column_stack([edges[high][:, ::-1], tops])
     header = ["ply", "format ascii 1.0", "comment relmap: map frame, metres"]
     header += [f"element vertex {len(vertices)}", *(f"property double {axis}" for axis in "xyz")]

@@ -1,4 +1,4 @@
-"""The poses, and landmarks, as a graph in the format of g2o."""
+"""The poses and landmarks as a graph in g2o format."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from relmap.exports.sight import Sightings
 PLANAR = ("SE2", "XY", "SE2_XY")
 SPATIAL = ("SE3:QUAT", "TRACKXYZ", "SE3_TRACKXYZ")
 SENSOR = 0
-"""Number of the sensor, which lies in the robot's origin: edges to points in space name one."""
+"""Number of the sensor at the robot's origin: edges to points in space refer to one."""
 
 
 def g2o_text(content: MapContent, seen: Sightings | None) -> str:
-    """Return the graph: a vertex for each pose, an edge from each to the next.
+    """Return the graph: a vertex per pose, and an edge from each pose to the next.
 
-    relmap estimates no motion, so what an edge between poses says is how they lie in the map, with
-    the identity for information.  Of points the landmarks are vertices too, after the poses, and
-    edges tell what was seen: as it was measured, with information by the estimated noise, where
-    the log is given, else as it lies in the map.
+    relmap estimates no motion, so an edge between poses is their relative pose in the map, with the
+    identity as information matrix. For points the landmarks are vertices too, after the poses, and
+    each observation is an edge: with the log as measured, with the information matrix from the
+    estimated noise, otherwise as computed from the map.
 
     Parameters
     ----------
     content : MapContent
     seen : Sightings or None
-        Of points, what was seen from where.
+        For points, the observations.
     """
     planar, poses = content.result.planar, content.result.poses
     pose, point, sight = PLANAR if planar else SPATIAL
@@ -51,7 +51,7 @@ def g2o_text(content: MapContent, seen: Sightings | None) -> str:
 
 
 def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
-    """Yield an edge for each sighting."""
+    """Yield an edge for each observation."""
     poses, d = content.result.poses, 2 if content.result.planar else 3
     at, T = content.landmarks.position[seen.landmark], poses[seen.pose]
     points = np.einsum("nji,nj->ni", T[:, :3, :3], at - T[:, :3, 3])[:, :d]
@@ -66,7 +66,7 @@ def _sights(content: MapContent, seen: Sightings, tag: str) -> Iterator[str]:
 
 
 def _information(content: MapContent) -> float:
-    """Return one over the variance of an observed coordinate, where the refinement tells it."""
+    """Return the inverse variance of an observed coordinate, if estimated by the refinement."""
     refinement = content.result.summary.get("refinement")
     noise_m = refinement.get("noise_m") if isinstance(refinement, dict) else None
     return 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0

@@ -1,4 +1,4 @@
-"""Lines of sight: from where the sensor was to what it saw, in the frame of the map."""
+"""Lines of sight from the sensor to the observed points, in the map frame."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 
 MOST = 5_000_000
-"""Of more beams only one in so many is used."""
+"""Maximum number of beams, by subsampling."""
 Lines = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Where lines begin and end, (n, 2) each, map frame, metres."""
+"""Begin and end points of lines, (n, 2) each, map frame, metres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Which pose saw which mapped landmark.
+    """Observations: which pose saw which mapped landmark.
 
     Attributes
     ----------
     pose, landmark : (n,) int64
         Rows of the poses and of the landmarks of a `MapContent`.
     points_robot : (n, d) float64 or None, robot frame, metres
-        Where the log says that they were seen; None without the log.
+        Measured positions; None without the log.
     """
 
     pose: NDArray[np.int64]
@@ -46,26 +46,26 @@ class Sightings:
 
 
 def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | None:
-    """Return where beams began and ended; of points, which landmark was seen from where.
+    """Return begin and end points of beams; for points, lines from poses to landmarks.
 
     Parameters
     ----------
     folder : Path
         The result folder.
     content : MapContent
-        What is in it.
+        Its content.
     log : Path or None
-        The log that was mapped; what ``mapper.npz`` keeps of it where None.
+        The log that was mapped; None to use ``mapper.npz``.
 
     Returns
     -------
     begins, ends : (n, 2) float64, map frame, metres
-        None where there is neither.
+        None if there is neither.
 
     Raises
     ------
     RelmapError
-        Where ``mapper.npz`` or the log cannot be used.
+        If ``mapper.npz`` or the log is invalid.
     """
     if content.walls is None:
         seen = sightings(folder, content, log)
@@ -82,9 +82,9 @@ def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | 
 
 
 def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings | None:
-    """Return which pose of a map of points saw which landmark; None if nothing tells.
+    """Return which pose of a map of points saw which landmark; None if unknown.
 
-    What it takes and raises is as of `sight_lines`.
+    Parameters and errors as for `sight_lines`.
     """
     read = None if log is None else _read(content, log)
     iterations = _iterations(folder, content, read)
@@ -102,7 +102,7 @@ def sightings(folder: Path, content: MapContent, log: Path | None) -> Sightings 
 
 
 def _read(content: MapContent, log: Path) -> Log:
-    """Read the log that was mapped, in the format in which it was."""
+    """Read the log that was mapped, in its original format."""
     variant: Variant = "points" if content.walls is None else "planes"
     form = content.result.summary.get("format")
     named = form if isinstance(form, str) and recognised_format(log, variant) is None else None
@@ -110,7 +110,7 @@ def _read(content: MapContent, log: Path) -> Log:
 
 
 def _positions(of: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where each of some numbers (n,) is among others (m,), -1 where it is not there."""
+    """Return the index of each number (n,) among others (m,), -1 if missing."""
     if not len(of):
         return np.full(len(wanted), -1)
     order = np.argsort(of, kind="stable")
@@ -119,7 +119,7 @@ def _positions(of: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.i
 
 
 def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[np.int64] | None:
-    """Return the iteration of each pose (p,) of a map of points; None if nothing tells."""
+    """Return the iteration of each pose (p,) of a map of points; None if unknown."""
     result = content.result
     if log is not None:
         return np.add(log.first_iteration, _scans(content, log))
@@ -135,14 +135,14 @@ def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[n
 
 
 def _end(folder: Path, scans: Any) -> int:
-    """Return the iteration after the last one that was mapped, as a summary tells `scans`."""
+    """Return the iteration after the last mapped one, from `scans` in a summary."""
     if isinstance(scans, list) and len(scans) == 2 and isinstance(scans[1], int):
         return scans[1]
     raise RelmapError(f"{folder / SUMMARY}: scans is {scans!r:.40}, expected [first, end]")
 
 
 def _scans(content: MapContent, log: Log) -> NDArray[np.int64]:
-    """Return the scan of a log of which each pose (p,) is."""
+    """Return the scan of a log for each pose (p,)."""
     stamps_s = content.result.stamps_s
     mine, scan = match_stamps(stamps_s, stamps_of(log))
     if len(mine) < len(stamps_s):
@@ -155,7 +155,7 @@ def _scans(content: MapContent, log: Log) -> NDArray[np.int64]:
 
 
 def _placed(content: MapContent, log: Log) -> Lines:
-    """Return the beams of a log of scans, placed by the poses of the result."""
+    """Return the beams of a log of scans, transformed by the poses of the result."""
     assert isinstance(log, ScanLog)
     begins, ends = [np.empty((0, 2))], [np.empty((0, 2))]
     sensor = np.array([log.sensor.x_m, log.sensor.y_m])

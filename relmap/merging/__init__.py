@@ -1,1 +1,1 @@
-"""Maps of two runs made one, where what they share ties them in one way alone."""
+"""Merging the maps of two runs with a unique alignment."""

@@ -1,4 +1,4 @@
-"""Two result folders made one."""
+"""Merging two result folders."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ STATUS = ("static", "dynamic", "unmapped")
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """Two maps as one.
+    """A merged map.
 
     Attributes
     ----------
     result : Result
-        Of walls a `PlaneResult`.  Its path is that of the first, its iterations are those of the
-        first and, after them, of the second.  It has no tracks: those of two logs would mix.
+        For walls a `PlaneResult`. Its path is that of the first run, its iterations are those of
+        the first run followed by those of the second. It has no tracks, as they belong to two logs.
     stamps_s, poses : (k,) and (k, 4, 4) float64
         The path of the second, in the frame of the first.
     """
@@ -48,9 +48,9 @@ class Merged:
 
 
 def merge_results(one: Path, other: Path) -> Merged:
-    """Return the maps of two result folders as one, in the frame of the first.
+    """Return the merged map of two result folders, in the frame of the first.
 
-    Of runs that broke into submaps the largest are merged.
+    If a run broke into submaps, its largest is merged.
 
     Parameters
     ----------
@@ -63,8 +63,7 @@ def merge_results(one: Path, other: Path) -> Merged:
     Raises
     ------
     RelmapError
-        Where a folder is no result, they are of different kinds, or nothing ties them in one way
-        alone.
+        If a folder is not a result, they are of different kinds, or have no unique alignment.
     """
     a, b = read_any(one), read_any(other)
     walls = isinstance(a, PlaneResult), isinstance(b, PlaneResult)
@@ -84,7 +83,7 @@ def merge_results(one: Path, other: Path) -> Merged:
 
 
 def _joined(a: Result, b: Result, motion: Motion, told: Told) -> tuple[Result, Motion]:
-    """Return two results as one, by about how the second lies in the first, and how it does."""
+    """Merge two results, given an approximate alignment of the second; return it refined."""
     shift = int(a.landmarks.last_iteration.max(initial=-1)) + 1
     shift -= int(b.landmarks.first_iteration.min(initial=0))
     planes, label = None, b.landmarks.landmark + int(a.landmarks.landmark.max(initial=-1)) + 1
@@ -108,7 +107,7 @@ def _joined(a: Result, b: Result, motion: Motion, told: Told) -> tuple[Result, M
 
 
 def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, NDArray[np.int64]]:
-    """Return how a map of points lies in another, and the rows (k, 2) of common landmarks."""
+    """Return the alignment of a map of points to another, and the common landmarks' rows (k, 2)."""
     d = len(motion.t)
     rows = [np.flatnonzero(result.mapped) for result in (b, a)]
     theirs, mine = (r.landmarks.position[k][:, :d] for r, k in zip((b, a), rows, strict=True))
@@ -117,13 +116,13 @@ def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, NDArray[np.in
 
 
 def _rows(labels: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rows (k,) of the landmarks that have some labels, which are all there."""
+    """Return the rows (k,) of the landmarks with the given labels, which all exist."""
     order = np.argsort(labels, kind="stable")
     return np.asarray(order[np.searchsorted(labels[order], wanted)])
 
 
 def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Told]:
-    """Return about how the second map lies in the first, by constellations that only it shows."""
+    """Return an approximate alignment of the second map, from unambiguous constellations."""
     d = 2 if a.planar else 3
     places = [result.landmarks.position[result.mapped][:, :d] for result in (a, b)]
     n = [len(each) for each in places]
@@ -136,26 +135,28 @@ def _tie_of_points(a: Result, b: Result, named: str) -> tuple[Motion, Told]:
     sd = np.concatenate([result.landmarks.sd[result.mapped] for result in (a, b)])
     noise_m = float(np.median(sd[sd > 0])) if (sd > 0).any() else 0.0
     if not any(True for _ in tie_submaps(both, np.sqrt(2) * noise_m)):
-        raise RelmapError(f"nothing ties {named} in one way alone: no place of one is in the other")
+        raise RelmapError(
+            f"{named} have no unique alignment: no place of one is found in the other"
+        )
     R, t = (fit_rigid(own, state.position[k]) for own, k in zip(places, numbers, strict=True))
     back = np.linalg.inv(Motion(*R).matrix) @ Motion(*t).matrix
     return Motion(back[:d, :d], back[:d, 3]), {}
 
 
 def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Told]:
-    """Return how the second map lies in the first, by the length of wall that lies on walls."""
+    """Return the alignment of the second map, by the length of overlapping walls."""
     ends = [table.ends[table.status == "static"] for table in (b, a)]
     ties = wall_ties(*ends)
-    failed = f"nothing ties {named} in one way alone"
+    failed = f"{named} have no unique alignment"
     if not ties or ties[0].length_m < LEAST_M:
         length_m = ties[0].length_m if ties else 0.0
         raise RelmapError(
-            f"{failed}: {length_m:.1f} m of walls at most lie on walls, expected {LEAST_M:g} m"
+            f"{failed}: {length_m:.1f} m of walls overlap at most, expected {LEAST_M:g} m"
         )
     best = ties[0]
     if len(ties) > 1 and ties[1].length_m > RIVAL * best.length_m:
         raise RelmapError(
-            f"{failed}: {best.length_m:.1f} m of walls lie on walls in one way, and "
+            f"{failed}: {best.length_m:.1f} m of walls overlap in one alignment, and "
             f"{ties[1].length_m:.1f} m in another"
         )
     if best.across < ACROSS:
@@ -165,12 +166,12 @@ def _tie_of_walls(a: PlaneTable, b: PlaneTable, named: str) -> tuple[Motion, Tol
 
 
 def _alone(table: LandmarkTable) -> LandmarkTable:
-    """Return a table without what belongs to other submaps than the map."""
+    """Return a table without rows of other submaps."""
     return replace(table, submap=np.where(table.submap == 0, 0, -1))
 
 
 def _of_walls(result: Result, planes: PlaneTable) -> PlaneResult:
-    """Return a result with walls: its corners are where they end."""
+    """Return a result of walls, with their ends as corners."""
     wall, end = np.nonzero((planes.corner >= 0) & (planes.status == "static")[:, None])
     table = result.landmarks
     at = np.full((len(table.landmark), 3), np.nan)

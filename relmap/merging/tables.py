@@ -1,4 +1,4 @@
-"""Two tables of landmarks, brought into one frame, made one."""
+"""Merging two tables of landmarks in one frame."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkTable
 
 SPACING = 0.25
-"""How far apart two that are one may be at most, in median distances of neighbours."""
+"""Largest distance between two landmarks that are the same, in median distances of neighbours."""
 SIGMAS = 4.0
-"""The same in standard deviations of how far apart such pairs are, once these are known."""
+"""The same in standard deviations of the distances of such pairs, once these are known."""
 ROUNDS = 4
 COMBINED = {
     "observations": np.add,
@@ -23,7 +23,7 @@ COMBINED = {
     "last_iteration": np.maximum,
     "level": np.maximum,
 }
-"""How columns of two that are one landmark are combined."""
+"""How columns of merged landmarks are combined."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -31,7 +31,7 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion from the frame of one map into that of another: ``R @ p + t``.
+    """A motion from the frame of one map to that of another: ``R @ p + t``.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Motion:
     t: Floats
 
     def apply(self, points: Floats) -> Floats:
-        """Return points (n, 3), or (n, d), moved; z stays where the motion is planar."""
+        """Return points (n, 3), or (n, d), transformed; z is unchanged if the motion is planar."""
         d = len(self.t)
         moved = points.copy()
         moved[:, :d] = points[:, :d] @ self.R.T + self.t
@@ -57,20 +57,20 @@ class Motion:
 
 
 def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:
-    """Fit a motion to the landmarks that are the same, and tell which are.
+    """Fit a motion to the common landmarks, and return them.
 
     Parameters
     ----------
     points, among : (n, d), (m, d) float64, metres
-        Of two maps, each in its own frame.
+        Points of two maps, each in its own frame.
     motion : Motion
-        About how the first lies in the frame of the second.
+        Approximate motion from the first frame to the second.
 
     Returns
     -------
     motion : Motion
     pairs : (k, 2) int64
-        Rows of both; each is in one pair at most.
+        Rows of both; each occurs at most once.
     """
     spacing = nearest(cKDTree(among), among, 2)[0][:, -1]
     near_m = SPACING * float(np.median(spacing))
@@ -87,7 +87,7 @@ def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]
 
 
 def _mutual(points: Floats, among: Floats, near_m: float) -> Ints:
-    """Return pairs (k, 2) of points nearest to one another, and nearer than a distance."""
+    """Return pairs (k, 2) of mutual nearest neighbours within a distance."""
     if not (len(points) and len(among)):
         return np.empty((0, 2), dtype=np.int64)
     distance, there = (found[:, 0] for found in nearest(cKDTree(among), points, 1))
@@ -97,15 +97,15 @@ def _mutual(points: Floats, among: Floats, near_m: float) -> Ints:
 
 
 def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTable:
-    """Return one table of two whose positions are in one frame and whose labels differ.
+    """Merge two tables with positions in one frame and distinct labels.
 
     Parameters
     ----------
     one, other : LandmarkTable
     pairs : (k, 2) int64
-        Rows of `other` and of `one` that are one landmark, which has the label of the second.
-        Positions are averaged, weighed by how sure they are where both tell, else by how often they
-        were seen.
+        Rows of `other` and of `one` that are one landmark, which keeps the label from `one`.
+        Positions are averaged, weighted by their variances if both are known, otherwise by the
+        number of observations.
     """
     theirs, mine = pairs.T
     share = _share(one, other, mine, theirs)
@@ -123,7 +123,7 @@ def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTab
 
 
 def _share(one: LandmarkTable, other: LandmarkTable, mine: Ints, theirs: Ints) -> Floats:
-    """Return the weight of the second of each pair in their average."""
+    """Return the weight of the second position of each pair in the average."""
     a, b = one.sd[mine] ** 2, other.sd[theirs] ** 2
     seen = one.observations[mine], other.observations[theirs]
     by_count = seen[1] / np.maximum(seen[0] + seen[1], 1)

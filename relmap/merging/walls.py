@@ -1,4 +1,4 @@
-"""Two tables of walls, brought into one frame, made one."""
+"""Merging two tables of walls in one frame."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
 
 MOST = 0.5
-"""Share of the shorter of two walls that must lie on the other if they are one."""
+"""Fraction of the shorter of two walls that must overlap if they are one."""
 COVERED = 0.8
-"""Share of a wall that lies on walls from which on it is none of its own."""
+"""Fraction of a wall covered by other walls above which it is redundant."""
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 def lying_on(ends: Floats, others: Floats) -> Floats:
-    """Return how many metres of walls (w, 2, 2) lie on which others (v, 2, 2); (w, v)."""
+    """Return the length of walls (w, 2, 2) that overlaps each of others (v, 2, 2); (w, v)."""
     length_m = np.zeros((len(ends), len(others)))
     if not (len(ends) and len(others)):
         return length_m
@@ -36,23 +36,23 @@ def lying_on(ends: Floats, others: Floats) -> Floats:
 
 
 def moved(table: PlaneTable, motion: Motion) -> PlaneTable:
-    """Return walls in the frame of another map."""
+    """Return walls transformed into the frame of another map."""
     ends = motion.apply(table.ends.reshape(-1, 2)).reshape(-1, 2, 2)
     return replace(table, ends=ends, normal=table.normal @ motion.R.T)
 
 
 def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
-    """Return one table of two whose walls are in one frame and whose corners have other numbers.
+    """Merge two tables with walls in one frame and distinct corner numbers.
 
-    A wall of each that lie on one another are one: its line is their average, weighed by how often
-    they were seen, and it reaches as far as both.  What else of `other` lies on walls of `one` for
-    the most part is left out.  Those of `one` keep their numbers.
+    Overlapping walls are merged: the line is their average, weighted by the number of observations,
+    and the extent is the union. Other walls of `other` that are mostly covered by walls of `one`
+    are left out. Walls of `one` keep their numbers.
 
     Returns
     -------
     table : PlaneTable
     corners : (k, 2) int64
-        Corners of `other` and of `one` that are one; they have the number of the second.
+        Corners of `other` and of `one` that are one; they keep the number from `one`.
     """
     own, new = (np.flatnonzero(table.status == "static") for table in (one, other))
     lying_m = lying_on(other.ends[new], one.ends[own])
@@ -73,7 +73,7 @@ def joined_walls(one: PlaneTable, other: PlaneTable) -> tuple[PlaneTable, Ints]:
 
 
 def _one_to_one(worth: Floats) -> Ints:
-    """Return pairs (k, 2) of rows and columns, those worth most first, each in one at most."""
+    """Return a greedy one-to-one assignment (k, 2) of rows and columns, best first."""
     rows, columns = np.nonzero(worth)
     pairs, had = list[tuple[int, int]](), (set[int](), set[int]())
     for k in np.argsort(-worth[rows, columns], kind="stable").tolist():
@@ -88,7 +88,7 @@ def _one_to_one(worth: Floats) -> Ints:
 def _join(
     columns: dict[str, NDArray[Any]], mine: int, other: PlaneTable, k: int
 ) -> list[tuple[int, int]]:
-    """Make a wall of the columns and one of another table one; return which corners are."""
+    """Merge a wall of another table into a row of the columns; return the merged corners."""
     ends = np.stack([columns["ends"][mine], other.ends[k]])
     seen = np.array([columns["observations"][mine], other.observations[k]], dtype=np.float64)
     weight = seen / max(seen.sum(), 1.0)

@@ -1,1 +1,1 @@
-"""Pictures of runs; matplotlib is loaded only when one is drawn."""
+"""Pictures of runs; matplotlib is imported only when one is drawn."""

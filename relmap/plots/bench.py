@@ -1,4 +1,4 @@
-"""The test bench as a picture and as an animation: what a plane mapper sees and maps."""
+"""The test bench as a picture and as an animation: observations and map of a plane mapper."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ WIDTH_IN, HEIGHT_IN, DPI = 11.0, 9.0, 110
 GIF_DPI = 72
 FPS = 8
 HOLD = 16
-"""Frames for which the last one is shown."""
+"""Number of frames for which the last one is repeated."""
 MARGIN_M = 0.8
 LEGEND_IN = 0.45
 """Distance of the legend below its panel."""
@@ -99,7 +99,7 @@ def plot_bench(frame: BenchFrame, title: str = TITLE) -> Figure:
 
 
 def _limits_of(frames: Sequence[BenchFrame]) -> tuple[Limits, Limits]:
-    """Return the limits of the world and those of what the robot sees, over all frames."""
+    """Return the limits of the world and of the robot's view, over all frames."""
     walls = [ends.reshape(-1, 2) for frame in frames for ends in (frame.walls, frame.true_walls)]
     world = np.concatenate(walls), np.concatenate([frame.path for frame in frames])
     robot = np.concatenate([frame.points_robot for frame in frames]), np.zeros((1, 2))
@@ -107,7 +107,7 @@ def _limits_of(frames: Sequence[BenchFrame]) -> tuple[Limits, Limits]:
 
 
 def _draw(figure: Figure, frame: BenchFrame, limits: tuple[Limits, Limits], title: str) -> None:
-    """Draw all into an empty figure: the layout is fixed, so that an animation stands still."""
+    """Draw everything into an empty figure with a fixed layout, for animations."""
     panels = figure.subplots(2, 2)
     figure.subplots_adjust(0.07, 0.1, 0.98, 0.91, 0.16, 0.34)
     world, robot = limits
@@ -121,7 +121,7 @@ def _draw(figure: Figure, frame: BenchFrame, limits: tuple[Limits, Limits], titl
 
 
 def _name(axes: Axes, title: str, frame: str = "") -> None:
-    """Name a panel and its axes, and explain below it what it shows."""
+    """Label a panel and its axes, with a legend below it."""
     finish(axes, title, f"x{frame} [m]", f"y{frame} [m]")
     figure = axes.get_figure()
     assert figure is not None
@@ -177,7 +177,7 @@ def _draw_groups(axes: Axes, frame: BenchFrame) -> None:
     alpha = float(np.clip(60 / max(len(frame.links), 1), 0.08, 0.6))
     lines = LineCollection(list(frame.links), colors=RED, linewidths=0.7, alpha=alpha, zorder=1)
     axes.add_collection(lines)
-    axes.plot([], [], color=RED, linewidth=0.9, label="group, from its middle to its walls")
+    axes.plot([], [], color=RED, linewidth=0.9, label="group, from its centre to its walls")
     _draw_map(axes, frame)
     _name(axes, "the map with group connectivity")
 

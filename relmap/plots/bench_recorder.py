@@ -1,4 +1,4 @@
-"""The test bench (Fig. 5 of the paper): a plane mapper, scan by scan."""
+"""Recording the test bench (Fig. 5 of the paper): a plane mapper, scan by scan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from relmap.plots.path import fit_to_truth
 from relmap.segmentation import PlaneSegmenter
 
 FRAMES = 80
-"""Frames of an animation, about, spread over the run."""
+"""Approximate number of frames of an animation."""
 
 
 COLUMNS = ("what", "number", "x0", "y0", "x1", "y1")
@@ -34,9 +34,9 @@ def rows_of(shapes: Mapping[str, NDArray[np.float64]]) -> Iterator[tuple[object,
 
 @dataclass(frozen=True, eq=False)
 class BenchFrame:
-    """One scan, and the map after it: in the robot frame and, as named, in the frame of the world.
+    """One scan and the map after it, in the robot frame and in the world frame.
 
-    The frame of the world is that of the truth where it is known, else that of the map.
+    The world frame is that of the truth if known, otherwise that of the map.
 
     Attributes
     ----------
@@ -47,17 +47,17 @@ class BenchFrame:
     ends_robot : (m, 2, 2) float64, metres
         Ends of the segmented planes, right to left.
     static_end : (m, 2) bool
-        Whether an end is the wall's own.
+        Whether an end is the end of the wall itself.
     walls, corners : (w, 2, 2), (c, 2) float64, metres, world
         As mapped.
     links : (l, 2, 2) float64, metres, world
-        From the middle of each group to the walls that it ties.
+        From the centre of each group to its walls.
     path : (k, 2) float64, metres, world
         NaN in iterations without a pose.
     T_world_robot : (4, 4) float64
-        NaN where the scan has no pose.
+        NaN if the scan has no pose.
     true_walls : (t, 2, 2) float64, metres, world
-        Empty where they are not known.
+        Empty if unknown.
     """
 
     iteration: int
@@ -73,7 +73,7 @@ class BenchFrame:
     true_walls: NDArray[np.float64]
 
     def rows(self) -> Iterator[tuple[object, ...]]:
-        """Yield a line for all that is drawn, as `COLUMNS` name them; points with their plane."""
+        """Yield a row for everything drawn, with columns `COLUMNS`; points with their plane."""
         for label, point in zip(self.label.tolist(), self.points_robot.tolist(), strict=True):
             yield "point (robot)", label, *point, "", ""
         lines = {"plane (robot)": self.ends_robot, "wall": self.walls}
@@ -82,21 +82,21 @@ class BenchFrame:
 
 
 class BenchRecorder:
-    """Looks at a mapper between one scan and the next.
+    """Records a mapper between scans.
 
     Parameters
     ----------
     mapper : PlaneMapper, optional
-        That of the run; see `see_again` where it is to be resumed first.
+        The mapper of the run; see `see_again` for resumed runs.
     segmenter : PlaneSegmenter
-        That of the run.
+        The segmenter of the run.
     truth : Truth, optional
     every : int
-        Scans from one frame to the next; 0: none is kept but the last, when asked for.
+        Scans between frames; 0: only the last one, on request.
     view : SensorView, optional
-        Where the sensor is on the robot; the segmenter sees from there.
+        Pose of the sensor on the robot.
     before_s : iterable of float
-        Times of the scans that the mapper has taken in already, seconds.
+        Times of the scans already processed, seconds.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class BenchRecorder:
         self.frames: list[BenchFrame] = []
 
     def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
-        """Yield the scans of a run; keep a frame now and then, once the scan has been mapped."""
+        """Yield the scans of a run; record a frame at intervals, after the scan was mapped."""
         for scan in scans:
             yield scan
             self._scan = scan
@@ -131,7 +131,7 @@ class BenchRecorder:
                 self.frames.append(self._frame(scan))
 
     def see_again(self, log: ScanLog, mapper: PlaneMapper) -> None:
-        """Look at a mapper that has taken in the next scan of a log again, out of its journal."""
+        """Record a mapper that is restored from its journal, scan by scan."""
         self.mapper, n = mapper, mapper.n_iterations
         wanted = bool(self._every) and n % self._every == 0
         if not wanted and n < len(self._stamps_s):
@@ -144,7 +144,7 @@ class BenchRecorder:
                 self.frames.append(self._frame(scan))
 
     def last(self) -> BenchFrame | None:
-        """Return the last scan with the map as it is now; None if there was no scan."""
+        """Return the last scan with the current map; None if there was no scan."""
         return None if self._scan is None else self._frame(self._scan)
 
     def _frame(self, scan: PointScan) -> BenchFrame:
@@ -173,7 +173,7 @@ class BenchRecorder:
         )
 
     def _world(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the motion R (2, 2), t (2,) from the map into the frame of the world."""
+        """Return the motion R (2, 2), t (2,) from the map to the world frame."""
         placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
         stamps_s = np.array(self._stamps_s)[placed]
         found = self._truth and fit_to_truth(stamps_s, poses[placed], self._truth)
@@ -183,7 +183,7 @@ class BenchRecorder:
 def _links(
     groups: list[NDArray[np.int64]], walls: NDArray[np.int64], middles: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return lines (l, 2, 2) from the middle of each group to its walls' middles."""
+    """Return lines (l, 2, 2) from the centre of each group to the midpoints of its walls."""
     links = [np.empty((0, 2, 2))]
     for members in groups:
         at = middles[np.isin(walls, members)]
@@ -193,5 +193,5 @@ def _links(
 
 
 def frame_step(n_scans: int, frames: int = FRAMES) -> int:
-    """Return the number of scans from one frame to the next, for about `frames` in all."""
+    """Return the number of scans between frames, for about `frames` in total."""
     return max(1, math.ceil(n_scans / frames))

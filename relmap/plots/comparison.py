@@ -12,14 +12,14 @@ from relmap.plots.sheet import BLUE, GREY, ORANGE, blank, finish, to_png, write_
 
 Figures = Mapping[str, float | None]
 OURS = "relmap"
-"""What the names of relmap's own methods begin with."""
+"""Prefix of the names of relmap's own methods."""
 ROW_IN = 0.34
 MANY = 30.0
-"""Ratio of the largest to the smallest figure above which only powers of ten are written."""
+"""Ratio of the largest to the smallest figure above which only powers of ten are labelled."""
 
 
 def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
-    """Draw the errors of map and path, and the time taken, of every method.
+    """Draw the errors of map and path, and the run time, of every method.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def plot_comparison(rows: Sequence[tuple[str, Figures]], title: str) -> Figure:
 
 
 def _draw(axes: Axes, rows: Sequence[tuple[str, Figures]], key: str) -> None:
-    """Draw one figure of every method as a dot, in logarithmic scale."""
+    """Draw one figure of every method as a dot, on a logarithmic scale."""
     axes.set_xscale("log")
     values = [f.get(key) for _, f in rows]
     known = np.array([value for value in values if value] or [1.0])

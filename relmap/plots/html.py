@@ -22,7 +22,7 @@ img { display: block; max-width: 100%; height: auto; margin: .8rem auto; }
 code { font-size: .92em; overflow-wrap: anywhere; }
 """
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-"""What a browser lets a page do: nothing beyond what is in it."""
+"""Content security policy: nothing outside the page may be loaded."""
 
 
 def document(title: str, body: Iterable[str], style: str = "") -> str:
@@ -35,7 +35,7 @@ def document(title: str, body: Iterable[str], style: str = "") -> str:
     body : iterable of str
         HTML.
     style : str, optional
-        What is added to `STYLE`.
+        Added to `STYLE`.
     """
     parts = [
         "<!DOCTYPE html>",
@@ -51,7 +51,7 @@ def document(title: str, body: Iterable[str], style: str = "") -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table of plain text, which can be scrolled where it is too wide."""
+    """Return a table of plain text, which can be scrolled if it is too wide."""
     head = "".join(f"<th>{escape(name)}</th>" for name in header)
     lines = ("".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows)
     body = "".join(f"<tr>{line}</tr>" for line in lines)

@@ -1,4 +1,4 @@
-"""Where scans were found in a map that stays as it is."""
+"""Localised scans in an unchanged map."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ def plot_localised(
     poses: NDArray[np.float64],
     n_scans: int,
 ) -> Figure:
-    """Draw a map and where scans were found in it; what is between scans not found is not drawn.
+    """Draw a map and the localised scans; the path is interrupted at scans not found.
 
     Parameters
     ----------
     landmarks : LandmarkMap
     planar : bool
-        Whether the view from above is enough.
+        Whether the view from above suffices.
     scan : (k,) int64, ascending
-        Which scans of the log were found.
+        The localised scans of the log.
     poses : (k, 4, 4) float64
         ``T_map_robot`` of these.
     n_scans : int
-        How many scans the log has.
+        Number of scans of the log.
 
     Returns
     -------
@@ -44,8 +44,8 @@ def plot_localised(
         axes.plot(*landmarks.positions[:, pair].T, ".", color=INK, markersize=4, label="landmark")
         path = broken_at_gaps(scan.astype(np.float64), at)[:, pair]
         style: dict[str, Any] = {"color": BLUE, "markersize": 2.5, "linewidth": 0.7}
-        axes.plot(*path.T, ".-", label="scan that was found", **style)
-    sheet.finish(f"{len(scan)} of {n_scans} scans found in a map of {len(landmarks)} landmarks")
+        axes.plot(*path.T, ".-", label="localised scan", **style)
+    sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {len(landmarks)} landmarks")
     return sheet.figure
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a mapper as it is, without its log."""
+"""Pictures of a mapper without its log."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from relmap.plots.sheet import write_png
 
 
 def plot_mapper(mapper: AnyMapper) -> Figure:
-    """Draw the map of a mapper: of points the landmarks, of walls each submap in a panel."""
+    """Draw the map of a mapper: for points the landmarks, for walls each submap in a panel."""
     return _drawn(result_of_mapper(mapper), mapper)
 
 

@@ -1,4 +1,4 @@
-"""Aligning paths, and breaking them where they are not known."""
+"""Aligning paths, and interrupting them where they are unknown."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from relmap.evaluation.metrics import match_stamps
 from relmap.evaluation.truth import Truth
 
 GAP = 3.0
-"""Time between poses, in median ones, over which no path is drawn."""
+"""Gap between poses, in median intervals, above which the path is interrupted."""
 JUMP = 5.0
-"""Step, in medians of those around it, that counts as a jump."""
+"""Length of a step, in medians of the surrounding ones, that counts as a jump."""
 AROUND = 5
-"""Steps before and after with which each is compared."""
+"""Number of steps before and after with which each is compared."""
 USUAL = 0.9
 """Steps up to `GAP` times this quantile of all steps are no jumps."""
 
@@ -21,14 +21,14 @@ USUAL = 0.9
 def broken_at_gaps(
     stamps_s: NDArray[np.float64], position: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return positions (k + gaps, d) with NaN where times (k,) are missing: no path is drawn."""
+    """Return positions (k + gaps, d), with NaN in gaps of the times (k,)."""
     step_s = np.diff(stamps_s)
     usual_s = np.median(step_s) if len(step_s) else 0.0
     return _broken(position, step_s > GAP * usual_s)
 
 
 def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return positions (k + jumps, d) with NaN where the path jumps; it has no times."""
+    """Return positions (k + jumps, d), with NaN where the path jumps, without times."""
     return _broken(position, jumps(position))
 
 
@@ -50,9 +50,9 @@ def _broken(position: NDArray[np.float64], gap: NDArray[np.bool_]) -> NDArray[np
 def fit_poses(
     poses: NDArray[np.float64], others: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the planar motion that brings poses onto others best.
+    """Return the planar motion that best aligns poses to others.
 
-    Its rotation is the mean one of the poses, so that one pose is enough.
+    Its rotation is the mean over the poses, so that one pose suffices.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def fit_poses(
     Returns
     -------
     R, t : (2, 2), (2,) float64
-        ``others ~ poses @ R.T + t`` of the positions.
+        ``others ~ poses @ R.T + t`` for the positions.
     """
     turn = np.einsum("kij,klj->il", others[:, :2, :2], poses[:, :2, :2])
     angle = np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1])
@@ -72,7 +72,7 @@ def fit_poses(
 def fit_to_truth(
     stamps_s: NDArray[np.float64], poses: NDArray[np.float64], truth: Truth
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the planar motion that brings poses onto the true ones of the same times.
+    """Return the planar motion that best aligns poses to the true ones of the same times.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def fit_to_truth(
     Returns
     -------
     R, t : (2, 2), (2,) float64
-        As `fit_poses` returns them; None if no times are the same.
+        As for `fit_poses`; None if no times match.
     """
     mine, other = match_stamps(stamps_s, truth.stamps_s)
     return fit_poses(poses[mine], truth.poses[other]) if len(mine) else None

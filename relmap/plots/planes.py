@@ -1,4 +1,4 @@
-"""Pictures of walls: as mapped, over the true ones where they are known, and as simulated."""
+"""Pictures of walls: mapped, compared with the truth, and simulated."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ CORNER = "#0b7a3b"
 PATH = "#7f7f7f"
 POINT = "#b4b4b4"
 FINE, DOT, FINE_DPI = 1.1, 1.6, 240
-"""Width of a wall, and size of a corner, hardly wider, for pictures to be hung up."""
+"""Line width of a wall, and size of a corner, slightly larger."""
 PANEL_IN = 3.4
 RIM_M = 0.8
-"""Rim around what a panel shows."""
+"""Margin around a panel."""
 TRUE_WALL = "#e0a800"
-"""As in the paper: the actual map in yellow, the calculated one in blue (Fig. 7)."""
+"""As in the paper: the true map in yellow, the computed one in blue (Fig. 7)."""
 
 
 def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
-    """Draw the walls and paths of submaps, each in its own frame and a panel of its own.
+    """Draw the walls and paths of submaps, each in its own frame and panel.
 
     Parameters
     ----------
     submaps : sequence of DrawnSubmap
-        Those to be drawn, the map itself first.
+        Submaps to draw, the map itself first.
     n_submaps : int
-        How many there are.
+        Number of submaps.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def plot_submaps(submaps: Sequence[DrawnSubmap], n_submaps: int) -> Figure:
 
 
 def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
-    """Draw the one submap there is to draw."""
+    """Draw the only submap."""
     planes, poses = submap.planes, submap.poses
     sheet = _sheet(planes.ends[planes.status == "static"].reshape(-1, 2), poses)
     n_walls, n_corners = _draw_submap(sheet.views[0][0], submap)
@@ -91,7 +91,7 @@ def _plot_submap(submap: DrawnSubmap, n_submaps: int) -> Figure:
 
 
 def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
-    """Draw the floor plan over points of the scans; return how many walls and corners it has."""
+    """Draw the floor plan over the scan points; return the number of walls and corners."""
     points, at = submap.points, submap.poses[:, :2, 3]
     axes.plot(*points.T, ",", color=POINT, zorder=1.5, rasterized=True)
     counts = _draw_map(axes, submap.planes, submap.poses)
@@ -105,7 +105,7 @@ def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
 
 
 def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
-    """Draw mapped walls, their corners and the path; return how many walls and corners."""
+    """Draw mapped walls, their corners and the path; return the number of walls and corners."""
     mapped = planes.status == "static"
     draw_walls(axes, planes.ends[mapped], "wall", width=FINE)
     at = planes.ends[mapped][planes.corner[mapped] >= 0]
@@ -117,7 +117,7 @@ def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tup
 
 
 def _sheet(places: NDArray[np.float64], poses: NDArray[np.float64]) -> Sheet:
-    """Return a sheet with room for places (n, 2) and the path of poses (k, 4, 4)."""
+    """Return a figure for positions (n, 2) and the path of poses (k, 4, 4)."""
     return Sheet(_in_space(places), _in_space(poses[:, :2, 3]), planar=True, dpi=FINE_DPI)
 
 
@@ -135,9 +135,9 @@ def plot_planes(
     poses : (k, 4, 4) float64
         ``T_map_robot``.
     truth : tuple, optional
-        True walls, and how the map lies in them.
+        True walls, and the alignment of the map to them.
     title : str, optional
-        The counts if omitted.
+        By default the counts.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def draw_walls(
 
 
 def draw_true_walls(axes: Axes, ends: NDArray[np.float64]) -> None:
-    """Draw true walls (m, 2, 2) thinly, so that those of the map show over them."""
+    """Draw true walls (m, 2, 2) as thin lines, below those of the map."""
     draw_walls(axes, ends, "true wall", TRUE_WALL, width=1.0, zorder=4.0)
 
 

@@ -25,7 +25,7 @@ from relmap.plots.sheet import (
 )
 
 LIGHT = np.array([0.3, 0.5, 0.81])
-"""Direction of a light: planes across it are brighter."""
+"""Direction of a light: planes facing it are brighter."""
 
 
 def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
@@ -37,7 +37,7 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
     poses : (k, 4, 4) float64
         ``T_map_sensor``.
     weak : (w,) int64
-        Places in `poses` that are known in part only; marked.
+        Indices in `poses` of poses that are partly undetermined; marked.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
     style: dict[str, Any] = {"edgecolors": "k", "linewidths": 0.5, "alpha": 0.45}
     above.add_collection(PolyCollection(flat, facecolors=colours[order], **style))
     above.plot(*way[:, :2].T, color=BLUE, linewidth=1.5, label="path of the sensor")
-    above.plot(*way[weak, :2].T, "o", color=RED, markersize=4, label="place known in part only")
+    above.plot(*way[weak, :2].T, "o", color=RED, markersize=4, label="pose partly undetermined")
     draw_limits(above, (low[:2], high[:2]))
     finish(above, "from above", "x [m]", "y [m]")
     legend_below(figure, 2, above)
@@ -76,9 +76,9 @@ def plot_planes3d(table: Plane3dTable, poses: Floats, weak: Ints) -> Figure:
 
 
 def _upward(table: Plane3dTable, rows: Sequence[int]) -> Floats:
-    """Return the turn after which the largest planes that may be floors or ceilings are level.
+    """Return the rotation that makes the largest floor or ceiling planes level.
 
-    The direction of most area within 45 degrees of the first scan's z is taken for up.
+    Up is the direction with the largest area within 45 degrees of the first scan's z.
     """
     if not rows:
         return np.eye(3)

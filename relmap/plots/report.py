@@ -1,4 +1,4 @@
-"""The page of a run: its map to look around in, its replay, its figures, and how it was made."""
+"""The HTML report of a run: interactive map, replay, figures, and provenance."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from relmap.plots.report_data import views_of
 
 REPORT = "report.html"
 LISTED = 12
-"""Submaps that are listed."""
+"""Maximum number of submaps listed."""
 UNSAFE = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
-"""What must not stand in a script as it is."""
+"""Characters that must be escaped in a script."""
 MAP = """
 <div id="bar"><select id="view" aria-label="submap"></select>
 <button id="side" type="button" hidden>from the side</button>
@@ -78,19 +78,19 @@ def _safe(content: Any) -> str:
 
 
 def _told(result: Result) -> str:
-    """Return what the map is, in a sentence."""
+    """Return a one-sentence description of the map."""
     counts, n = result.summary["counts"], len(result.summary["submaps"])
     what = f"{counts.get('mapped')} of {counts.get('landmarks')} landmarks"
     if isinstance(result, PlaneResult):
         what = f"{counts['planes_static']} walls with {counts['corners_static']} corners"
     early = ", stopped early" if result.summary["interrupted"] else ""
-    apart = f"; the run broke into {n} submaps, each in a frame of its own" if n > 1 else ""
+    apart = f"; the run broke into {n} submaps, each in its own frame" if n > 1 else ""
     return f"{what}, mapped in {counts['iterations']} iterations{early}{apart}."
 
 
 def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the tables of what came out."""
-    yield "<section><h2>What came out</h2>"
+    """Yield the tables of results."""
+    yield "<section><h2>Results</h2>"
     yield table((), [*_flat(summary["counts"]), *_flat(summary["association_trust"])])
     yield "</section>"
     submaps = summary["submaps"]
@@ -104,15 +104,15 @@ def _sections(summary: Mapping[str, Any]) -> Iterator[str]:
     if refinement is not None:
         plain = {key: value for key, value in refinement.items() if not isinstance(value, list)}
         yield f"<section><h2>Refinement</h2>{table((), _flat(plain))}"
-        yield '<p class="small">Residuals are in units of what the noise explains.</p></section>'
+        yield '<p class="small">Residuals are relative to what the noise explains.</p></section>'
     if "weak_links" in summary:
-        yield '<section id="weak"><h2>Weak links</h2><p class="small">Scans before which too little'
-        yield " was seen to tell how far the robot went; it was taken to go on as before.</p>"
+        yield '<section id="weak"><h2>Weak links</h2><p class="small">Scans that show too little to'
+        yield " determine the motion since the previous scan; constant motion was assumed.</p>"
         yield '<p id="links"></p></section>'
 
 
 def _made(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield what else tells how the map was made."""
+    """Yield the tables of provenance."""
     for key in ("format", "variant", "association", "dimensions", "scans", "seed", "refined"):
         yield key, _cell(summary.get(key))
     yield from _flat(summary["configuration"])
@@ -125,7 +125,7 @@ def _flat(content: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _cell(value: Any) -> str:
-    """Return a value as a person reads it."""
+    """Return a value in readable form."""
     if value is None:
         return "–"
     if isinstance(value, bool):

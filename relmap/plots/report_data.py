@@ -1,4 +1,4 @@
-"""What the page of a run shows on its map, packed as the page's script unpacks it.
+"""The data shown in the report of a run, packed for its script.
 
 Arrays are little-endian, in base 64: float32, int32, and uint16 for the points of scans.
 """
@@ -19,14 +19,14 @@ from relmap.plots.run import weak_places
 from relmap.plots.sheet import limits_of
 
 POINTS = 60_000
-"""Points of scans that the page shows at most, of all submaps together."""
+"""Maximum number of scan points in the report, over all submaps."""
 STEPS = 65_535
-"""Steps from the least to the greatest coordinate of the points of scans."""
+"""Quantisation steps over the range of the scan points' coordinates."""
 View = dict[str, Any]
 
 
 def views_of(result: Result) -> list[View]:
-    """Return what is shown of each submap in its own frame, the map itself first."""
+    """Return the data of each submap in its own frame, the map itself first."""
     if isinstance(result, PlaneResult):
         total = sum(len(submap.points) for submap in result.drawn)
         every = max(-(-total // POINTS), 1)
@@ -99,14 +99,14 @@ def _name(number: int) -> str:
 
 
 def _limits(places: NDArray[np.float64], way: NDArray[np.float64]) -> list[list[float]]:
-    """Return least and greatest coordinates of what is to be seen at first."""
+    """Return the minimum and maximum coordinates of the initial view."""
     return [limit.tolist() for limit in limits_of(places, way)]
 
 
 def _path(
     iterations: NDArray[np.int64], stamps_s: NDArray[np.float64], poses: NDArray[Any], axes: int
 ) -> View:
-    """Return places and headings of the robot, when it was there, and where the path leaps."""
+    """Return positions and headings of the robot, their times, and where the path jumps."""
     position = poses[:, :axes, 3]
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
     return {
@@ -119,7 +119,7 @@ def _path(
 
 
 def _points(points: NDArray[np.float64], scan: NDArray[np.int64]) -> View:
-    """Return points in steps of their extent, with that extent, and the scan of each."""
+    """Return quantised points with their range, and the scan of each."""
     if not len(points):
         return {}
     low, high = points.min(axis=0), points.max(axis=0)
@@ -128,7 +128,7 @@ def _points(points: NDArray[np.float64], scan: NDArray[np.int64]) -> View:
         "points": _packed(np.rint((points - low) / step), "<u2"),
         "pointLow": low.tolist(),
         "pointStep": step.tolist(),
-        # Of ascending numbers the first point of each scan tells as much in less.
+        # The scan numbers ascend, so the first point of each scan is sufficient.
         "pointFrom": _packed(np.searchsorted(scan, np.arange(int(scan[-1]) + 2)), "<i4"),
     }
 

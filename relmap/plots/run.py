@@ -1,4 +1,4 @@
-"""The picture of a run: its map from above and from the side, the path, the truth if known."""
+"""The picture of a run: the map from above and from the side, the path, the truth if known."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from relmap.plots.sheet import BLUE, RED, Sheet, to_png
 GROUP = "#7f7f7f"
 WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
-"""Residual, in units of what the noise explains, above which a place is ringed."""
+"""Residual, relative to its expectation from noise, above which a place is marked."""
 MOST_LINKS = 6000
-"""Most links between groups and members that are drawn; of more groups a part is shown."""
+"""Maximum number of links between groups and members; with more, a subset of groups is drawn."""
 
 
 def plot_run(
@@ -38,10 +38,10 @@ def plot_run(
     ----------
     result : Result
     groups : sequence of (g,) int64
-        Labels of the landmarks of each group; drawn as links from its middle to its members.
+        Labels of the landmarks of each group; drawn as links from its centre to its members.
     truth : Overlay, optional
     title : str, optional
-        The counts if omitted.
+        By default the counts.
 
     Returns
     -------
@@ -64,18 +64,18 @@ def plot_run(
         sheet.add_colours(dots, "standard deviation of a landmark [m]")
     mapped, known = len(positions), len(result.landmarks.landmark)
     apart = len(result.submaps) - 1
-    submaps = f", {apart} submaps apart" if apart > 0 else ""
+    submaps = f", {apart} separate submaps" if apart > 0 else ""
     sheet.finish(title or f"{mapped} of {known} landmarks mapped{submaps}")
     return sheet.figure
 
 
 def _marker_area(n: int) -> float:
-    """Return the area of a dot, points squared, that n of them can have."""
+    """Return the area of each of n dots, points squared."""
     return float(np.clip(6000 / max(n, 1), 2.0, 28.0))
 
 
 def _draw_landmarks(axes: Axes, result: Result, pair: list[int]) -> Any:
-    """Draw the mapped landmarks; return what the colour bar explains, None if nothing does."""
+    """Draw the mapped landmarks; return the colour scale, if any."""
     table = result.landmarks
     area = _marker_area(int(result.mapped.sum()))
     static = result.mapped & (table.status != "dynamic")
@@ -124,13 +124,13 @@ def _draw_groups(
         alpha = float(np.clip(200 / len(links), 0.04, 0.35))
         style: dict[str, Any] = {"colors": GROUP, "linewidths": 0.6, "alpha": alpha, "zorder": 1}
         axes.add_collection(LineCollection(links, **style))
-        label = "group, from its middle to its members"
+        label = "group, from its centre to its members"
         label += f" (one of {every} shown)" if every > 1 else ""
         axes.plot([], [], color=GROUP, linewidth=0.8, label=label)
 
 
 def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
-    """Ring the segments and merges that fit the refined map much worse than noise explains."""
+    """Mark the segments and merges with residuals much larger than noise explains."""
     for (label, places), marker in zip(weak_places(result).items(), "oD", strict=True):
         if len(places):
             x, y = places[:, pair].T
@@ -139,7 +139,7 @@ def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
 
 
 def weak_places(result: Result) -> dict[str, NDArray[np.float64]]:
-    """Return places (n, 3) that fit the refined map much worse than noise explains, by kind."""
+    """Return positions (n, 3) with residuals much larger than noise explains, by kind."""
     refinement = result.summary.get("refinement") or {}
     segments, merges = (
         [place for place in refinement.get(kind, ()) if place["residual"] > WEAK]
@@ -147,7 +147,7 @@ def weak_places(result: Result) -> dict[str, NDArray[np.float64]]:
     )
     place_of = dict(zip(result.landmarks.landmark.tolist(), result.landmarks.position, strict=True))
     found = {
-        "stretch that fits badly": [[*place["middle"], 0.0][:3] for place in segments],
+        "segment with large residuals": [[*place["middle"], 0.0][:3] for place in segments],
         "doubtful merge": [place_of[merge["landmark"]] for merge in merges],
     }
     return {kind: np.array(places).reshape(-1, 3) for kind, places in found.items()}

@@ -1,4 +1,4 @@
-"""Canvases of pictures: blank figures, views in one scale, limits, colours; the PNG file."""
+"""Common parts of pictures: figures, views in one scale, limits, colours, PNG files."""
 
 from __future__ import annotations
 
@@ -30,29 +30,29 @@ PALE = "#e4e4e4"
 INK = "#333333"
 WIDTH_IN = 7.5
 HEIGHT_IN = 8.0
-"""Largest size of the views together; the figure has margins around them."""
+"""Largest size of all views together, without margins."""
 BESIDE_IN, ABOVE_IN, BELOW_IN, NARROWEST_IN = 2.1, 1.1, 0.6, 6.5
 LEGEND_ROW_IN = 0.2
-"""Height of each row of a legend but the first, for which there is room."""
+"""Height of each row of a legend beyond the first."""
 NARROWEST = 0.15
-"""Least width of a view as a share of its length."""
+"""Minimum width of a view, relative to its length."""
 BULK = (0.05, 0.95)
-"""Between these quantiles lie most of the places that are drawn."""
+"""Quantiles that bound most of the drawn positions."""
 FAR = 1.0
-"""Largest distance beyond most of them at which a place is shown, in units of their extent."""
+"""Largest distance beyond these bounds at which a position is shown, relative to their extent."""
 Limits = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Lowest and highest coordinates, metres."""
 
 
 def blank(width_in: float, height_in: float, dpi: int = 150, layout: Any = "constrained") -> Figure:
-    """Return an empty figure; the constrained layout keeps its panels from overlapping."""
+    """Return an empty figure with constrained layout."""
     figure = Figure(figsize=(width_in, height_in), dpi=dpi, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def finish(axes: Axes, title: str, x: str, y: str) -> None:
-    """Name a panel and its axes, and put a grid behind what is drawn."""
+    """Label a panel and its axes, and draw a grid."""
     axes.set_title(title, fontsize=10)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
@@ -61,7 +61,7 @@ def finish(axes: Axes, title: str, x: str, y: str) -> None:
 
 
 def legend_below(figure: Figure, ncols: int, *panels: Axes) -> Legend:
-    """Put a legend of some panels below all panels of a constrained figure, and return it."""
+    """Add a legend of some panels below all panels of a constrained figure, and return it."""
     shown = [axes.get_legend_handles_labels() for axes in panels]
     named = {label: handle for pair in shown for handle, label in zip(*pair, strict=True)}
     style: dict[str, Any] = {"ncols": ncols, "frameon": False, "fontsize": 9}
@@ -74,9 +74,9 @@ def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: floa
     Parameters
     ----------
     places : (n, d) float64, metres
-        A few that lie far from all others and from the way are left out.
+        A few outliers far from the others and from the path are ignored.
     way : (k, d) float64, metres
-        Shown as a whole, where it is not NaN.
+        Path, shown entirely where it is not NaN.
     rim_m : float
 
     Returns
@@ -96,27 +96,27 @@ def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: floa
 
 
 def draw_limits(axes: Axes, limits: Limits) -> None:
-    """Set the limits (2,), (2,) of a panel, with one scale for both axes."""
+    """Set the limits (2,), (2,) of a panel, with equal scale for both axes."""
     low, high = limits
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
 def write_in_full(axis: Any, digits: Sequence[int] = (1, 2, 5)) -> None:
-    """Write the numbers of a logarithmic axis that begin with these digits, as 1, 2, 5, 10, ..."""
+    """Label the numbers of a logarithmic axis with these leading digits, as 1, 2, 5, 10, ..."""
     axis.set_major_locator(LogLocator(10, digits))
     axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
 
 
 class Sheet:
-    """A figure with one view per pair of axes, all in one scale, the legend below them.
+    """A figure with one view per pair of axes, all in one scale, with the legend below.
 
     Parameters
     ----------
     places, way : (n, 3), (k, 3) float64, metres
-        What is to be drawn; see `limits_of`.
+        Positions to draw; see `limits_of`.
     planar : bool
-        Whether the view from above is enough.
+        Whether the view from above suffices.
     dpi : int, optional
 
     Attributes
@@ -148,7 +148,7 @@ class Sheet:
             finish(axes, "", "x [m]" if axes is panels[-1] else "", f"{'xyz'[pair[1]]} [m]")
 
     def add_colours(self, dots: Any, label: str) -> None:
-        """Put a colour bar that explains the colours of dots to the right of the views."""
+        """Add a colour bar for the colours of dots to the right of the views."""
         beside = [axes for axes, _ in self.views]
         bar = self.figure.colorbar(dots, ax=beside, label=label, aspect=40, shrink=0.9)
         if isinstance(dots.norm, LogNorm):
@@ -175,7 +175,7 @@ class Sheet:
 
 
 def write_png(path: Path, draw: Callable[[], Figure]) -> None:
-    """Draw a figure into a PNG file, in matplotlib's own style whatever the user's.
+    """Draw a figure into a PNG file, in matplotlib's default style.
 
     The same drawing gives the same bytes.
 
@@ -198,7 +198,7 @@ def write_png(path: Path, draw: Callable[[], Figure]) -> None:
 
 
 def to_png(draw: Callable[P, Figure]) -> Callable[Concatenate[Path, P], None]:
-    """Return a function that takes a path, then the arguments of `draw`; see `write_png`."""
+    """Return a function of a path and the arguments of `draw`; see `write_png`."""
 
     def write(path: Path, /, *args: P.args, **kwargs: P.kwargs) -> None:
         write_png(path, lambda: draw(*args, **kwargs))
@@ -207,7 +207,7 @@ def to_png(draw: Callable[P, Figure]) -> Callable[Concatenate[Path, P], None]:
 
 
 def _padded(limits: Limits) -> Limits:
-    """Return limits with a margin and a least width."""
+    """Return limits with a margin and a minimum width."""
     low, high = limits
     longest = max(float((high - low).max()), 1e-3)
     half = np.maximum((high - low) / 2 + 0.04 * longest, NARROWEST * longest / 2)

@@ -1,4 +1,4 @@
-"""A sweep: how errors grow with what was varied, a line for each method."""
+"""A sweep: errors over the varied parameter, with a line per method."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class SweepRow:
     Attributes
     ----------
     name : str
-        What it shares with others of one line.
+        Common name of the experiments of one line.
     at : float or None
-        What was varied along the line; None where nothing was that has a number.
+        Value of the varied parameter; None if none is numeric.
     figures : mapping
-        Errors, None where there is none.
+        Errors, None if not available.
     """
 
     name: str
@@ -42,13 +42,13 @@ class SweepRow:
 
 
 def plot_sweep(rows: Sequence[SweepRow], along: str) -> Figure:
-    """Draw the errors of every experiment as dots, and through their medians a line for each name.
+    """Draw the errors of all experiments as dots, with a line of medians for each name.
 
     Parameters
     ----------
     rows : sequence of SweepRow
     along : str
-        What was varied, for the axis.
+        Label of the varied parameter.
 
     Returns
     -------

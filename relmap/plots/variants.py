@@ -30,7 +30,7 @@ class PlacedMap:
     shapes : (m, 2, 2) or (m, 2) float64
         Mapped walls, or mapped points from above.
     path : (k, 2) float64
-        NaN where it is not known.
+        NaN if unknown.
     """
 
     run: VariantRun
@@ -39,7 +39,7 @@ class PlacedMap:
 
     @property
     def said(self) -> str:
-        """Its quality, in one line."""
+        """Summary of its quality."""
         run, what = self.run, "corner" if self.run.method == "planes" else "point"
         covered = f"{run.coverage:.0%} of the {what}s mapped"
         if run.map_rmse_m is None:
@@ -98,7 +98,7 @@ def both_maps(seen: SurfacePoints) -> BothMaps:
 
 
 def _placed(result: Result, run: VariantRun, truth: Truth) -> PlacedMap:
-    """Bring a map into the frame of the truth."""
+    """Transform a map into the frame of the truth."""
     if isinstance(result, PlaneResult):
         shapes = result.planes.ends[result.planes.status == "static"]
     else:
@@ -115,7 +115,7 @@ def _draw_points(axes: Axes, points: NDArray[np.float64]) -> None:
     if len(points):
         axes.plot(*points.T, ".", color=WALL, markersize=1.5, label="mapped point")
         return
-    said = "no map: no point is recognised\noften enough to be placed"
+    said = "no map: no point is observed\noften enough to be mapped"
     box = {"facecolor": "white", "edgecolor": "none"}
     style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 11, "zorder": 10}
     axes.text(0.5, 0.5, said, transform=axes.transAxes, bbox=box, **style)

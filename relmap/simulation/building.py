@@ -1,4 +1,4 @@
-"""A robot that drives through a building, or among panels, and sees points of the walls.
+"""Simulation of a robot that drives through a building and observes points of walls.
 
 The world is 2½-D: vertical walls of one height, a robot that moves in the plane. Its frame, which
 is its sensor's, is `SENSOR_HEIGHT_M` above the floor; there the map's z is 0.
@@ -25,7 +25,7 @@ from relmap.simulation.visibility import seen_walls
 
 SENSOR_HEIGHT_M = 1.0
 STEP_S = 0.2
-"""From one scan to the next, where the robot goes `STEP_M`."""
+"""Interval between scans, in which the robot moves `STEP_M`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,15 +35,16 @@ class Building:
     Attributes
     ----------
     walls : (w, 6) float64, map frame, metres
-        x0, y0, x1, y1, z0, z1; the two ends go from right to left as seen from the wall's front.
-        A wall with two sides is two walls. Those that move are where they are in the first scan.
+        x0, y0, x1, y1, z0, z1; the two ends go from right to left as seen from the wall's front. A
+        wall with two sides is two walls. Moving walls are given at their position in the first
+        scan.
     moving : (w,) bool
     trajectory : (k, 4, 4) float64
         ``T_map_robot`` at each scan.
     stamps_s : (k,) float64
     scans : list of k BuildingScan
     sensor : Sensor
-        What made them.
+        The simulated sensor.
     """
 
     walls: NDArray[np.float64]
@@ -59,18 +60,18 @@ class Building:
         Returns
         -------
         (w, 3) int64
-            Scans in which some of the wall was seen, its right end, and its left end; an end where
-            the wall goes on, as in a curve, is none.
+            Number of scans that saw part of the wall, its right end, and its left end; an end where
+            the wall continues, as in a curve, does not count.
         """
         return times_seen(self.walls, self.scans)
 
     def seen_extents(self) -> NDArray[np.float64]:
-        """Return from where to where each wall was seen, in ten scans by five points each.
+        """Return the extent of each wall that was seen in ten scans by five points each.
 
         Returns
         -------
         (w, 2) float64
-            Metres from its first end; NaN where it was not seen, or moves.
+            Metres from its first end; NaN if it was not seen, or moves.
         """
         extents = seen_extents(self.walls, self.trajectory, self.scans)
         return np.where(self.moving[:, None], np.nan, extents)
@@ -106,8 +107,8 @@ def simulate_building(
     sampling : "surface", "rays" or "laser"
         Points uniform on the visible surface, a grid of beams, or a 2-D laser scan.
     iterations : int, optional
-        Number of scans; as many as the loops take if omitted. One loop is 250 to 310 in a
-        building, some 200 among panels, 390 along the long wall and back, with the usual step.
+        Number of scans; by default as many as the loops take. One loop is 250 to 310 in a building,
+        some 200 among panels, 390 along the long wall and back, with the usual step.
     seed : int
         Seed of everything random.
     world : str
@@ -116,20 +117,19 @@ def simulate_building(
         panels; "twin-rooms", all the same, which the robot enters; a square "corridor" of sides
         that are the same; "bare-corridor", without features; or "curved".
     loops : int
-        How often the robot drives round.
+        Number of rounds.
     sensor : Sensor, optional
         Range and field of view: 8 m and 90 degrees (`laser`: 180) if omitted.
     sample_ends : bool
         With `surface`, put a point on each end of every stretch that has two points or more.
     moving : int
-        Number of doors that swing; among panels, of panels that slide and turn.
+        Number of swinging doors; among panels, of panels that slide and turn.
     step_m : float
-        How far the robot goes from one scan to the next; it turns the less the less it goes, by
-        4 degrees at most where it goes 0.22 m.
+        Distance between scans; rotations scale with it, with at most 4 degrees at 0.22 m.
     people : int
-        Number of people who walk about; of a laser.
+        Number of walking people; only for a laser.
     clutter : float
-        Share of the beams of a laser that meet small things, others in each scan.
+        Fraction of the beams of a laser that hit small objects, different in each scan.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def simulate_building(
     plan = make_floor_plan(world, rng)
     trajectory = drive_round(plan.loop, loops, iterations, step_m, rng)
     stamps_s = STEP_S * (step_m / STEP_M) * np.arange(len(trajectory), dtype=np.float64)
-    # Moving walls and objects have generators of their own, so the rest stays the same.
+    # Moving walls and objects have separate generators, so the rest is unchanged.
     walkers, others = (np.random.default_rng([seed, people, which]) for which in (1, 2))
     crowd = walking(plan, people, stamps_s, trajectory, walkers)
     plan, movers = make_moving(plan, world, moving, np.random.default_rng([seed, moving]))
@@ -171,12 +171,12 @@ def building_scene(
     sensor: Sensor | None = None,
     sample_ends: bool = False,
 ) -> BuildingScan:
-    """Look once from a random pose in a random building, corridor or room.
+    """Simulate one scan from a random pose in a random building, corridor or room.
 
     Parameters
     ----------
     seed, points, sigma, noise, sampling, sensor, sample_ends
-        As `simulate_building` takes them.
+        As for `simulate_building`.
 
     Returns
     -------
@@ -237,7 +237,7 @@ def _check(
         (0 <= clutter <= 0.5, f"clutter is {clutter}; it must lie in [0, 0.5]"),
         (
             sampling == "laser" or not (people or clutter or world == "glass"),
-            "people, clutter and glass are for lasers alone; sampling must be laser",
+            "people, clutter and glass are only for lasers; sampling must be laser",
         ),
     ]
     check_arguments(scanner.noise, scanner.sigma, seed, *limits)

@@ -1,4 +1,4 @@
-"""Corridors that are hard to map: alike, without features, with twin rooms, or curved."""
+"""Corridors that are hard to map: repetitive, featureless, with twin rooms, or curved."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded, turne
 
 NO_FLOORS: Array = np.empty((0, 4))
 WIDTH_M, DEPTH_M, DOOR_M = 4.0, 4.5, 1.1
-"""Of all twin rooms."""
+"""Size of all twin rooms."""
 TWINS = 3
 """Twin rooms on either side of their corridor."""
 ALIKE_M, DOORS, DOOR_STEP_M, LEAF_M, NICHE_M = 20.0, 6, 3.0, 0.9, 0.15
-"""Length of each of four corridors that are alike; closed doors on either side, and their depth."""
+"""Length of each of four identical corridors; closed doors on either side, and their depth."""
 LANE_M, ROUND_M = 0.5, 1.1
-"""The robot drives so far beside the middle of the corridor, and round in each room so wide."""
+"""Distance of the robot from the centre line of the corridor, and radius of its loop in each
+room."""
 BARE_M = 26.0
 """Length of a featureless corridor: more than twice the range of the laser."""
 RADIUS_M, STRAIGHT_M, CHORD_M = 6.0, 4.0, 0.1
-"""Of the outer wall of a curved corridor, which is made of chords."""
+"""Size of the outer wall of a curved corridor, approximated by chords."""
 PILLAR_M, PILLARS = (0.3, 0.25), 5
 """Width and depth of the pilasters on the outer wall, and how many there are in a half circle."""
 
 
 def twin_rooms(rng: np.random.Generator) -> FloorPlan:
-    """Draw a corridor between rooms that are all the same; the robot drives round in each."""
+    """Draw a corridor between identical rooms; the robot drives round in each."""
     del rng
     hall = np.array([0.0, -CORRIDOR_M / 2, TWINS * WIDTH_M, CORRIDOR_M / 2])
     walls, doors = _rooms_below(hall, TWINS)
@@ -42,7 +43,7 @@ def twin_rooms(rng: np.random.Generator) -> FloorPlan:
 
 
 def corridor(rng: np.random.Generator) -> FloorPlan:
-    """Draw a square corridor whose four sides are the same, with closed doors all alike."""
+    """Draw a square corridor with four identical sides and identical closed doors."""
     del rng
     block = np.array([0.0, 0.0, ALIKE_M, ALIKE_M])
     hall = block + CORRIDOR_M * np.array([-1, -1, 1, 1])
@@ -73,7 +74,7 @@ def curved(rng: np.random.Generator) -> FloorPlan:
 
 
 def _rooms_below(hall: Array, count: int) -> tuple[Array, Array]:
-    """Return the walls (w, 4) and doors (count, 2, 2) of the same room so many times."""
+    """Return the walls (w, 4) and doors (count, 2, 2) of identical rooms."""
     walls, doors = [], []
     for k in range(count):
         low = hall[0] + k * WIDTH_M
@@ -98,7 +99,7 @@ def _with_doors(edge: Array) -> Array:
 
 
 def _way_round(x: float, front: float) -> Array:
-    """Return the way (n, 2) from the corridor into the room below x, round, and out again."""
+    """Return the path (n, 2) from the corridor into the room below x, round, and out again."""
     angle = np.linspace(np.pi / 2, 2.5 * np.pi, 60)
     middle = np.array([x, front - DEPTH_M / 2])
     around = middle + ROUND_M * np.column_stack([np.cos(angle), np.sin(angle)])

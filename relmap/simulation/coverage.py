@@ -1,4 +1,4 @@
-"""How often each wall and its ends were seen, and which stretch."""
+"""How often each wall and its ends were seen, and which part."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from relmap.simulation.noise import Array
 from relmap.simulation.sensor import BuildingScan
 
 OFTEN, POINTS, CELL_M = 10, 5, 0.05
-"""A place of a wall counts as seen in so many scans, by so many points each; and how finely."""
+"""Number of scans, and of points in each, for a place of a wall to count as seen; and
+resolution."""
 STRAIGHT, CHORD_M, SAME_M = np.cos(np.deg2rad(5.0)), 0.2, 1e-6
-"""Where one of two walls is so short, and they go on so straight (cosine), there is no corner."""
+"""Walls shorter than this that continue this straight (cosine) form no corner."""
 
 
 def times_seen(walls: Array, scans: Sequence[BuildingScan]) -> NDArray[np.int64]:
-    """Count in how many scans each wall (w, 6) was seen, and its right and left end; (w, 3)."""
+    """Count the scans that saw each wall (w, 6), and its right and left end; (w, 3)."""
     counts = np.zeros((len(walls), 3), dtype=np.int64)
     for scan in scans:
         corner = scan.seen.end_type == "corner"
         counts[np.unique(scan.seen.wall), 0] += 1
-        # No two stretches of a wall have the same true end.
+        # No two stretches of a wall share a true end.
         counts[scan.seen.wall[corner[:, 0]], 1] += 1
         counts[scan.seen.wall[corner[:, 1]], 2] += 1
     counts[:, 1:][_go_on(walls[:, :4].reshape(-1, 2, 2))] = 0
@@ -30,7 +31,7 @@ def times_seen(walls: Array, scans: Sequence[BuildingScan]) -> NDArray[np.int64]
 
 
 def _go_on(ends: Array) -> NDArray[np.bool_]:
-    """Return at which ends (w, 2) of walls (w, 2, 2) another goes on, as in a curve."""
+    """Return at which ends (w, 2) of walls (w, 2, 2) another wall continues, as in a curve."""
     along = ends[:, 1] - ends[:, 0]
     length_m = np.linalg.norm(along, axis=1)
     along /= length_m[:, None]
@@ -41,12 +42,12 @@ def _go_on(ends: Array) -> NDArray[np.bool_]:
 
 
 def seen_extents(walls: Array, trajectory: Array, scans: Sequence[BuildingScan]) -> Array:
-    """Return from where to where each wall was seen, metres from its first end.
+    """Return the observed extent of each wall, metres from its first end.
 
     Parameters
     ----------
     walls : (w, 6) float64, map frame, metres
-        None of them moves.
+        Static walls.
     trajectory : (k, 4, 4) float64
     scans : sequence of k BuildingScan
 

@@ -1,4 +1,4 @@
-"""How a robot drives round a closed line: at a steady pace, slower where it turns, weaving."""
+"""Driving round a closed line: at a steady pace, slower in turns, weaving."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from relmap.simulation.noise import Array
 
 STEP_M = 0.22
 TURN_RAD = np.deg2rad(4.0)
-"""From one scan to the next the robot moves and turns by about this much, at most."""
+"""Approximate maximum motion and rotation between scans."""
 WEAVE_M = 0.15
-"""Amplitude with which it weaves about its line."""
+"""Amplitude of weaving about the line."""
 WEAVES = 5
 GRID_M = 0.01
 SMOOTH_M = 0.4
@@ -23,8 +23,8 @@ def drive_round(
 ) -> Array:
     """Return the poses (k, 4, 4) of a robot on a closed line (l, 2), slower where it turns.
 
-    It starts somewhere on the line; without a number of iterations it drives round `loops` times.
-    Turns are as much smaller or larger as steps are.
+    It starts at a random point; without a number of iterations it drives round `loops` times.
+    Rotations scale with the steps.
     """
     line, yaw, turning = _fine_line(loop, rng)
     effort = np.maximum(1 / step_m, turning / (TURN_RAD * step_m / STEP_M))
@@ -40,7 +40,7 @@ def drive_round(
 
 
 def _fine_line(loop: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return points (g + 1, 2), yaw (g + 1,) and turn per metre (g,) of the way, g cells long."""
+    """Return points (g + 1, 2), yaw (g + 1,) and turn rate per metre (g,) of a path of g cells."""
     closed = np.vstack([loop, loop[:1]])
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
     g = round(length[-1] / GRID_M)

@@ -1,9 +1,8 @@
-"""Faults of the world, of sensors and of wheels, put into a log; one function each.
+"""Faults of the world, of sensors and of wheels, applied to a log; one function each.
 
-Each function takes a log and returns another; nothing is changed in place.  False observations lie
-where other observations of the log lie, so that their place alone does not give them away.  A share
-is one of all observations, in [0, 1]; a `RelmapError` says where it is not, or where ids or the
-odometry that a fault needs are missing.
+Each function takes a log and returns a new one. False observations are placed at positions of other
+observations, so that they are plausible. A share is a fraction of all observations, in [0, 1]; a
+`RelmapError` is raised if it is not, or if ids or odometry needed by a fault are missing.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Log = TypeVar("Log", bound=ObservationLog | ScanLog)
 
 
 def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Move a share of the observations to places of others: right ids at wrong places."""
+    """Move a fraction of the observations to positions of others: right ids at wrong positions."""
     wrong = _drawn(log, share, rng)
     points = log.points_robot.copy()
     points[wrong] = log.points_robot[rng.integers(len(points), size=len(wrong))]
@@ -33,12 +32,12 @@ def gross_outliers(log: ObservationLog, share: float, rng: np.random.Generator) 
 def missed_detections(
     log: ObservationLog, share: float, rng: np.random.Generator
 ) -> ObservationLog:
-    """Leave out a share of the observations."""
+    """Remove a fraction of the observations."""
     return _rows(log, np.delete(np.arange(len(log.iteration)), _drawn(log, share, rng)))
 
 
 def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> ObservationLog:
-    """Add false observations, as a share of all, each with an id of its own."""
+    """Add false observations, as a fraction of all, each with its own id."""
     seen_with = _drawn(log, share, rng)
     n = len(seen_with)
     places = log.points_robot[rng.integers(len(log.points_robot), size=n)]
@@ -48,7 +47,7 @@ def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> Obser
 def duplicated_landmarks(
     log: ObservationLog, landmarks: NDArray[np.int64], sigma_m: float, rng: np.random.Generator
 ) -> ObservationLog:
-    """Report landmarks twice wherever they are seen, the second time under another id.
+    """Report landmarks twice whenever they are seen, the second time under another id.
 
     Parameters
     ----------
@@ -56,7 +55,7 @@ def duplicated_landmarks(
     landmarks : (k,) int64
         Their ids, all different.
     sigma_m : float
-        How far apart the two reports are, per coordinate, metres.
+        Standard deviation of the difference between the two, per coordinate, metres.
     rng : numpy.random.Generator
     """
     rows = np.flatnonzero(np.isin(_ids(log), landmarks))
@@ -89,7 +88,7 @@ def few_landmarks(log: ObservationLog, first: int, count: int, few: int = 2) -> 
 
 
 def big_step(log: ObservationLog, first: int, steps: int) -> ObservationLog:
-    """Let the robot move as far as in several steps after the iteration `first`."""
+    """Make the robot move several steps at once after the iteration `first`."""
     skipped = (log.iteration > first) & (log.iteration < first + steps)
     kept = _rows(log, np.flatnonzero(~skipped))
     later = kept.iteration > first
@@ -110,7 +109,7 @@ def time_backwards(log: ObservationLog, first: int, count: int) -> ObservationLo
 
 
 def slipping_wheels(log: Log, share: float, rng: np.random.Generator) -> Log:
-    """Let the odometry count the way of a share of the steps twice."""
+    """Make the odometry count the translation of a fraction of the steps twice."""
     _check_share(share)
     odometry = _odometry(log).copy()
     slips = rng.choice(len(odometry), round(share * len(odometry)), replace=False)
@@ -119,15 +118,15 @@ def slipping_wheels(log: Log, share: float, rng: np.random.Generator) -> Log:
 
 
 def reversed_odometry(log: Log) -> Log:
-    """Let the odometry say that the robot went back where it went ahead, and turned as little."""
+    """Make the odometry report backward motion for forward motion, with mirrored rotation."""
     odometry = _odometry(log)
     return replace(log, odometry=relative(odometry, np.broadcast_to(np.eye(4), odometry.shape)))
 
 
 def stale_odometry(log: Log, late: float) -> Log:
-    """Let the odometry be late, by so many seconds, or iterations where the log has no clock.
+    """Delay the odometry by so many seconds, or iterations if the log has no clock.
 
-    What would be of a time before the log, and what lies beside unknown motions, is not known.
+    Motions before the begin of the log, and next to unknown motions, are unknown.
     """
     odometry = _odometry(log)
     at = np.arange(float(len(log))) if log.stamps_s is None else log.stamps_s
@@ -152,7 +151,7 @@ def _check_share(share: float) -> None:
 
 
 def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Draw a share of the observations, in ascending order."""
+    """Draw a fraction of the observations, in ascending order."""
     _check_share(share)
     n = len(log.iteration)
     return np.sort(rng.choice(n, round(share * n), replace=False))
@@ -173,7 +172,7 @@ def _new_ids(log: ObservationLog) -> int:
 
 
 def _rows(log: ObservationLog, rows: NDArray[np.int64]) -> ObservationLog:
-    """Return some observations, numbered anew."""
+    """Return some observations, renumbered."""
     return replace(
         log,
         points_robot=log.points_robot[rows],
@@ -190,7 +189,7 @@ def _joined(
     points: NDArray[np.float64],
     ids: NDArray[np.int64],
 ) -> ObservationLog:
-    """Add observations to the iterations of others that stand in some rows."""
+    """Add observations to the iterations of others in given rows."""
     everything = replace(
         log,
         points_robot=np.concatenate([log.points_robot, points]),

@@ -23,13 +23,13 @@ HEIGHT_M = 40.0
 """Height gained half way round the loop."""
 HALF_WIDTH_M = 15.0
 HALF_HEIGHT_M = 10.0
-"""Landmarks stand in a tube of this half width and half height around the path."""
+"""Half width and half height of the tube around the path that contains the landmarks."""
 RANGE_M = 80.0
 HALF_VIEW_RAD = np.deg2rad(60.0)
-"""The sensor sees a cone of this half angle ahead, as far as its range."""
+"""Half angle of the sensor's view cone ahead, limited by its range."""
 ROLL_RAD = np.deg2rad(5.0)
 REACH_M = 12.0
-"""Largest distance of a dynamic landmark from the middle of its motion, per coordinate."""
+"""Largest distance of a dynamic landmark from the centre of its motion, per coordinate."""
 SPEED_M = (0.1, 0.4)
 """Slowest and fastest motion, metres per iteration."""
 
@@ -41,10 +41,10 @@ class FigureEight:
     Attributes
     ----------
     log : ObservationLog
-        What the robot saw, with ids.
+        The observations, with ids.
     landmark_ids : (m,) int64
     landmarks_map : (m, 3) float64, map frame, metres
-        Position of each landmark (of the dynamic ones, the middle of where they move).
+        Position of each landmark (for dynamic ones, the centre of their motion).
     status : (m,) str
         "static" or "dynamic".
     trajectory : (k, 4, 4) float64
@@ -73,13 +73,13 @@ def simulate_figure_eight(
     density : float
         Landmarks per 100 units of path length; about 0.8 of them are visible at a time.
     iterations : int
-        Number of scans; one loop is 900 of them, more iterations go round again.
+        Number of scans; one loop is 900 of them, more iterations repeat it.
     noise : "gaussian" or "uniform"
         Distribution of the noise of each coordinate; both have the standard deviation `sigma`.
     sigma : float
         Standard deviation of each observed coordinate, metres.
     dynamic : float
-        Share of the landmarks that move, in [0, 1].
+        Fraction of moving landmarks, in [0, 1].
     seed : int
         Seed of everything random.
 
@@ -95,7 +95,7 @@ def simulate_figure_eight(
     limits = [
         (0 < density <= 1e5, f"density is {density}; it must lie in (0, 100000]"),
         (1 <= iterations <= 10**7, f"iterations is {iterations}; it must lie in [1, 10000000]"),
-        (0 <= dynamic <= 1, f"dynamic is {dynamic}; it is a share, in [0, 1]"),
+        (0 <= dynamic <= 1, f"dynamic is {dynamic}; it must lie in [0, 1]"),
     ]
     check_arguments(noise, sigma, seed, *limits)
     rng = np.random.default_rng(seed)
@@ -119,7 +119,7 @@ def simulate_figure_eight(
 
 
 def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Array:
-    """Draw the motion of dynamic landmarks, every kind in equal shares.
+    """Draw the motion of dynamic landmarks, every kind in equal proportion.
 
     The kinds are constant velocity (turning back at the end of the reach), random walk, circling,
     and stop-and-go; the paper calls a landmark dynamic when its movement has nothing to do with
@@ -146,7 +146,7 @@ def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Ar
     radius = rng.uniform(3.0, 8.0, count)
     angle = travelled / radius
     circle = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
-    # Going and standing, in turn, take 10 to 40 iterations each.
+    # Phases of motion and rest alternate, 10 to 40 iterations each.
     period, start = rng.uniform(20, 80, count), rng.uniform(0, 1, count)
     going = (np.arange(iterations)[:, None] / period + start) % 1 < 0.5
     ways = (
@@ -160,7 +160,7 @@ def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Ar
 
 
 def _folded(travelled: Array) -> Array:
-    """Return the position after a distance travelled to and fro within the reach."""
+    """Return the position after a distance travelled back and forth within the reach."""
     return np.asarray(np.abs(travelled % (4 * REACH_M) - 2 * REACH_M) - REACH_M)
 
 
@@ -173,7 +173,7 @@ def _path(phase: Array, half_size_m: float) -> Array:
 
 
 def _phase_of_length() -> tuple[float, Array, Array]:
-    """Return the half size that makes the loop as long as it must be, and phase over length."""
+    """Return the half size that gives the required length of the loop, and phase over length."""
     phase = np.linspace(0, 2 * np.pi, 20_001)
 
     def lengths(half_size_m: float) -> Array:

@@ -1,4 +1,4 @@
-"""Walls that move: doors that swing into their rooms, and panels that slide to and fro and turn."""
+"""Moving walls: doors that swing into their rooms, and panels that slide and turn."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 
 OPEN_RAD = np.deg2rad(65.0)
 SWING_RAD = np.deg2rad(40.0)
-"""A door swings this far either way about the angle at which it stands half open."""
+"""Amplitude of a door about its half-open angle."""
 SLIDE_M = 0.22
 TURN_RAD = np.deg2rad(12.0)
-"""A panel slides and turns this far either way, and keeps clear of the others."""
+"""Amplitude of sliding and turning of a panel, and its clearance."""
 PERIOD = (30.0, 60.0)
-"""Scans in which it comes back."""
+"""Period, in scans."""
 AJAR_M = 0.02
 """Distance of a door's leaf from its jamb."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovingWalls:
-    """Walls that turn about a pivot and slide, as a sine of the scan's number; r walls.
+    """Walls that rotate about a pivot and slide, sinusoidally with the scan number; r walls.
 
     Attributes
     ----------
     row : (r,) int64
-        Which walls of the plan they are.
+        Rows of the walls in the plan.
     pivot : (r, 2) float64, metres
     swing_rad : float
     slide_m : (r, 2) float64
-        How far they turn and slide either way.
+        Amplitudes of rotation and translation.
     period, phase : (r,) float64
         Scans, and radians.
     """
@@ -48,7 +48,7 @@ class MovingWalls:
     phase: NDArray[np.float64]
 
     def at(self, walls: Array, iteration: int) -> Array:
-        """Return all walls (w, 6) of the plan as they are in one scan."""
+        """Return all walls (w, 6) of the plan at the time of one scan."""
         if not len(self.row):
             return walls
         share = np.sin(2 * np.pi * iteration / self.period + self.phase)
@@ -64,20 +64,20 @@ class MovingWalls:
 def make_moving(
     plan: FloorPlan, world: World, count: int, rng: np.random.Generator
 ) -> tuple[FloorPlan, MovingWalls]:
-    """Let panels slide and turn, or hang doors in a building.
+    """Make panels slide and turn, or add doors to a building.
 
     Parameters
     ----------
     plan : FloorPlan
     world : "building", "panels" or "long-wall"
     count : int
-        How many; fewer where fewer doors are free to swing, or fewer panels stand there.
+        Number; fewer if there is less space for doors, or fewer panels.
     rng : numpy.random.Generator
 
     Returns
     -------
     FloorPlan
-        With the doors, each of two sides, after the other walls.
+        The plan with the doors, each with two sides, after the other walls.
     MovingWalls
     """
     if world == "panels":
@@ -101,7 +101,7 @@ def make_moving(
 
 
 def _hung_doors(plan: FloorPlan, count: int, rng: np.random.Generator) -> Array:
-    """Return both sides (2 d, 4) of half open doors that hit neither walls nor one another."""
+    """Return both sides (2 d, 4) of half-open doors that touch neither walls nor each other."""
     leaves = [np.empty((0, 4))]
     hinges = np.empty((0, 2))
     for hinge, edge in plan.doors[rng.permutation(len(plan.doors))]:

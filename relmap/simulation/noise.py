@@ -25,19 +25,19 @@ def draw_noise(
 
 
 def check_arguments(noise: str, sigma: float, seed: int, *limits: tuple[bool, str]) -> None:
-    """Refuse arguments that are out of range.
+    """Raise an error for arguments out of range.
 
     Parameters
     ----------
     noise, sigma, seed
-        What every world is given.
+        Arguments common to all worlds.
     *limits : tuple of (bool, str)
-        Whether a further condition holds, and the message where it does not.
+        Further conditions, with the message if violated.
 
     Raises
     ------
     RelmapError
-        With the message of the first condition that does not hold.
+        With the message of the first violated condition.
     """
     for holds, message in (
         *limits,

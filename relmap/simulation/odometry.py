@@ -1,4 +1,4 @@
-"""What wheels count on a known way: odometry with noise and biases."""
+"""Simulated wheel odometry of a known path, with noise and biases."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from relmap.datasets.scans import poses_of
 from relmap.simulation.noise import Array
 
 UPRIGHT = 1 - 1e-12
-"""The cosine of no tilt, as rounding has it."""
+"""The cosine of zero tilt, up to rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wheels:
-    """How wrong odometry is.
+    """Errors of odometry.
 
     Attributes
     ----------
     way : float
-        Standard deviation of each coordinate of a step, as a share of its length.
+        Standard deviation of each coordinate of a step, as a fraction of its length.
     turn_deg, turn_deg_per_m : float
-        That of its turn about each axis, degrees, and what is added to it a metre of the step.
+        Standard deviation of its rotation about each axis, degrees, and its increase per metre.
     way_bias, turn_bias_deg_per_m : float
-        What is always counted too much: a share of the way, and degrees to the left a metre.
+        Systematic errors: a fraction of the distance, and degrees to the left per metre.
     """
 
     way: float = 0.01
@@ -37,7 +37,7 @@ class Wheels:
     turn_bias_deg_per_m: float = 0.0
 
     def check(self) -> None:
-        """Refuse what is out of range with a `RelmapError`."""
+        """Raise a `RelmapError` for values out of range."""
         for name in (field.name for field in fields(self)):
             low, value = -90 if "bias" in name else 0, getattr(self, name)
             if not low <= value <= 90:
@@ -45,23 +45,23 @@ class Wheels:
 
 
 LASER_WHEELS = Wheels(turn_deg=0.0, turn_deg_per_m=0.5, way_bias=0.01, turn_bias_deg_per_m=0.05)
-"""Those of a robot in a building."""
+"""Odometry errors of a robot in a building."""
 
 
 def wheel_odometry(poses: Array, wheels: Wheels, rng: np.random.Generator) -> Array:
-    """Return the motions (k, 4, 4) that wheels count on a way.
+    """Return the motions (k, 4, 4) measured by wheels on a path.
 
     Parameters
     ----------
     poses : (k, 4, 4) float64
-        ``T_map_robot`` of each iteration.  In the plane, if none has height, roll or pitch.
+        ``T_map_robot`` of each iteration.  Planar if none has height, roll or pitch.
     wheels : Wheels
     rng : numpy.random.Generator
 
     Returns
     -------
     (k, 4, 4) float64
-        Motion to each iteration from the one before; that of the first is NaN.
+        Motion from the previous iteration to each one; NaN for the first.
 
     Raises
     ------

@@ -1,7 +1,8 @@
-"""Paths of a robot and the landmarks along them: streets, corridors, stairs and more.
+"""Paths of a robot with landmarks along them: streets, corridors, stairs and more.
 
-Each kind tests another aspect of data association: loops, places that look alike, landmarks on a
-line or a plane, which fix no rotation, or closer together than the robot moves between scans.
+Each kind tests another aspect of data association: loops, perceptual aliasing, landmarks on a line
+or a plane, which leave the rotation undetermined, or landmarks closer together than the robot's
+step.
 """
 
 from __future__ import annotations
@@ -15,19 +16,19 @@ from scipy.ndimage import gaussian_filter1d
 from relmap.simulation.noise import Array
 
 ROUNDING_M = 2.0
-"""Standard deviation of the filter that rounds off the corners of a way, metres."""
+"""Standard deviation of the filter that rounds the corners of a path, metres."""
 FINE_M = 0.1
-"""Sampling of a way before it is rounded off, metres."""
+"""Sampling of a path before rounding, metres."""
 JITTER = 0.05
-"""How far from their regular places columns and marks on stairs stand, in spacings."""
+"""Deviation of columns and marks on stairs from a regular grid, in spacings."""
 THIN = 0.02
-"""How far from their line or plane landmarks lie, in spacings."""
+"""Distance of landmarks from their line or plane, in spacings."""
 CLUMP, CLUMP_M = 6, 0.5
-"""Landmarks of a clump, and their standard deviation from its middle, metres."""
+"""Landmarks per cluster, and their standard deviation from its centre, metres."""
 ASIDE_M = 6.0
-"""How far from the way landmarks stand at most, metres; above a plane the robot is half as far."""
+"""Largest distance of landmarks from the path, metres; above a plane the robot has half of it."""
 BEYOND_M = 12.0
-"""How far areas and lines of landmarks go on beyond the way, metres."""
+"""Extent of areas and lines of landmarks beyond the path, metres."""
 STEPS = 4
 """Marks on stairs in the space of a landmark elsewhere."""
 TALL_M = 5.0
@@ -36,15 +37,15 @@ TALL_M = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A way and the landmarks along it, map frame, metres.
+    """A path and the landmarks along it, map frame, metres.
 
     Attributes
     ----------
     way : (k, 3) float64
-        Corners of the way.
+        Corners of the path.
     landmarks_map : (m, 3) float64
     planar : bool
-        Whether all is in one plane, z = 0.
+        Whether everything is in the plane z = 0.
     """
 
     way: Array
@@ -74,7 +75,7 @@ def ring(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
 
 
 def field(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return an area that is driven over in strips, and then across them."""
+    """Return an area that is covered in strips, and then across them."""
     size = length_m / 9
     strips = [[x * size / 3, y * size, 0.0] for x in range(4) for y in ((0, 1), (1, 0))[x % 2]]
     across = [[x * size, y * size / 3, 0.0] for y in range(4) for x in ((1, 0), (0, 1))[y % 2]]
@@ -82,7 +83,7 @@ def field(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
 
 
 def clumps(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return a field whose landmarks stand in clumps."""
+    """Return a field with clustered landmarks."""
     place = field(length_m, spacing_m * np.sqrt(CLUMP), rng)
     landmarks = np.repeat(place.landmarks_map, CLUMP, axis=0)
     landmarks[:, :2] += rng.normal(0, CLUMP_M, (len(landmarks), 2))
@@ -90,7 +91,7 @@ def clumps(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place
 
 
 def columns(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return a hall whose columns stand on a lattice, nearly."""
+    """Return a hall with columns on an almost regular lattice."""
     place = field(length_m, spacing_m, rng)
     low, high = place.landmarks_map.min(axis=0), place.landmarks_map.max(axis=0)
     x, y = (np.arange(low[axis], high[axis], spacing_m) for axis in (0, 1))
@@ -100,7 +101,7 @@ def columns(length_m: float, spacing_m: float, rng: np.random.Generator) -> Plac
 
 
 def line(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return a straight way along landmarks that lie nearly on one line."""
+    """Return a straight path along landmarks that are almost collinear."""
     count = round((length_m + 2 * BEYOND_M) / spacing_m)
     x = rng.uniform(-BEYOND_M, length_m + BEYOND_M, count)
     y = ASIDE_M + rng.normal(0, THIN * spacing_m, count)
@@ -109,7 +110,7 @@ def line(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
 
 
 def plane(length_m: float, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return a flight over landmarks that lie nearly on one plane."""
+    """Return a flight over landmarks that are almost coplanar."""
     place = field(length_m, spacing_m, rng)
     landmarks = place.landmarks_map
     landmarks[:, 2] = rng.normal(0, THIN * spacing_m, len(landmarks))
@@ -148,14 +149,14 @@ def raised(place: Place, rng: np.random.Generator) -> Place:
 
 
 def sampled(way: Array, step_m: float) -> Array:
-    """Return the points (n, 3) of a way, so far apart."""
+    """Return the points (n, 3) of a path at a given spacing."""
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     at = np.arange(0, lengths[-1] + 1e-9, step_m)
     return np.column_stack([np.interp(at, lengths, axis) for axis in way.T])
 
 
 def driven(way: Array, iterations: int) -> tuple[Array, Array]:
-    """Return positions and directions (k, 3) along a way whose corners are rounded off."""
+    """Return positions and directions (k, 3) along a path with rounded corners."""
     fine = gaussian_filter1d(sampled(way, FINE_M), ROUNDING_M / FINE_M, axis=0, mode="nearest")
     ahead = np.gradient(fine, axis=0)
     at = np.linspace(0, len(fine) - 1, iterations)
@@ -165,7 +166,7 @@ def driven(way: Array, iterations: int) -> tuple[Array, Array]:
 
 
 def _along(way: Array, spacing_m: float, rng: np.random.Generator) -> Place:
-    """Return a planar way with landmarks scattered evenly on both sides of it."""
+    """Return a planar path with landmarks scattered uniformly on both sides of it."""
     low, high = way.min(axis=0) - ASIDE_M, way.max(axis=0) + ASIDE_M
     area = np.prod((high - low)[:2])
     landmarks = np.zeros((max(round(area / spacing_m**2), 1), 3))

@@ -11,7 +11,7 @@ from relmap.simulation.noise import Array
 from relmap.simulation.shapes import FloorPlan, boxes, cut, edges, panels, ring, rounded
 
 CORRIDOR_M = 2.4
-"""Width of the corridor round a block of rooms; more rooms lie along its outer side."""
+"""Width of the corridor round a block of rooms; further rooms lie along its outer side."""
 BLOCK_M = ((13.0, 18.0), (7.0, 10.0))
 ROOM_M = (3.4, 5.0)
 """Least and greatest width: the narrowest holds the widest door between two posts."""
@@ -22,9 +22,9 @@ POST_M = 0.8
 FRAME_M = 0.15
 """Of a pane, on either side."""
 MOST_PANELS = 2
-"""Most free-standing panels in a room."""
+"""Maximum number of free-standing panels in a room."""
 PIECES = (2, 5)
-"""Least number of pieces of furniture on a floor, and one more than the greatest."""
+"""Minimum number of pieces of furniture on a floor, and one more than the maximum."""
 SHEAR, TAPER = (0.15, 0.35), (0.05, 0.15)
 """By how much walls lean, and converge over half the building."""
 
@@ -96,7 +96,7 @@ def _door(edge: Array, rng: np.random.Generator) -> Array:
 
 
 def _pane(edge: Array, door: Array) -> Array:
-    """Return a pane (2, 2) in the longer part that a door leaves of a wall, between two frames."""
+    """Return a pane (2, 2) in the longer part of a wall beside a door, between two frames."""
     parts = np.array([[edge[0], door[0]], [door[1], edge[1]]])
     right, left = parts[np.argmax(np.linalg.norm(parts[:, 1] - parts[:, 0], axis=1))]
     frame = FRAME_M * (left - right) / np.linalg.norm(left - right)
@@ -120,7 +120,7 @@ def furnished(rng: np.random.Generator) -> FloorPlan:
 def oblique(rng: np.random.Generator) -> FloorPlan:
     """Draw a building without right angles or parallel walls: a projective image of another.
 
-    Straight walls stay straight, and touch where they did.
+    Straight walls remain straight and connected.
     """
     plan = building(rng)
     low, high = plan.loop.min(axis=0), plan.loop.max(axis=0)

@@ -13,19 +13,19 @@ from relmap.simulation.noise import Array, Noise, draw_noise
 from relmap.simulation.visibility import SeenWalls, ray_distances
 
 Sampling = Literal["surface", "rays", "laser"]
-"""How the points lie: uniform on the visible surface, or where equally spaced beams meet it (in
+"""Sampling of points: uniform on the visible surface, or where equally spaced beams hit it (in
 azimuth and elevation, or in the plane of the sensor)."""
 
 Before = Callable[[Array, Array], Array]
 """From bearings (b,) and ranges (b,) of beams to their distances (b,) from objects in front of the
-walls; infinite where there is none."""
+walls; infinite if there is none."""
 
 _SLACK_RAD = 1e-12
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """What a sensor can see.
+    """Field of view and range of a sensor.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ LASER = Sensor(view_rad=np.deg2rad(180.0))
 def sensor_of(
     sampling: Sampling, view_deg: float | None = None, range_m: float | None = None
 ) -> Sensor:
-    """Return the usual sensor of a sampling, but for what is given."""
+    """Return the default sensor of a sampling, with given values replaced."""
     usual = LASER if sampling == "laser" else DEPTH_SENSOR
     view_rad = usual.view_rad if view_deg is None else float(np.deg2rad(view_deg))
     return replace(usual, view_rad=view_rad, range_m=usual.range_m if range_m is None else range_m)
@@ -57,18 +57,18 @@ def sensor_of(
 
 @dataclass(frozen=True, eq=False)
 class BuildingScan:
-    """What the robot measured at one place, and what was truly there.
+    """The measurements from one pose, and the truth.
 
     Attributes
     ----------
     points : (n, 3) float64, robot frame, metres
-        Of a laser with z = 0, from right to left.
+        For a laser with z = 0, from right to left.
     seen : SeenWalls
         The visible stretches of walls.
     stretch : (n,) int64
-        The row of `seen` that each point belongs to; -1 where it is of no wall, or of glass.
+        The row of `seen` that each point belongs to; -1 for no wall, or for glass.
     ranges_m : (b,) float64 or None
-        Of a laser: the range of every beam, right to left; infinite where there is no return.
+        For a laser: the range of every beam, right to left; infinite without a return.
     """
 
     points: NDArray[np.float64]
@@ -78,13 +78,13 @@ class BuildingScan:
 
     @property
     def wall(self) -> NDArray[np.int64]:
-        """The wall that each point belongs to, -1 where it is of none; (n,)."""
+        """The wall of each point, -1 for none; (n,)."""
         return np.append(self.seen.wall, -1)[self.stretch]
 
 
 @dataclass(frozen=True)
 class Scanner:
-    """A sensor with the noise and the number of its points.
+    """A sensor with noise and number of points.
 
     The attributes are the arguments of `relmap.simulation.simulate_building`.
     """
@@ -112,7 +112,7 @@ class Scanner:
             Lower and upper edge of all walls.
         rng : numpy.random.Generator
         before : callable, optional
-            Of a laser: what may stand before the walls.
+            For a laser: objects in front of the walls.
 
         Returns
         -------
@@ -125,7 +125,7 @@ class Scanner:
         return self._sweep(seen, rng, before)
 
     def _scatter(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
-        """Scatter points uniformly over the visible surface; each coordinate has the noise."""
+        """Sample points uniformly on the visible surface, with noise in each coordinate."""
         across = seen.ends[:, 1] - seen.ends[:, 0]
         reach = np.cumsum(np.linalg.norm(across, axis=1))
         if not len(reach):
@@ -135,7 +135,7 @@ class Scanner:
         if self.sample_ends:
             _put_on_ends(stretch, t)
         flat = seen.ends[stretch, 0] + t[:, None] * across[stretch]
-        # Exact on the left end, where rounding would matter.
+        # Exact at the left end, where rounding would matter.
         flat = np.where(t[:, None] == 1, seen.ends[stretch, 1], flat)
         points = np.column_stack([flat, rng.uniform(z_robot[0], z_robot[1], self.points)])
         return BuildingScan(points + self._errors(points, rng), seen, stretch)
@@ -179,7 +179,7 @@ class Scanner:
         return draw_noise(self.noise, self.sigma, of.shape, rng)
 
     def _met(self, seen: SeenWalls, beams: int) -> tuple[Array, NDArray[np.int64], Array]:
-        """Return bearing (b,), stretch, -1 for none, and distance of what each beam meets."""
+        """Return bearing (b,), stretch, -1 for none, and distance at which each beam hits."""
         bearing = np.linspace(-self.sensor.view_rad / 2, self.sensor.view_rad / 2, beams)
         if not len(seen.wall):
             return bearing, np.full(beams, -1), np.zeros(beams)

@@ -1,8 +1,8 @@
-"""The parts that floor plans are made of: walls with doors, rooms, panels, ways round them.
+"""Elements of floor plans: walls with doors, rooms, panels, paths around them.
 
-A wall is the segment (x0, y0) to (x1, y1) from z0 to z1. Its front is to the left of the way from
-the first end to the second, so that its ends go from right to left as seen from there. A thin wall
-between two rooms is two walls, one for each side.
+A wall is the segment (x0, y0) to (x1, y1) from z0 to z1. Its front is to the left of the direction
+from the first end to the second, so that its ends go from right to left as seen from the front. A
+thin wall between two rooms is two walls, one for each side.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from numpy.typing import NDArray
 from relmap.simulation.noise import Array
 
 TURN_RADIUS_M = 1.8
-"""The robot drives in the middle of the corridor and rounds its corners with this radius."""
+"""Radius at which the robot rounds corners in the middle of the corridor."""
 PANEL_M = (0.8, 2.0)
 CLEARANCE_M = 0.6
-"""Least distance of a panel from other walls, and of the robot from all walls."""
+"""Minimum distance of a panel from other walls, and of the robot from all walls."""
 TRIALS = 30
-"""Tries to find a place for a panel."""
+"""Maximum number of attempts to place a panel."""
 BOX_M, BOX_GAP_M, BOX_TRIALS = (0.3, 1.2), 0.15, 10
-"""Sides of a piece of furniture, its least distance from walls, and tries to find it a place."""
+"""Sides of a piece of furniture, its minimum distance from walls, and attempts to place it."""
 NOTHING: Array = np.empty((0, 4))
 
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """Walls, where a robot may be, and the closed line it drives.
+    """Walls, the area for the robot, and the closed line it drives.
 
     Attributes
     ----------
     walls : (w, 6) float64, map frame, metres
-        x0, y0, x1, y1, z0, z1; they touch but do not cross, and all have the same z0 and z1.
-        (w, 4) where the heights are still to be drawn.
+        x0, y0, x1, y1, z0, z1; they touch but do not cross, and all have the same z0 and z1. (w, 4)
+        before the heights are drawn.
     floors : (f, 4) float64, metres
         Rectangles x_low, y_low, x_high, y_high without fixed walls inside; none if walls are
         oblique or curved.
@@ -68,7 +68,7 @@ def edges(box: Array) -> Array:
 
 
 def cut(edge: Array, doors: Array) -> Array:
-    """Return what doors (d, 2, 2) leave of a wall (2, 2), as rows x0, y0, x1, y1."""
+    """Return the parts of a wall (2, 2) between doors (d, 2, 2), as rows x0, y0, x1, y1."""
     along = edge[1] - edge[0]
     offset = doors - edge[0]
     t = offset @ along / (along @ along)
@@ -79,12 +79,12 @@ def cut(edge: Array, doors: Array) -> Array:
 
 
 def panels(box: Array, count: int, rng: np.random.Generator, obstacles: Array = NOTHING) -> Array:
-    """Place panels in a rectangle, clear of its sides, of one another and of obstacles (o, 4).
+    """Place panels in a rectangle, clear of its sides, of each other and of obstacles (o, 4).
 
     Returns
     -------
     (2 p, 4) float64
-        Both sides of each; there are fewer than `count` where they do not fit.
+        Both sides of each; fewer than `count` if they do not fit.
     """
     low, high = box[:2] + CLEARANCE_M, box[2:] - CLEARANCE_M
     tries = count * TRIALS
@@ -104,7 +104,7 @@ def panels(box: Array, count: int, rng: np.random.Generator, obstacles: Array = 
 
 
 def ring(hall: Array, block: Array) -> Array:
-    """Return the four rectangles (4, 4) between two."""
+    """Return the four rectangles (4, 4) between two rectangles."""
     (x0, y0, x1, y1), (a0, b0, a1, b1) = hall, block
     return np.array([[x0, y0, x1, b0], [x0, b1, x1, y1], [x0, b0, a0, b1], [a1, b0, x1, b1]])
 
@@ -122,12 +122,12 @@ def rounded(box: Array) -> Array:
 
 
 def boxes(plan: FloorPlan, floor: Array, count: int, rng: np.random.Generator) -> Array:
-    """Place boxes on a floor, clear of walls and of the way of the robot.
+    """Place boxes on a floor, clear of walls and of the robot's path.
 
     Returns
     -------
     (4 b, 4) float64
-        Their sides, fronts outwards; there are fewer than `count` where they do not fit.
+        Their sides, fronts outwards; fewer than `count` if they do not fit.
     """
     placed, way = [NOTHING], np.hstack([plan.loop, np.roll(plan.loop, -1, axis=0)])
     share = np.linspace(0, 1, 9)[:, None]
@@ -148,6 +148,6 @@ def boxes(plan: FloorPlan, floor: Array, count: int, rng: np.random.Generator) -
 
 
 def turned(points: Array, quarters: int, about: Array) -> Array:
-    """Return points (..., 2) turned by so many right angles about one."""
+    """Return points (..., 2) rotated by a number of right angles about a centre."""
     R = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
     return np.asarray((points - about) @ R.T + about)

@@ -1,7 +1,7 @@
 """A storey in space with exact truth: two rooms, a sloped roof, tables, and a carried sensor.
 
-Faces are parallelograms with a front and a back that look alike.  Rays of the sensor end at the
-first face that they meet; the noise lies along the ray.
+Faces are two-sided parallelograms. Rays of the sensor end at the first face they hit; the noise is
+along the ray.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from relmap.core.errors import RelmapError
 
 Sensor = Literal["lidar", "depth"]
 RINGS, BEAMS, HIGHEST_RAD, LOWEST_RAD = 32, 300, np.deg2rad(40.0), np.deg2rad(-40.0)
-"""Of the lidar: rings, beams of each, and elevations of the outermost rings."""
+"""Rings of the lidar, beams per ring, and elevations of the outermost rings."""
 ROWS, COLUMNS, FOCAL = 72, 96, 80.0
 """Of the depth camera: pixels, and its focal length in pixels."""
 FARTHEST_M = 30.0
 DOOR = 3.0, 3.9, 2.0
-"""Where the door begins and ends along the wall between the rooms, and its height, metres."""
+"""Begin and end of the door along the wall between the rooms, and its height, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,9 @@ class Storey:
     ----------
     scans : list of (n, 3) float64, sensor frame, metres
     faces : list of (n,) int64
-        The face on which each point lies.
+        The face of each point.
     plane_of : (f,) int64
-        The plane of each face: those that go on in one another are one.
+        The plane of each face: coplanar adjacent faces share one.
     corners : (f, 4, 3) float64, map frame, metres
     stamps_s : (k,) float64
     trajectory : (k, 4, 4) float64
@@ -54,7 +54,7 @@ class Storey:
 def simulate_storey(
     sensor: Sensor = "lidar", sigma: float = 0.01, iterations: int = 60, seed: int = 0
 ) -> Storey:
-    """Carry a sensor through a storey.
+    """Simulate a sensor carried through a storey.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def simulate_storey(
     Raises
     ------
     RelmapError
-        Where a setting makes no sense.
+        If a setting is out of range.
     """
     if sensor not in ("lidar", "depth"):
         raise RelmapError(f"sensor is {sensor!r}; it must be 'lidar' or 'depth'")
@@ -122,7 +122,7 @@ def storey_faces() -> tuple[Floats, Floats]:
 def cast_rays(
     start: Floats, rays: Floats, origin: Floats, sides: Floats
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Return how far rays (n, 3) from a point go, and the face (n,) at which they end."""
+    """Return the distances of rays (n, 3) from a point to the faces (n,) they hit."""
     range_m, face = np.full(len(rays), np.inf), np.full(len(rays), -1)
     for k, (corner, (a, b)) in enumerate(zip(origin, sides, strict=True)):
         normal = np.cross(a, b)
@@ -177,7 +177,7 @@ def _camera_rays() -> Floats:
 
 
 def _carried(iterations: int, sensor: Sensor) -> Floats:
-    """Return a way from the first room through the door into the second, tilted as a hand does."""
+    """Return a path from the first room through the door into the second, with hand-held tilt."""
     s = np.linspace(0, 1, iterations)
     stops = np.array([[1.8, 2.0, 1.3], [3.5, 3.6, 1.5], [6.0, 3.45, 1.4], [8.0, 4.2, 1.3]])
     stops = np.concatenate([stops, [[10.4, 3.4, 1.5]]])

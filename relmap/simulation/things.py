@@ -1,4 +1,4 @@
-"""Objects in front of walls: people who walk about, clutter, and panes of glass."""
+"""Objects in front of walls: walking people, clutter, and panes of glass."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.visibility import ray_distances
 
 BODY_M, WALK_M_S = (0.15, 0.25), (0.6, 1.4)
-"""Radius and pace of a person."""
+"""Radius and speed of a person."""
 ASIDE_M, WITHIN_M, LANE_STEP_M = 0.6, 0.5, 0.2
-"""People walk so far beside the middle of a corridor at most, and so far into rooms."""
+"""Largest distance of people from the centre line of a corridor, and into rooms."""
 TARGETS = 60
-"""Places that a person goes to, one after another."""
+"""Number of places that a person visits."""
 SHY_M, NEAREST_M = 0.5, 0.1
-"""People keep this distance from the robot, and clutter this."""
+"""Distance that people and clutter keep from the robot."""
 SPECULAR_RAD, MATT = np.deg2rad(12.0), 0.05
-"""How oblique a beam that glass returns is, and the share of others that its dirt returns."""
+"""Obliqueness at which glass returns a beam, and fraction of others returned by dirt."""
 
 
 @dataclass(frozen=True, eq=False)
 class Things:
-    """What beams of a laser may meet before they meet walls, in one scan.
+    """Objects that beams of a laser may hit in front of walls, in one scan.
 
     Attributes
     ----------
     people : (p, 3) float64, map frame, metres
         x, y and radius.
     glass : (g,) int64
-        Which walls are panes.
+        Walls that are panes.
     clutter : float
-        Share of the beams that meet small objects anywhere, such as leaves, cables or rain.
+        Fraction of beams that hit small objects, such as leaves, cables or rain.
     rng : numpy.random.Generator
     """
 
@@ -46,11 +46,11 @@ class Things:
 
     @property
     def any(self) -> bool:
-        """Whether there is anything."""
+        """Whether there are any objects."""
         return bool(len(self.people) or len(self.glass) or self.clutter)
 
     def seen_from(self, T_map_robot: Array, walls_robot: Array) -> Before:
-        """Return how far beams go, as a function; walls (w, 2, 2) are in the robot frame."""
+        """Return a function for the ranges of beams; walls (w, 2, 2) are in the robot frame."""
         at = (self.people[:, :2] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
         discs = np.column_stack([at, self.people[:, 2]])
 
@@ -65,7 +65,7 @@ class Things:
 
 
 def round_ranges(discs: Array, bearing: Array) -> Array:
-    """Return how far beams go to round things.
+    """Return the distances of beams to discs.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def round_ranges(discs: Array, bearing: Array) -> Array:
     Returns
     -------
     (b,) float64, metres
-        Infinite where a beam meets none.
+        Infinite if a beam hits none.
     """
     ray = np.stack([np.cos(bearing), np.sin(bearing)])
     along = discs[:, :2] @ ray
@@ -87,7 +87,7 @@ def round_ranges(discs: Array, bearing: Array) -> Array:
 
 
 def glass_ranges(panes: Array, bearing: Array, rng: np.random.Generator) -> Array:
-    """Return how far beams go to the panes that return them.
+    """Return the distances of beams to the panes that return them.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def glass_ranges(panes: Array, bearing: Array, rng: np.random.Generator) -> Arra
     Returns
     -------
     (b,) float64, metres
-        Infinite where a beam meets none, or passes through.
+        Infinite if a beam hits none, or passes through.
     """
     first, along = panes[:, None, 0], panes[:, None, 1] - panes[:, None, 0]
     ranges = ray_distances(panes[:, None], bearing)
@@ -119,12 +119,12 @@ def glass_ranges(panes: Array, bearing: Array, rng: np.random.Generator) -> Arra
 def walking(
     plan: FloorPlan, count: int, stamps_s: Array, trajectory: Array, rng: np.random.Generator
 ) -> Array:
-    """Let people walk along the corridor, into rooms and out again.
+    """Simulate people who walk along the corridor, into rooms and out again.
 
     Returns
     -------
     (k, count, 3) float64, map frame, metres
-        Where each is at each scan, x, y, and the radius.
+        x, y and radius of each person at each scan.
     """
     people = np.empty((len(stamps_s), count, 3))
     for k in range(count):
@@ -141,7 +141,7 @@ def walking(
 
 
 def _way(plan: FloorPlan, rng: np.random.Generator) -> Array:
-    """Return the closed way (n, 2) of a person: along the corridor from door to door."""
+    """Return the closed path (n, 2) of a person: along the corridor from door to door."""
     line = _dense(plan.loop)
     ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0]]) / np.linalg.norm(ahead, axis=1)[:, None]

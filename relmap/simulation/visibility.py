@@ -1,8 +1,8 @@
-"""Which stretch of each wall a robot sees, and why it ends there.
+"""Visible stretches of walls, and the reasons why they end.
 
-The world is 2½-D: vertical walls of one height, so occlusion is decided in the ground plane.
-Every wall has one front: seen from there its ends (x0, y0), (x1, y1) go from right to left. From
-behind, a wall is invisible; a wall with two sides is two walls, one for each side.
+The world is 2½-D: vertical walls of one height, so occlusion is decided in the ground plane. Every
+wall has one front: seen from there its ends (x0, y0), (x1, y1) go from right to left. A wall is
+invisible from behind; a two-sided wall is two walls.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 from relmap.simulation.noise import Array
 
 END_TYPES = ("corner", "view", "range", "occluded")
-"""Why a stretch ends; where several reasons hold, the first of them is given."""
+"""Why a stretch ends; if several reasons hold, the first is given."""
 
 _SAME_BEARING_RAD = 1e-12
-"""Bearings that differ by less are equal but for rounding."""
+"""Bearings that differ by less are equal up to rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenWalls:
     """The visible stretches of walls in one scan, from right to left.
 
-    A wall whose middle is hidden has more than one stretch.
+    A wall with a hidden middle part has more than one stretch.
 
     Attributes
     ----------
     wall : (s,) int64
-        The wall that each stretch is part of.
+        The wall of each stretch.
     ends : (s, 2, 2) float64, robot frame, metres
         x, y of the right and the left end, as seen from the robot.
     end_type : (s, 2) str
@@ -44,7 +44,7 @@ class SeenWalls:
 
 
 def seen_walls(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenWalls:
-    """Return what a robot sees of walls that do not cross.
+    """Return the visible stretches of walls that do not cross.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def seen_walls(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenW
 
 
 def _joined(right: SeenWalls, left: SeenWalls) -> SeenWalls:
-    """Combine both half turns: the wall straight ahead is one stretch."""
+    """Combine both half turns: a wall straight ahead is one stretch."""
     wall = np.concatenate([right.wall, left.wall])
     ends, end_type = (
         np.concatenate([getattr(right, name), getattr(left, name)]) for name in ("ends", "end_type")
@@ -86,7 +86,7 @@ def _joined(right: SeenWalls, left: SeenWalls) -> SeenWalls:
 
 
 def _seen_ahead(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenWalls:
-    """Return what is seen in at most a half turn."""
+    """Return the visible stretches within at most a half turn."""
     wall, ends, kind = _clipped(ends_robot, range_m, half_view_rad)
     events, at = _merged(np.arctan2(ends[..., 1], ends[..., 0]))
     nearest = _nearest(ends_robot[wall], at, (events[:-1] + events[1:]) / 2)
@@ -101,19 +101,19 @@ def _seen_ahead(ends_robot: Array, range_m: float, half_view_rad: float) -> Seen
 
 
 def ray_distances(walls: Array, bearing: Array) -> Array:
-    """Return how far along rays from the robot the lines of walls are.
+    """Return the distances along rays from the robot to the lines of walls.
 
     Parameters
     ----------
     walls : (..., 2, 2) float64, robot frame, metres
         Two points of each line.
     bearing : (...) float64, radians
-        Of each ray; the two are broadcast.
+        Bearing of each ray; the arguments are broadcast.
 
     Returns
     -------
     (...) float64, metres
-        NaN where the ray is parallel to the line.
+        NaN if the ray is parallel to the line.
     """
     first, last = walls[..., 0, :], walls[..., 1, :]
     across = _cross(np.stack([np.cos(bearing), np.sin(bearing)], axis=-1), last - first)
@@ -128,19 +128,19 @@ def _on_rays(walls: Array, bearing: Array) -> Array:
 def _clipped(
     ends: Array, range_m: float, half_view_rad: float
 ) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
-    """Cut the walls that face the robot by both edges of the view and by the range.
+    """Clip the walls that face the robot to both edges of the view and to the range.
 
     Returns
     -------
     wall, ends, kind : (m,) int64, (m, 2, 2) float64, (m, 2) int64
-        As in `SeenWalls`, as if no wall hid another; the kinds count in `END_TYPES`.
+        As in `SeenWalls`, ignoring occlusion; the kinds are indices into `END_TYPES`.
     """
     wall = np.flatnonzero(_cross(ends[:, 0], ends[:, 1]) > 0)
     first, along = ends[wall, 0], ends[wall, 1] - ends[wall, 0]
     m = len(wall)
     low, high = np.zeros((m, 3)), np.ones((m, 3))
     for side in (-1.0, 1.0):
-        # Inside is to the left of the right edge, and to the right of the left edge.
+        # Inside is left of the right edge, and right of the left edge.
         edge = np.array([np.cos(half_view_rad), side * np.sin(half_view_rad)])
         f0, f1 = -side * _cross(edge, first), -side * _cross(edge, first + along)
         cut = f0 / np.where(f0 == f1, 1.0, f0 - f1)
@@ -160,7 +160,7 @@ def _clipped(
 
 
 def _merged(bearings: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the different bearings in order, and for each given one which of them it is."""
+    """Return the distinct bearings in order, and the index of each given one."""
     order = np.argsort(bearings, axis=None)
     ordered = bearings.ravel()[order]
     new = np.diff(ordered, prepend=-np.inf) > _SAME_BEARING_RAD
@@ -170,7 +170,7 @@ def _merged(bearings: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _nearest(ends: Array, at: NDArray[np.int64], bearing: Array) -> NDArray[np.int64]:
-    """Return the first part that a ray between each two events meets; -1 where it meets none.
+    """Return the first part hit by a ray between each two events; -1 for none.
 
     As walls do not cross, it is the first one at every bearing between the two.
     """

@@ -16,11 +16,11 @@ from relmap.simulation.noise import Array, check_arguments
 from relmap.simulation.places import KINDS, driven, raised
 
 REACH_M = 25.0
-"""How far the sensor sees."""
+"""Range of the sensor."""
 TILT_RAD = np.deg2rad(4.0)
-"""How far the robot rolls and pitches in space."""
+"""Amplitudes of roll and pitch in space."""
 UNEQUAL = 10.0
-"""How much noisier one direction is than the other, where they differ."""
+"""Ratio of the larger to the smaller noise, for anisotropic noise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,23 +36,23 @@ class WorldSpec:
     iterations : int
         Scans along it.
     spacing_m : float
-        Typical distance of neighbouring landmarks, metres: one in so many square metres.
+        Typical distance between neighbouring landmarks, metres.
     space : bool
         Whether planar kinds are lifted into space.
     sigma : float
         Standard deviation of a coordinate, metres; see `noise`.
     noise : str
-        How it depends on where a landmark is seen, one of `SENSORS`.
+        Noise model, one of `SENSORS`.
     missed : float
-        Share of the detections that fail.
+        Fraction of the detections that fail.
     spurious : float
-        False detections, as a share of the true ones; evenly spread over the view, id -1.
+        False detections, as a fraction of the true ones; uniform over the view, id -1.
     wrong_ids : float
-        Share of the detections that carry the id of another landmark.
+        Fraction of the detections with the id of another landmark.
     turn_deg : float
-        How far the sensor turns to either side between two scans, beside following the way.
+        Rotation of the sensor to either side between two scans, in addition to following the path.
     view_deg : float
-        Width of the view, 360 for all around.
+        Width of the view; 360 is all around.
     seed : int
     """
 
@@ -71,7 +71,7 @@ class WorldSpec:
     seed: int = 0
 
     def check(self) -> None:
-        """Refuse what is out of range with a `RelmapError`."""
+        """Raise a `RelmapError` for values out of range."""
         known_name(self.kind, list(KINDS), "kind of world")
         known_name(self.noise, list(SENSORS), "noise")
         shares = ("missed", "spurious", "wrong_ids")
@@ -91,11 +91,11 @@ class World:
     Attributes
     ----------
     log : ObservationLog
-        What the robot saw, with ids, some of which may be wrong; -1 for false detections.
+        The observations, with ids, some of which may be wrong; -1 for false detections.
     true_ids : (n,) int64
         The landmark that each observation is of, -1 for false detections.
     covariances : (n, d, d) float64, robot frame, metres squared
-        Of the noise of each observation.
+        Noise covariance of each observation.
     landmark_ids : (m,) int64
     landmarks_map : (m, 3) float64, map frame, metres
     status : (m,) str
@@ -155,7 +155,7 @@ def covariances_of(points_robot: Array, sigma: float, noise: str) -> Array:
     ----------
     points_robot : (n, d) float64, metres
     sigma : float
-        Of one coordinate, metres; half way to the limit of the range where it depends on that.
+        Standard deviation of a coordinate, metres; at half the range if it depends on that.
     noise : str
         One of `SENSORS`.
     """
@@ -177,7 +177,9 @@ SENSORS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
     "growing": lambda far: (np.maximum(far, 0.1), np.maximum(far, 0.1)),
     "stereo": lambda far: (np.maximum(UNEQUAL * far**2, 0.1), np.maximum(far, 0.1)),
 }
-"""Noise along and across the ray, in units of sigma, by the distance in half ranges.
+"""Noise along and across the ray, in units of sigma, by the distance in half ranges: isotropic; ten
+times larger in range; ten times larger in bearing; growing with the distance; of a stereo camera,
+growing along the ray with the square of the distance.
 
 The same everywhere; of the range ten times that of the rest; of the bearing ten times that of the
 range; growing with the distance; of a stereo camera, growing along the ray with its square.
@@ -185,7 +187,7 @@ range; growing with the distance; of a stereo camera, growing along the ray with
 
 
 def _poses(at: Array, ahead: Array, turn_deg: float, d: int, rng: np.random.Generator) -> Array:
-    """Return poses (k, 4, 4) that look along the path and, on request, turn to both sides."""
+    """Return poses (k, 4, 4) looking along the path and, optionally, turning to both sides."""
     steps = np.deg2rad(turn_deg) * rng.choice([-1.0, 1.0], len(at))
     steps[0] = 0.0
     yaw = np.arctan2(ahead[:, 1], ahead[:, 0]) + np.cumsum(steps)
@@ -196,7 +198,7 @@ def _poses(at: Array, ahead: Array, turn_deg: float, d: int, rng: np.random.Gene
 def _seen(
     landmarks_map: Array, T_map_robot: Array, d: int, spec: WorldSpec, rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return what one scan detects, without noise: ids (n,) and points (n, d), robot frame."""
+    """Return the detections of one scan, without noise: ids (n,) and points (n, d), robot frame."""
     points = ((landmarks_map - T_map_robot[:3, 3]) @ T_map_robot[:3, :3])[:, :d]
     half_view = np.deg2rad(spec.view_deg) / 2
     bearing = np.abs(np.arctan2(np.linalg.norm(points[:, 1:], axis=1), points[:, 0]))
@@ -226,7 +228,7 @@ def _seen(
 def _misread(
     ids: NDArray[np.int64], share: float, n_landmarks: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Return the ids (n,) of a scan, some wrong: half swapped, half those of other landmarks."""
+    """Return the ids (n,) of a scan, some wrong: half swapped, half of other landmarks."""
     read = ids.copy()
     wrong = rng.permutation(np.flatnonzero((ids >= 0) & (rng.random(len(ids)) < share)))
     n_swapped = (len(wrong) + 1) // 4 * 2
