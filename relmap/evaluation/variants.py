@@ -14,7 +14,7 @@ from relmap.planes import PlaneMapper
 from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
-Method = Literal["planes", "points", "points, known ids"]
+Method = Literal["planes", "points", "points, ids given"]
 METHODS: tuple[Method, ...] = get_args(Method)
 HALF = 0.5
 """Minimum coverage of a successful map."""

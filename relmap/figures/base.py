@@ -17,18 +17,18 @@ from relmap.io.tables import csv_text
 D = TypeVar("D")
 Verdict = Literal["borne out", "partly borne out", "not borne out"]
 Watch = Callable[[Sequence[Any]], Iterable[Any]]
-"""Yields the items of a long loop as they are, and may show progress; `iter` shows nothing."""
+"""Wraps the items of a long loop, for example to show progress; `iter` shows nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Data as they go into a CSV file: names of columns, and rows with a cell for each."""
+    """Data for a CSV file: column names, and rows with a cell for each."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
 
     def write(self, path: Path) -> None:
-        """Write the table; a `RelmapError` says where the file cannot be written."""
+        """Write the table; raises `RelmapError` if the file cannot be written."""
         atomic_write(path, csv_text(self.columns, self.rows))
 
 
@@ -39,15 +39,15 @@ class Outcome:
     Attributes
     ----------
     table : Table
-        The data that are drawn.
+        The data of the picture.
     value : float
-        The number on which the verdict depends most; see `PaperFigure.unit`.
+        The number that the verdict mainly depends on; see `PaperFigure.unit`.
     ours : str
-        What was found, in a sentence or two.
+        Summary of the finding, in a sentence or two.
     verdict : str
         Computed by the figure's criterion.
     more : mapping of str to callable
-        Further files: the end of the name, and what writes the file of that path.
+        Further files: suffix of the name, and a function that writes the file.
     """
 
     table: Table
@@ -64,19 +64,19 @@ class PaperFigure(Generic[D]):
     Attributes
     ----------
     name : str
-        Its number, or the word that stands for a picture of ours.
+        Its number, or a word for a figure that is not in the paper.
     title : str
-        What it shows, in a few words.
+        Short title.
     claim : str
-        What the paper says with it, in one sentence of our own.
+        The claim of the paper, paraphrased in one sentence.
     criterion : str
-        When the claim counts as borne out.
+        Condition for the claim to be borne out.
     unit : str
-        What the value of an outcome is.
+        Meaning of the value of an outcome.
     run : callable
-        Does the runs and returns their data. It takes whether small ones are enough, where real
-        data are, for the figure that needs them, and what wraps the long loop; it raises a
-        `RelmapError` where the data cannot be used.
+        Does the runs and returns their data. Its arguments are whether small runs suffice, the path
+        of real data, for the figure that needs them, and the progress wrapper; it raises
+        `RelmapError` if the data are invalid.
     judge : callable
         Returns the outcome of the data.
     draw : callable
@@ -99,12 +99,12 @@ class PaperFigure(Generic[D]):
 
     @property
     def stem(self) -> str:
-        """How the names of its files begin."""
+        """Prefix of the names of its files."""
         return f"figure{int(self.name):02d}" if self.name.isdigit() else self.name
 
 
 def judged(*held: bool) -> Verdict:
-    """Return the verdict on a claim of which each part held or did not."""
+    """Return the verdict on a claim from its parts."""
     if all(held):
         return "borne out"
     return "partly borne out" if any(held) else "not borne out"

@@ -1,4 +1,4 @@
-"""Figure 4: of four midpoint pairs, the steadiest is that of the static corners."""
+"""Figure 4: of four midpoint pairs, the steadiest belongs to the static corners."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ SENSOR = DEPTH_SENSOR
 SIGMA_M = 0.02
 QUICK_ITERATIONS = 60
 OFTEN, MOSTLY = 0.95, 0.5
-"""Shares of the pairs of walls for which the claim must hold, to be borne out, and partly so."""
+"""Fractions of pairs of walls for which the claim must hold, to be borne out and partly so."""
 SIDES = ("right", "left")
 SHORTEST = 12
 """Iterations of the shortest common interval that is tested."""
 STEADY_M = 0.01
-"""Deviations below this are as good as none."""
+"""Deviations below this count as zero."""
 SKEW = np.deg2rad(30.0)
-"""Walls nearer to parallel than this are not shown: one of their shifts has no meaning."""
+"""Smallest angle between the walls shown: for nearly parallel ones a shift is undetermined."""
 GREEN, BROWN, VIOLET = "#0b7a3b", "#8c564b", "#7b4fa3"
 MARGIN_M = 0.8
 RING: dict[str, Any] = {"linestyle": "", "markersize": 8, "markerfacecolor": "none", "zorder": 5.0}
@@ -131,7 +131,7 @@ def corner_tests(history: PlaneHistory) -> list[CornerTest]:
 
 
 def _cut(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
-    """Yield wall, static end and rows of each run of scans that see a wall with that end alone."""
+    """Yield wall, static end and rows of each run of scans that show a wall with only that end."""
     for plane in np.unique(history.plane).tolist():
         rows = np.flatnonzero(history.plane == plane)
         static = history.corner[rows] >= 0
@@ -265,7 +265,7 @@ def _draw_pairs(axes: Axes, test: CornerTest, midpoints: NDArray[np.float64]) ->
 
 
 def _draw_shifts(axes: Axes, test: CornerTest) -> None:
-    """Draw how far each pair's offset is from its mean in each iteration."""
+    """Draw the deviation of each pair's offset from its mean in each iteration."""
     off = np.linalg.norm(test.offsets - test.offsets.mean(axis=0), axis=3)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     for (i, j), colour in _colours(test).items():

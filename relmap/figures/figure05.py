@@ -23,7 +23,7 @@ TITLE = "Figure 5: the test bench"
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """A run on the test bench: its pictures, the last one at the end of the run, and figures."""
+    """A run on the test bench: pictures, the last one at the end, and figures of merit."""
 
     frames: list[BenchFrame]
     n_scans: int
@@ -31,7 +31,7 @@ class Bench:
 
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
-    """Map a building and keep a picture of the bench now and then."""
+    """Map a building and record the bench at intervals."""
     seen = BuildingSource(QUICK_ITERATIONS if quick else None, sigma=SIGMA_M).load()
     log, truth = seen.log, seen.truth
     assert truth is not None

@@ -1,8 +1,8 @@
-"""Figure 6: without noise the map is exact, past a stretch with a single partial wall too.
+"""Figure 6: without noise the map is exact, even past a stretch with a single partial wall.
 
-The robot drives along one wall of which only a part is ever seen: the motion model's case.  No
-corner is in view then: how far the robot is from the wall, and its orientation to it, is seen, but
-not how far it goes along.  Such links are weak, and the speed is carried on.
+The robot drives along one wall of which only a part is ever seen: the case of the motion model. No
+corner is in view: the distance and orientation to the wall are observed, but not the motion along
+it. Such links are weak, and constant speed is assumed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ COLUMNS = ("iteration", "x", "y", "true_x", "true_y", "weak")
 class PartialWall:
     """A map with a stretch that depends on one partial wall, in the frame of the truth, metres.
 
-    The poses before the longest weak stretch bring the map there.
+    Aligned by the poses before the longest weak stretch.
 
     Attributes
     ----------
@@ -50,9 +50,9 @@ class PartialWall:
     poses, true_poses : (k, 4, 4) float64
         ``T_truth_robot``, as mapped and true.
     weak : (k,) bool
-        Whether the link from the scan before to each leaves the way along a wall open.
+        Whether the link from the previous scan leaves the motion along a wall undetermined.
     true_walls : (w, 2, 2) float64
-        All that were ever in view.
+        All walls that were ever in view.
     """
 
     walls: NDArray[np.float64]
@@ -64,7 +64,7 @@ class PartialWall:
 
     @property
     def stretch(self) -> tuple[int, int]:
-        """The longest run of weak links: first, and one after the last."""
+        """The longest run of weak links: first, and end."""
         return longest(self.weak)
 
     @property
@@ -87,7 +87,7 @@ class PartialWall:
 
     @property
     def errors_m(self) -> tuple[float | None, float | None]:
-        """ATE of the path before the weak stretch, and of that after it, each aligned alone."""
+        """ATE of the path before the weak stretch, and after it, aligned separately."""
         begin, end = self.stretch
         before, after = (
             metrics.ate(self.poses[part], self.true_poses[part], planar=True)
@@ -113,7 +113,7 @@ def run_partial_wall(
         Standard deviation of each coordinate, metres.
     seed : int
     beside : int
-        Scans before and after those in which the wall stands alone in view.
+        Scans before and after those with only the wall in view.
     progress : callable, optional
         Wraps the iterable of scans.
 
@@ -129,7 +129,7 @@ def run_partial_wall(
     offsets = np.cumsum([0, *map(len, scans)])
     true_poses = building.trajectory[part]
     log = stored_scans(np.concatenate(scans), offsets, building.stamps_s[: len(part)])
-    # The limits of the sensor do not show in the ends of a wall that stands alone in view.
+    # The ends of a wall alone in view do not show the limits of the sensor.
     segmenter = PlaneSegmenter(view_rad=DEPTH_SENSOR.view_rad, range_m=DEPTH_SENSOR.range_m)
     mapper = PlaneMapper()
     planes = run_mapper(mapper, log, progress=progress, refine=True, segmenter=segmenter).planes
@@ -146,7 +146,7 @@ def run_partial_wall(
 
 
 def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
-    """Return where the longest run of true (k,) begins, and one after its end.
+    """Return begin and end of the longest run of true (k,).
 
     Raises
     ------
@@ -162,12 +162,12 @@ def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _beside_the_wall(building: Building, beside: int) -> NDArray[np.int64]:
-    """Return the scans in which one wall alone is seen, without an end, and those beside them."""
+    """Return the scans in which only one wall is seen, without an end, and the adjacent ones."""
     alone = np.array(
         [len(scan.seen.wall) == 1 and "corner" not in scan.seen.end_type for scan in building.scans]
     )
     n = len(alone)
-    begin, end = longest(np.tile(alone, 2))  # the way is closed
+    begin, end = longest(np.tile(alone, 2))  # the path is closed
     return np.arange(begin - beside, min(end, begin + n) + beside) % n
 
 

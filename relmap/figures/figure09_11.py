@@ -58,7 +58,7 @@ def _judge_sorted(chart: ChartPicture) -> Outcome:
 
 
 def _run_groups(quick: bool, data: Path | None, watch: Watch) -> list[ChartPicture]:
-    """Return the chart that is shown, and those of all landmarks that come, go and make a group."""
+    """Return the displayed chart, and those of all landmarks that come, go and form a group."""
     run, charts = charted_run(quick), [shown_chart(quick)]
     for seed, begin, end in watch(run.visits):
         try:
@@ -94,7 +94,7 @@ def _judge_groups(charts: list[ChartPicture]) -> Outcome:
 
 
 def _cells(chart: ChartPicture, order: NDArray[np.int64]) -> Table:
-    """Return a line for each observation in the chart, its rows in the order given."""
+    """Return a row per observation in the chart, with its rows in the given order."""
     row, column = np.nonzero(chart.visible[order])
     within = chart.visible[0, column].astype(int)
     columns = [row, chart.landmarks[order][row], chart.begin + column, within]
@@ -104,7 +104,7 @@ def _cells(chart: ChartPicture, order: NDArray[np.int64]) -> Table:
 
 
 def _plot_unsorted(data: tuple[ChartPicture, ChartedRun]) -> Figure:
-    """Draw which landmark was visible when, in the order of their numbers (Fig. 9)."""
+    """Draw which landmark was visible when, in the order of numbers (Fig. 9)."""
     chart, _ = data
     order = np.argsort(chart.landmarks)
     cells = chart.visible.astype(int)
@@ -153,7 +153,7 @@ def _blank(chart: ChartPicture, width_in: float) -> Figure:
 
 
 def _sorted_cells(chart: ChartPicture) -> NDArray[np.int64]:
-    """Return what to paint in each cell (n, i): an index of the colours above."""
+    """Return the colour index of each cell (n, i)."""
     cells = np.where(chart.visible, 1, np.where(chart.visible[0], 3, 0))
     cells[0, chart.visible[0]] = 2
     return cells
@@ -179,7 +179,7 @@ def _draw(
 
 
 def _draw_area(axes: Axes, chart: ChartPicture) -> None:
-    """Draw how the area changes as one landmark after the other is added."""
+    """Draw the area as landmarks are added one by one."""
     n = np.arange(len(chart.area))
     axes.plot(chart.area, n, "o-", color=BLUE, markersize=3, linewidth=1.0)
     last, first_dip = chart.members - 1, paper_stops(chart.area) - 1

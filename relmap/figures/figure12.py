@@ -1,4 +1,4 @@
-"""Figure 12: how many comparisons it takes to find what moves."""
+"""Figure 12: number of comparisons to find moving landmarks."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ SIGMA_M = 0.05
 BLOCK = 30
 """Iterations in which the landmarks are seen."""
 MISPLACED = 0.02
-"""Largest share of them that a right static bin may hold wrongly or lack."""
+"""Largest fraction of landmarks misplaced by a correct static bin."""
 SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 PAPERS_SHARE = 0.4
-"""Share of the landmarks up to which the paper has no more than n log n comparisons."""
+"""Fraction of moving landmarks up to which the paper needs no more than n log n comparisons."""
 SIZES, QUICK_SIZES = (20, 30, 50, 80, 130, 200, 320, 500, 800), (20, 50, 130, 320, 800)
 WORLDS, QUICK_WORLDS = 40, 6
 OFTEN = 0.95
@@ -38,11 +38,11 @@ class Comparisons:
     n : (k,) int64, ascending
         Landmarks of a block.
     dynamic : (s,) float64, ascending
-        Share of them that move, in [0, 1].
+        Fraction of them that move, in [0, 1].
     comparisons : (s, k, r) int64
         Pairs of landmarks compared, in r random worlds.
     right : (s, k, r) bool
-        Whether the static bin holds what it should.
+        Whether the static bin is correct.
     """
 
     n: NDArray[np.int64]
@@ -52,7 +52,7 @@ class Comparisons:
 
     @property
     def median(self) -> NDArray[np.float64]:
-        """Comparisons in the middle one of the worlds; (s, k)."""
+        """Median comparisons over the worlds; (s, k)."""
         return np.asarray(np.median(self.comparisons, axis=2))
 
     @property
@@ -68,14 +68,14 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Comparisons:
 
 
 def sorted_worlds(sizes: tuple[int, ...], worlds: int, watch: Watch = iter) -> Comparisons:
-    """Sort blocks of all sizes, with all shares moving, in each world.
+    """Sort blocks of all sizes, with all fractions of moving landmarks, in each world.
 
     Parameters
     ----------
     sizes : tuple of int, ascending
         Landmarks of a block.
     worlds : int
-        How many, with seeds 0 and up.
+        Number of worlds, with seeds from 0.
     watch : callable, optional
         Wraps the seeds, to show progress.
 
@@ -126,7 +126,7 @@ def _judge(data: Comparisons) -> Outcome:
 def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return landmarks that a robot sees in each of `BLOCK` iterations, without noise.
 
-    Dynamic ones that stand still all the time are left out: they cannot be recognised.
+    Dynamic ones that never move are excluded: they cannot be detected.
 
     Returns
     -------
@@ -188,7 +188,7 @@ def _draw_comparisons(axes: Axes, data: Comparisons) -> None:
 
 
 def _held(data: Comparisons) -> str:
-    """Say how far the number of comparisons stays within n log2 n."""
+    """Describe how far the number of comparisons stays within n log2 n."""
     held = data.within_n_log_n
     if held == 0:
         return "more than n log₂ n for every share"

@@ -32,12 +32,12 @@ RIM_M = 10.0
 
 @dataclass(frozen=True, eq=False)
 class EightMap:
-    """A map of the figure eight, brought into the frame of the truth.
+    """A map of the figure eight, transformed into the frame of the truth.
 
     Attributes
     ----------
     landmarks_map, path_map : (m, 3), (k, 3) float64, metres
-        As mapped; the path is that of the robot, NaN where it is not known.
+        As mapped; the path of the robot is NaN where unknown.
     true_landmarks_map, true_path_map : (t, 3), (p, 3) float64, metres
     found : Evaluation
     """

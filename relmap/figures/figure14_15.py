@@ -26,13 +26,13 @@ DENSITIES = (12, 25, 50, 100, 200, 400, 700, 1200, 1900)
 QUICK_DENSITIES = (12, 50, 150, 500)
 ITERATIONS, QUICK_ITERATIONS = 900, 300
 BEGINNING = 25
-"""Iterations in which a map begins; left out where the end of a loop is compared with its start."""
+"""Iterations in which a map begins, excluded from the comparison of begin and end of a loop."""
 HALF_WINDOW = 25
-"""Iterations before and after that a running median or mean takes in."""
+"""Half width of the window of running medians and means."""
 FLAT = 1.2
 """Growth of the time per visible landmark that still counts as none."""
 MANY = 100.0
-"""Fewest visible landmarks from which on the growth of the run time is measured."""
+"""Minimum number of visible landmarks from which the growth of the run time is measured."""
 MACHINE = "(milliseconds of one machine: compare ratios)"
 
 
@@ -47,7 +47,7 @@ class LoopTiming:
     visible : (i,) int64
         Landmarks in the scan.
     landmarks, true_landmarks : (i,) int64
-        Landmarks seen so far: as the mapper tells them apart, and truly.
+        Landmarks seen so far: according to the mapper, and truly.
     """
 
     time_ms: NDArray[np.float64]
@@ -57,13 +57,13 @@ class LoopTiming:
 
     @property
     def growth_each(self) -> tuple[float, float]:
-        """By what factor median and mean time per visible landmark change over the loop."""
+        """Factors by which median and mean time per visible landmark change over the loop."""
         each_ms = self.time_ms / np.maximum(self.visible, 1)
         return _growth(each_ms), _growth(each_ms, np.mean)
 
     @property
     def said(self) -> str:
-        """How the last quarter of the loop compares with the first, in ratios."""
+        """Comparison of the last quarter of the loop with the first, in ratios."""
         median, mean = self.growth_each
         flat = "not flat" if median > FLAT else "flat in the median, not in the mean"
         return (
@@ -96,14 +96,14 @@ class DensityTiming:
 
     @property
     def growth(self) -> tuple[float, float, float]:
-        """By what factor n log n, median and mean grow from `MANY` visible landmarks on."""
+        """Factors by which n log n, median and mean grow from `MANY` visible landmarks on."""
         kinds = (n_log_n(self.visible), self.median_ms, self.mean_ms)
         bound, median, mean = (float(values[-1] / values[self._first]) for values in kinds)
         return bound, median, mean
 
     @property
     def said(self) -> str:
-        """How the times grow beside n log n, in ratios."""
+        """Comparison of the growth of the times with n log n, in ratios."""
         bound, median, mean = self.growth
         verdict = "within" if max(median, mean) <= bound else "more than"
         return (

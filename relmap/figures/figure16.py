@@ -1,4 +1,4 @@
-"""Figure 16: the landmark error beside that of an EKF, under Gaussian and under flat noise."""
+"""Figure 16: landmark error compared with an EKF, under Gaussian and uniform noise."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ SEEDS, QUICK_SEEDS = 10, 1
 ITERATIONS, QUICK_ITERATIONS = 900, 300
 EVERY = 10
 EVERY_REFINED = 100
-"""Iterations between two points of the curve of a method that refines for each."""
+"""Interval, in iterations, between points of the curve of a method that refines for each."""
 SIMILAR = 1.25
 WIDE = 2.0
 GAUSSIAN, FLAT = "Gaussian", "flat"
 NOISES = {GAUSSIAN: "gaussian", FLAT: "uniform"}
-MRPT, FITTED = "EKF as MRPT ships it", "EKF linearised at the best fit"
+MRPT, FITTED = "EKF as in MRPT", "EKF linearised at the best fit"
 PAPER, LIVE = "relmap with the paper's settings", "relmap by default, as the run goes"
 SHAPED = "relmap refined by the shape of the noise"
 COLOURS = (RED, ORANGE, GREY, BLUE, "#2e7d32")
@@ -62,13 +62,13 @@ class Curve:
 
 
 ErrorCurves = Mapping[str, Mapping[str, Curve]]
-"""By noise and method, in the order in which they are drawn."""
+"""Curves by noise and method, in drawing order."""
 
 
 class RefinedByShape(PointMapper):
-    """relmap with every observation kept; its map is refined, on a copy, whenever it is asked for.
+    """relmap with all observations kept; a copy of its map is refined for each evaluation.
 
-    The residuals show whether the noise is bounded, so it is not given the kind of noise.
+    The kind of noise is not given: the residuals show whether it is bounded.
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class RefinedByShape(PointMapper):
 
     @property
     def map(self) -> LandmarkMap:
-        """The map as it would be if the run ended here."""
+        """The map if the run ended here."""
         ended = deepcopy(self)
         ended.finish()
         ended.refine()
@@ -103,9 +103,9 @@ def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurve
     Parameters
     ----------
     seeds : int
-        Number of worlds of each noise, with seeds 0 and up.
+        Number of worlds of each noise, with seeds from 0.
     iterations : int
-        Of each.
+        Iterations of each.
     watch : callable, optional
         Wraps the worlds, to show progress.
 
@@ -130,7 +130,7 @@ def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurve
 
 
 def _judge(data: ErrorCurves) -> Outcome:
-    """Judge by the errors at the end, median of the seeds' ratios: all saw the same worlds."""
+    """Evaluate the errors at the end, by the median of the seeds' ratios in the same worlds."""
 
     def ratio(noise: str, method: str, other: str) -> float:
         ends = (data[noise][name].rmse_m[:, -1] for name in (method, other))

@@ -29,12 +29,12 @@ from relmap.points.mapper import PointMapper
 
 FORMAT = "victoria-park"
 INTERVALS = ((1181, 1642), (4220, 4634))
-"""Of the paper: elsewhere too few trees are seen at once."""
+"""Scans used in the paper: elsewhere too few trees are seen at once."""
 CLOSE_M = 1.0
 COVERED = 0.9
 TREE, REFERENCE, SELDOM, PATH = "#1f3fd0", "#f5a300", "#fbe0a8", "#b9b9b9"
 HEIGHT_IN, NARROWEST_IN, MARGINS_IN = 7.0, 4.2, 2.2
-"""Height of the panels; their widths follow, all in one scale."""
+"""Height of the panels; the widths follow, all in one scale."""
 RIM_M = 10.0
 TREES = "trees mapped without ids (no dot: has no published id)"
 
@@ -47,17 +47,17 @@ class Panel:
     ----------
     title : str
     trees_map : (n, 2) float64, map frame, metres
-        As relmap maps them.
+        Mapped by relmap.
     reference_map : (m, 2) float64, map frame, metres
-        As batch least squares with the published ids maps them, laid on relmap's.
+        Mapped by batch least squares with the published ids, aligned to relmap's map.
     often : (m,) bool
         Which of those were seen at least ten times.
     path_map : (k, 2) float64, map frame, metres
-        Of the robot, as relmap has it; NaN where it is not known.
+        Path of the robot according to relmap; NaN where unknown.
     rmse_m : float
-        Of the trees against the reference.
+        Error of the trees against the reference.
     coverage : float
-        Share of the trees seen at least ten times that are mapped.
+        Fraction of the trees seen at least ten times that are mapped.
     """
 
     title: str
@@ -70,12 +70,12 @@ class Panel:
 
 
 def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
-    """Bring the reference onto the map of a stretch of the drive, by rigid alignment.
+    """Align the reference to the map of a stretch of the drive.
 
     Parameters
     ----------
     result : Result
-        Of mapping the log.
+        Result of mapping the log.
     log : ObservationLog
         With the published ids, for the evaluation and for the reference.
 
@@ -86,7 +86,7 @@ def compare_with_reference(result: Result, log: ObservationLog) -> Panel:
     Raises
     ------
     RelmapError
-        If the ids are missing or make no reference, or the log is not the one that was mapped.
+        If the ids are missing or give no reference, or the log is not the one that was mapped.
     """
     reference = least_squares_map(log)
     ids = reference.landmark_ids
@@ -127,7 +127,7 @@ def victoria_park(path: Path) -> ObservationLog:
     Parameters
     ----------
     path : Path
-        Their folder, or one that holds it.
+        Their folder, or its parent.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def victoria_park(path: Path) -> ObservationLog:
     Raises
     ------
     RelmapError
-        If they are not there, or damaged.
+        If they are missing or damaged.
     """
     inner = path / FORMAT
     return open_log(inner if inner.is_dir() else path, FORMAT)

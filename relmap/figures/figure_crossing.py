@@ -1,8 +1,8 @@
-"""Beyond figure 7: from which noise on planes have the better map, from the same points.
+"""Beyond figure 7: the noise above which planes give the better map, from the same points.
 
 The points are fixed on the walls of a building (`surface_points`).  The plane mapper segments each
-scan; the point mapper takes the points themselves for landmarks.  Both have default settings and no
-odometry.  Points with given ids show what is lost where the association has to be found.
+scan; the point mapper uses the points as landmarks.  Both have default settings and no
+odometry.  Points with known ids show the effect of data association.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from relmap.figures.figure06 import longest
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, legend_below
 
 FULL = ((0.2, 0.3, 0.4), (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5), range(5))
-"""Spacings in metres, noises in units of them, seeds."""
+"""Spacings in metres, noise in units of them, seeds."""
 QUICK = ((0.3,), (0.05, 0.15, 0.3), range(1))
 COLOURS: dict[Method, str] = {"planes": BLUE, "points": RED, "points, ids given": ORANGE}
 BAR = 1.2
-"""Largest map error of planes aimed at with the noise of figure 7, in units of sigma."""
+"""Target map error of planes at the noise of figure 7, in units of sigma."""
 PANELS = {
     "map_rmse_m": ("error of the map", "RMSE of corners or points [m]"),
-    "ate_m": ("error of the path", "ATE of the poses there are [m]"),
+    "ate_m": ("error of the path", "ATE of the available poses [m]"),
     "coverage": ("how much is mapped", "corners or points seen ten times [%]"),
 }
 
@@ -49,7 +49,7 @@ class Crossing:
         return np.unique([row.noise for row in self.runs])
 
     def values(self, name: str, method: Method) -> NDArray[np.float64]:
-        """Return an attribute of all runs of a method, (noises, seeds); infinite where None."""
+        """Return an attribute of all runs of a method, (noises, seeds); None as infinite."""
         found = [
             [getattr(row, name) for row in self.runs if (row.method, row.noise) == (method, noise)]
             for noise in self.noise
@@ -61,15 +61,15 @@ class Crossing:
         return np.asarray(np.median(self.values(name, method), axis=1))
 
     def failed(self, method: Method) -> NDArray[np.bool_]:
-        """Return at which noises the median run of a method maps too little, (noises,)."""
+        """Return the noises at which the median run of a method maps too little, (noises,)."""
         return self.median("coverage", method) < HALF
 
     def planes_ahead(self, method: Method) -> tuple[float, float] | None:
-        """Return the noises, over the spacing, between which planes have the better map.
+        """Return the range of noise, over the spacing, in which planes have the better map.
 
-        Of several such intervals it is the longest.  It begins where the medians of the map error
-        cross, on straight lines between two noises, or at the first noise at which points fail; it
-        ends with the last noise at which planes are still ahead.  None if they never are.
+        The longest of several such intervals. It begins where the medians of the map error cross,
+        by linear interpolation, or at the first noise at which points fail; it ends at the last
+        noise at which planes are better. None if they never are.
         """
         planes, points = (
             np.where(self.failed(which), np.inf, self.median("map_rmse_m", which))
@@ -86,7 +86,7 @@ class Crossing:
         return float(noise[k - 1] + (noise[k] - noise[k - 1]) * before / (before - after)), last
 
     def fails_at(self, method: Method) -> float | None:
-        """Return the noise, over the spacing, from which on a method maps too little, if any."""
+        """Return the noise, over the spacing, above which a method maps too little, if any."""
         works = np.flatnonzero(~self.failed(method))
         beyond = self.noise[works[-1] + 1 if len(works) else 0 :]
         return float(beyond[0]) if len(beyond) else None
@@ -144,7 +144,7 @@ def _judge(data: list[Crossing]) -> Outcome:
 
 
 def _said(data: Crossing) -> str:
-    """Say where planes overtake points."""
+    """Describe where planes overtake points."""
     lowest, highest = data.noise[[0, -1]]
 
     def at(begin: float | None, last: float = highest) -> str:

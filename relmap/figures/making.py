@@ -1,4 +1,4 @@
-"""All figures; run some and write what comes out: pictures, data, verdicts and one page."""
+"""All figures: run them and write pictures, data, verdicts and one page."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
     Parameters
     ----------
     names : sequence of str
-        Where it is empty, all figures of the paper.
+        If empty, all figures of the paper.
 
     Raises
     ------
@@ -73,19 +73,19 @@ def chosen_figures(names: Sequence[str]) -> list[PaperFigure[Any]]:
 
 
 def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
-    """Make sure, before anything is run, that the real data can be used.
+    """Check, before anything is run, that the real data can be used.
 
     Parameters
     ----------
     figures : sequence of PaperFigure
-        Those to be run.
+        Figures to run.
     data : Path or None
-        Where the real data are.
+        Path of the real data.
 
     Raises
     ------
     RelmapError
-        If the data are not there or damaged, or nothing can be run without them.
+        If the data are missing or damaged, or nothing can be run without them.
     """
     names = [figure.name for figure in figures]
     if data is not None and NEEDS_DATA in names:
@@ -97,15 +97,15 @@ def check_data(figures: Sequence[PaperFigure[Any]], data: Path | None) -> None:
 def make_figure(
     figure: PaperFigure[Any], folder: Path, quick: bool, data: Path | None, watch: Watch = iter
 ) -> Made:
-    """Run a figure and write its picture and its data; where the run fails, the note says why.
+    """Run a figure and write its picture and data; if the run fails, the note gives the reason.
 
     Parameters
     ----------
     figure : PaperFigure
     folder : Path
-        Where the files go.
+        Output folder.
     quick, data, watch
-        As `PaperFigure.run` takes them.
+        As for `PaperFigure.run`.
 
     Returns
     -------
@@ -139,7 +139,7 @@ def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
     ----------
     folder : Path
     made : sequence of Made
-        What `make_figure` returned.
+        Results of `make_figure`.
     quick : bool
         Whether the runs were small.
 

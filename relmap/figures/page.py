@@ -1,4 +1,4 @@
-"""One page of all figures: claim, finding and verdict side by side; it opens offline."""
+"""One self-contained page of all figures: claim, finding and verdict side by side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from relmap.plots.html import document
 
 SKIPPED = "not run"
 DENSITY = 1.5
-"""Pixels of a picture for one of the page."""
+"""Pixels of a picture per pixel of the page."""
 STYLE = """
 td:first-child, td.verdict { white-space: nowrap; }
 .beside { display: grid; grid-template-columns: 1fr 1fr auto; gap: 1.5rem; margin-bottom: 1rem; }
@@ -33,9 +33,9 @@ BADGES = {"borne out": "yes", "partly borne out": "partly", "not borne out": "no
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """A figure with what came out, or None if there is nothing, for the reason in `note`.
+    """A figure with its outcome, or None with the reason in `note`.
 
-    `files` are what was written, by name; the picture is one of them.
+    `files` are the names of the written files, including the picture.
     """
 
     figure: PaperFigure[Any]

@@ -1,4 +1,4 @@
-"""The point chart of a run without ids, around one landmark: the data of figures 9 to 11."""
+"""The point chart around one landmark of a run without ids: data of figures 9 to 11."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from relmap.simulation import simulate_figure_eight
 
 ITERATIONS, QUICK_ITERATIONS = 900, 300
 VISIT = 100
-"""Iterations for which the seed is in view, as nearly as possible."""
+"""Preferred number of iterations in which the seed is in view."""
 MARGIN = 20
-"""Iterations that are shown before and after."""
+"""Number of iterations shown before and after."""
 FEWEST_MEMBERS = 4
-"""Landmarks that a group must have, as in section III."""
+"""Minimum number of landmarks in a group, as in section III."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +36,12 @@ class ChartPicture:
     begin : int
         First iteration of the window.
     landmarks : (n,) int64
-        The seed and all that were visible together with it, sorted by the interval they have in
-        common with the seed: the seed first.
+        The seed and all landmarks visible together with it, sorted by the interval in common with
+        the seed: the seed first.
     visible : (n, i) bool
         One column for each iteration of the window.
     members : int
-        How many landmarks, from the first on, make the group.
+        Number of landmarks in the group, from the first on.
     """
 
     begin: int
@@ -51,17 +51,17 @@ class ChartPicture:
 
     @property
     def seed(self) -> int:
-        """The landmark around which the chart is."""
+        """The seed of the chart."""
         return int(self.landmarks[0])
 
     @property
     def common_interval(self) -> NDArray[np.int64]:
-        """Iterations that each landmark has in common with the seed; (n,)."""
+        """Number of iterations in common with the seed; (n,)."""
         return np.asarray((self.visible & self.visible[0]).sum(axis=1))
 
     @property
     def group_interval(self) -> NDArray[np.bool_]:
-        """In which iterations all members of the group were visible; (i,)."""
+        """Iterations in which all members of the group were visible; (i,)."""
         return np.asarray(self.visible[: self.members].all(axis=0))
 
     @property
@@ -72,7 +72,7 @@ class ChartPicture:
 
 
 def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> ChartPicture:
-    """Chart the iterations `begin` to `end` around a seed, and grow its group as a map begins.
+    """Chart the iterations `begin` to `end` around a seed, and grow its group.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> C
 
 
 def paper_stops(area: NDArray[np.int64]) -> int:
-    """Return how many members the paper's rule takes: up to the first that adds no area (n,)."""
+    """Return the group size by the paper's rule: up to the first that adds no area (n,)."""
     falls = np.flatnonzero(np.diff(area[FEWEST_MEMBERS - 1 :]) <= 0)
     return int(falls[0]) + FEWEST_MEMBERS if len(falls) else len(area)
 
@@ -106,7 +106,7 @@ class ChartedRun:
     log : ObservationLog
         With the true ids.
     store : ObservationStore
-        With the landmarks as the association tells them apart.
+        With the landmarks according to the association.
     """
 
     log: ObservationLog
@@ -114,7 +114,7 @@ class ChartedRun:
 
     @property
     def visits(self) -> list[tuple[int, int, int]]:
-        """Landmark, begin and end of every visit that lies well within the run."""
+        """Landmark, begin and end of every visit well within the run."""
         landmarks, iterations = self.store.seen(0, self.store.n_iterations)
         order = np.argsort(landmarks, kind="stable")
         bounds = np.searchsorted(landmarks[order], np.arange(landmarks.max(initial=-1) + 2))
@@ -126,7 +126,7 @@ class ChartedRun:
     def truly_visible(self, chart: ChartPicture) -> NDArray[np.bool_]:
         """Return which cells (n, i) of a chart are truly visible.
 
-        A row is of the true landmark to which most of its observations belong.
+        A row belongs to the true landmark of most of its observations.
         """
         ids = self.log.ids
         assert ids is not None
@@ -143,7 +143,7 @@ class ChartedRun:
 
 @cache
 def charted_run(quick: bool) -> ChartedRun:
-    """Drive the figure eight, briefly or in full, and register every scan; cached."""
+    """Simulate the figure eight, short or in full, and register every scan; cached."""
     iterations = QUICK_ITERATIONS if quick else ITERATIONS
     log = simulate_figure_eight(density=25, iterations=iterations).log
     store, registration = ObservationStore(), Constellation(MapperConfig().max_missed)

@@ -12,21 +12,21 @@ LEVELS = 20
 NEIGHBOURS = 10
 COLUMN_RAD = 1e-5
 FLOOR_M = 1e-9
-"""Noise below this is taken for none."""
+"""Noise below this is treated as zero."""
 THINNER = 0.15
-"""Share of the windows that hold no corner, at least."""
+"""Minimum fraction of the windows without a corner."""
 EVEN = 0.7
-"""Share of steps from bearing to bearing that are even where points lie by beams, at least."""
+"""Minimum fraction of uniform steps between bearings for points on beams."""
 OF_EXTENT = 0.09
-"""Where no window shows a wall, this share of the scan's extent is taken."""
+"""Fraction of the scan's extent used if no window shows a wall."""
 
 
 def window_noise(xy: Floats, rng: np.random.Generator) -> float:
     """Return the noise or slightly more (metres, standard deviation across a wall).
 
     Windows about random points are grown until they are elongated; the thickness of the thinner
-    ones is the noise. Those that hold a corner are too thick, so what comes out may be twice the
-    noise where it is large.
+    ones is the noise. Windows with a corner are too thick, so a large noise may be overestimated by
+    a factor of two.
     """
     from relmap.segmentation.em.window_kernels import window_thickness
 
@@ -45,7 +45,7 @@ def window_noise(xy: Floats, rng: np.random.Generator) -> float:
 def neighbour_distance(xy: Floats) -> float:
     """Return the median distance (metres) of a point to its tenth neighbour.
 
-    Of points at one bearing only one counts, and of the neighbours correspondingly fewer.
+    Of points at one bearing only one counts, and correspondingly fewer neighbours.
     """
     apart = xy[_distinct(xy)]
     k = max(round(NEIGHBOURS * len(apart) / len(xy)), 2)
@@ -64,10 +64,10 @@ def points_per_beam(xy: Floats) -> float:
 
 
 def beam_angle(xy: Floats) -> float:
-    """Return the angle (radians) between the beams that points (n, 2) lie on; 0 if they do not.
+    """Return the angle (radians) between the beams of points (n, 2); 0 if they are not on beams.
 
-    They do where several lie at one bearing, or where nearly all steps from one bearing to the next
-    are multiples of one angle.
+    They are on beams if several lie at one bearing, or if nearly all steps between bearings are
+    multiples of one angle.
     """
     step = np.diff(np.sort(np.arctan2(xy[:, 1], xy[:, 0])[_distinct(xy)]))
     usual = float(np.median(step)) if len(step) else 0.0
@@ -91,6 +91,6 @@ def _column_noise(xy: Floats) -> float:
 
 
 def _distinct(xy: Floats) -> Ints:
-    """Return the rows of one point at each bearing."""
+    """Return the row of one point at each bearing."""
     bearing = np.arctan2(xy[:, 1], xy[:, 0])
     return np.unique(np.round(bearing / COLUMN_RAD), return_index=True)[1]

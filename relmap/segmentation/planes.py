@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Table
 
 END_TYPES = ("corner", "view", "range", "occluded")
-"""Why a wall ends: the order in which the reasons are asked for; the first that holds is given."""
+"""End types in order of precedence: the first that applies is used."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -23,7 +23,7 @@ class Planes(Table):
     Attributes
     ----------
     midpoint : (m, 3) or (m, 2) float64
-        As wide as the points were.
+        With as many columns as the points.
     normal : (m, 2) float64
         Unit, horizontal, pointing to the sensor.
     ends : (m, 2, 2) float64
@@ -31,7 +31,7 @@ class Planes(Table):
     size : (m,) float64
         Distance between the ends.
     z_extent : (m, 2) float64
-        Lowest and highest z; 0 where the points have none.
+        Lowest and highest z; 0 if the points have none.
     noise : (m,) float64
         Root mean square distance of its points.
     n_points : (m,) int64
@@ -52,7 +52,7 @@ class Planes(Table):
 def make_planes(
     points: Floats, labels: Ints, ends: Floats, end_type: NDArray[np.str_], sigma: float
 ) -> Planes:
-    """Measure planes.
+    """Compute planes from labelled points.
 
     Parameters
     ----------

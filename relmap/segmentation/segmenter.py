@@ -1,4 +1,4 @@
-"""`PlaneSegmenter`: the points of a scan to planes, in scikit-learn's manner."""
+"""`PlaneSegmenter`: from the points of a scan to planes, with scikit-learn's interface."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, UX, UY, WALL
 
 METHODS = ("em", "ransac", "mixture", "ransac3d", "patches", "scanlines")
 SPATIAL = ("ransac3d", "patches")
-"""Methods that know floors and ceilings from walls."""
+"""Methods that distinguish floors and ceilings from walls."""
 LEAST = 8
 FARTHEST_M = 1e9
-"""No sensor sees farther; squares of much larger numbers overflow."""
+"""Larger than the range of any sensor; squares of much larger numbers overflow."""
 DEFAULTS = {"method": None, "noise": None, "random_state": 0, "view_rad": None, "range_m": None}
 CHECKED = 5
-"""Scans in space, of the first that a segmenter is given, that must show upright surfaces."""
+"""Number of first scans in space that are checked for upright surfaces."""
 
 
 class PlaneSegmenter:
@@ -34,22 +34,21 @@ class PlaneSegmenter:
     Parameters
     ----------
     method : str, optional
-        "em": EM of wall-shaped components started from lines, with the best corners;
-        "ransac": those lines alone, faster; "mixture": a Gaussian mixture started from them;
-        "ransac3d" and "patches": open3d's sequential RANSAC and its planar patches, which know
-        floors and ceilings from walls; "scanlines": 2-D laser scans whose points are in the order
-        of the beams. If omitted, "scanlines" for points (n, 2) and "em" for (n, 3).
+        "em": EM of wall-shaped components started from lines, with the best corners; "ransac": only
+        those lines, faster; "mixture": a Gaussian mixture started from them; "ransac3d" and
+        "patches": open3d's sequential RANSAC and its planar patches, which distinguish floors and
+        ceilings from walls; "scanlines": 2-D laser scans whose points are in the order of the
+        beams. If omitted, "scanlines" for points (n, 2) and "em" for (n, 3).
     noise : float, optional
-        Standard deviation of a point across its plane, metres; estimated from the scan where left
-        out.
+        Standard deviation of a point across its plane, metres; estimated from the scan by default.
     random_state : int
         Seed; the same scan and seed give bit-identical planes.
     view_rad : float, optional
-        Horizontal field of view, radians, centred ahead. If omitted, the farthest bearing to
-        either side is taken for its edge.
+        Horizontal field of view, radians, centred ahead. By default estimated from the largest
+        bearing to either side.
     range_m : float, optional
-        Horizontal range of the sensor, metres. If omitted, it is known only if several walls
-        end at one greatest distance.
+        Horizontal range of the sensor, metres. By default estimated if several walls end at the
+        same maximum distance.
 
     Attributes
     ----------
@@ -86,7 +85,7 @@ class PlaneSegmenter:
         return f"{type(self).__name__}({given})"
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Return the parameters by name; scikit-learn's `clone` makes another by them."""
+        """Return the parameters by name, for scikit-learn's `clone`."""
         return {name: getattr(self, name) for name in DEFAULTS}
 
     def set_params(self, **params: Any) -> Self:
@@ -95,7 +94,7 @@ class PlaneSegmenter:
         Raises
         ------
         RelmapError
-            Where there is no such parameter.
+            If there is no such parameter.
         """
         for name, value in params.items():
             if name not in DEFAULTS:
@@ -111,20 +110,20 @@ class PlaneSegmenter:
     def fit(self, points: ArrayLike, y: object = None) -> Self:
         """Segment one scan.
 
-        The first five in space are checked for surfaces that are not upright.
+        The first five scans in space are checked for surfaces that are not upright.
 
         Parameters
         ----------
         points : (n, 3) or (n, 2) array_like, robot frame, metres
-            The sensor stands at the origin. A scan without points has no planes.
+            The sensor is at the origin. A scan without points has no planes.
         y : object
-            Ignored; scikit-learn's pipelines give it.
+            Ignored; passed by scikit-learn's pipelines.
 
         Raises
         ------
         RelmapError
-            If a parameter or the shape is wrong, a coordinate is not finite, or floors, ceilings
-            and the like would be taken for walls.
+            If a parameter or the shape is wrong, a coordinate is not finite, or the scan has too
+            many surfaces that are not upright, such as floors.
         """
         xyz = _as_points(points)
         method = self._validated(xyz.shape[1])
@@ -188,7 +187,7 @@ class PlaneSegmenter:
     def _hard_labels(
         self, method: str, xyz: Floats, xy: Floats, rng: np.random.Generator
     ) -> tuple[Ints, float]:
-        """Return the plane of each point as found without the shape of a wall, and the noise."""
+        """Return the plane of each point by methods other than EM, and the noise."""
         from relmap.segmentation.alternatives.ransac3d import patch_labels, sequential_labels
         from relmap.segmentation.em.lines import find_lines
         from relmap.segmentation.noise import beam_angle, window_noise
@@ -213,13 +212,13 @@ def planes_of(
     view_rad: float | None = None,
     range_m: float | None = None,
 ) -> tuple[Ints, Planes]:
-    """Return labels without gaps in their numbers, and the planes."""
+    """Return consecutive labels, and the planes."""
     walls = sharp.mixture.walls
     ends = walls[:, None, :2] + walls[:, BEGIN : END + 1, None] * walls[:, None, UX : UY + 1]
     count = np.bincount(labels[labels >= 0], minlength=len(ends))
     long = (ends[:, 0] != ends[:, 1]).any(
         axis=1
-    )  # far from the origin rounding may cancel a whole length
+    )  # far from the origin, rounding may cancel a whole length
     kept = np.flatnonzero((count > 0) & long)
     number = np.full(len(ends) + 1, -1)
     number[kept] = np.arange(len(kept))

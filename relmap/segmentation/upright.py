@@ -9,20 +9,20 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 
 TILTED = np.sin(np.deg2rad(15.0))
-"""The normal of an upright surface points up or down by no more than this."""
+"""Largest vertical component of the normal of an upright surface."""
 MOST_SHARE = 0.15
-"""At most this share of the points may lie on surfaces that are not upright."""
+"""Largest fraction of points on surfaces that are not upright."""
 POINTS, PATCHES = 10000, 100
-"""Points and patches that are looked at: random ones, since beams repeat."""
+"""Number of random points and patches examined."""
 LEAST = 10
-"""Points of a patch, at least."""
+"""Minimum number of points of a patch."""
 RADIUS = 0.15
-"""Of a patch, in heights of the cloud: patches of a low band would be as high as the band."""
+"""Size of a patch, in heights of the cloud: larger patches would be as high as a low band."""
 HEIGHT = (0.05, 0.95)
-"""Quantiles between which the height of a cloud is taken."""
+"""Quantiles that define the height of a cloud."""
 FLAT, BROAD = 0.1, 0.15
-"""Of a patch that is a surface, the ratio of its least variance to the middle one at most, and of
-that to the greatest at least: edges and lines have no normal."""
+"""Largest ratio of the least to the middle variance of a surface patch, and smallest ratio of the
+middle to the largest: edges and lines have no normal."""
 
 
 def require_upright(xyz: Floats) -> None:
@@ -36,15 +36,15 @@ def require_upright(xyz: Floats) -> None:
     share = tilted_share(xyz)
     if share > MOST_SHARE:
         raise RelmapError(
-            f"{share:.0%} of a scan's points lie on surfaces that are not upright, as floors, "
-            "ceilings or what a tilted sensor sees; expected walls: map such clouds with --variant "
+            f"{share:.0%} of a scan's points lie on surfaces that are not upright, such as floors, "
+            "ceilings or scans of a tilted sensor; expected walls: map such clouds with --variant "
             "planes3d (Plane3dMapper), or level the scan and cut it to a band between floor and "
             "ceiling"
         )
 
 
 def tilted_share(xyz: Floats) -> float:
-    """Return the share of points (n, 3) around which the surface is not upright."""
+    """Return the fraction of points (n, 3) around which the surface is not upright."""
     low, high = np.quantile(xyz[:, 2], HEIGHT)
     some = np.random.default_rng(0).permutation(xyz)[:POINTS]
     middles = some[:PATCHES]

@@ -1,7 +1,7 @@
 """A wall is a row of `WALL` numbers.
 
-A point on it and its direction (metres, robot frame), where it begins and ends along that
-direction, and its share of the scan's points.
+A point on it and its direction (metres, robot frame), its begin and end along that direction, and
+its fraction of the scan's points.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from relmap.core.arrays import Floats
 PX, PY, UX, UY, BEGIN, END, SHARE = range(7)
 WALL = 7
 EXACT_M = 1e-7
-"""Below this noise the ends are the outermost points: the blur is lost in rounding."""
+"""Noise below which the ends are the outermost points: the blur is lost in rounding."""
 
 
 def corners(wall: Floats) -> Floats:

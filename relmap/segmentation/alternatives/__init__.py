@@ -1,1 +1,1 @@
-"""Other methods of finding planes, to compare with."""
+"""Alternative methods of finding planes, for comparison."""

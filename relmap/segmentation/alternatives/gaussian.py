@@ -1,4 +1,4 @@
-"""A Gaussian mixture started from lines: the control for what the wall shape adds."""
+"""A Gaussian mixture initialised with lines: a control for the wall-shaped component."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEPS = 50
 def gaussian_labels(xy: Floats, labels: Ints, seed: int) -> Ints:
     """Return the component (n,) of each point (n, 2) after EM started from given labels.
 
-    scikit-learn's `GaussianMixture`, full covariances; -1 only where there was no line at all.
+    scikit-learn's `GaussianMixture` with full covariances; -1 only if there was no line.
     """
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.mixture import GaussianMixture
@@ -35,5 +35,5 @@ def gaussian_labels(xy: Floats, labels: Ints, seed: int) -> Ints:
         random_state=seed,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # it gets fifty steps
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the limit of fifty steps was reached
         return np.asarray(model.fit_predict(xy), dtype=np.int64)

@@ -24,7 +24,7 @@ def _open3d() -> Any:
     Raises
     ------
     RelmapError
-        If it cannot be loaded, as where a system library that it needs is missing.
+        If it cannot be loaded, for example because of a missing system library.
     """
     try:
         import open3d

@@ -15,9 +15,9 @@ from relmap.segmentation.wall import SHARE, WALL
 
 TRIES = 100
 BEAMS = 0.5
-"""What is seen under a smaller angle, in beams, is the noise of one column, not a wall."""
+"""Angle, in beams, below which points are the noise of one column, not a wall."""
 UNCLAIMED = 0.6
-"""A line keeps its claim where this share of its points is still free; else it is grown anew."""
+"""Fraction of a line's points that must still be free for it to keep them; else it is regrown."""
 
 
 def find_lines(
@@ -31,10 +31,10 @@ def find_lines(
     sigma : float
         Noise, metres.
     least : int
-        Points a line must have at least.
+        Minimum number of points of a line.
     rng : numpy.random.Generator
     beam : float
-        Angle between beams, radians; 0 where there are none.
+        Angle between beams, radians; 0 without beams.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def find_lines(
 
 
 def _best_first(members: Bools, scores: Floats, least: int) -> tuple[list[int], list[Bools]]:
-    """Return which lines claim points, best first, and which points (n,) each claims."""
+    """Return which lines claim points, best first, and the points (n,) each claims."""
     size = members.sum(axis=1)
     quality = scores / np.maximum(size, 1)
     chosen: list[int] = []

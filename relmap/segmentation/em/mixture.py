@@ -16,12 +16,12 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.noise import FLOOR_M
 
 PARAMETERS = 5
-"""Of a wall: two of its line, two ends, its share."""
+"""Parameters per wall: two of its line, two ends, its weight."""
 STRAY_AT_FIRST = 0.05
 STRAY_LEAST = 1e-4
 TOLERANCE = 1e-4
 CONCERNED = 0.01
-"""A point concerns a wall if at least this share of its density is that wall's."""
+"""Minimum fraction of a point's density that makes the point relevant to a wall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +35,17 @@ class WallMixture:
     sigma : float
         Noise, metres.
     stray : float
-        Share of points that belong to no wall.
+        Fraction of points that belong to no wall.
     area : float
-        Area over which they are spread, square metres.
+        Area over which these are uniform, square metres.
     beam : float
-        Angle (radians) between the beams that points lie on; 0 where they lie evenly on the walls.
+        Angle (radians) between the beams of points; 0 if points are uniform on the walls.
     repeat : float
-        Points at one bearing, which count once for the extent of a wall.
+        Number of points at one bearing, which count once for the extent of a wall.
     fixed_noise : bool
         Whether the noise was given.
     rest : (n,) float64 or None
-        Of a part of a scan's walls: the density of everything else at the points concerned.
+        For a subset of walls: the density of everything else at the relevant points.
     """
 
     walls: Floats
@@ -59,7 +59,7 @@ class WallMixture:
 
     @property
     def along(self) -> float:
-        """How far (metres) noise moves points along a wall; along beams, not at all."""
+        """Distance (metres) by which noise moves points along a wall; along beams, none."""
         return 0.0 if self.beam > 0 else self.sigma
 
     def density(self, xy: Floats) -> tuple[Floats, Floats]:
@@ -69,7 +69,7 @@ class WallMixture:
         return expect(xy, self.walls, self.sigma, self.beside(len(xy)), self.beam)
 
     def beside(self, n: int) -> Floats:
-        """Return the density of everything but the walls at n points."""
+        """Return the density of everything except the walls at n points."""
         return np.full(n, self.stray / self.area) if self.rest is None else self.rest
 
     def likelihood(self, xy: Floats) -> float:
@@ -81,7 +81,7 @@ class WallMixture:
         return self.likelihood(xy) - len(self.walls) * wall_cost(len(xy))
 
     def labels(self, xy: Floats) -> Ints:
-        """Return the likeliest wall (n,) of each point (n, 2), -1 for none."""
+        """Return the most likely wall (n,) of each point (n, 2), -1 for none."""
         density, _ = self.density(xy)
         if len(density) == 0:
             return np.full(len(xy), -1)
@@ -99,7 +99,7 @@ class WallMixture:
         return replace(self, walls=walls)
 
     def around(self, rows: list[int], xy: Floats) -> tuple[WallMixture, Floats]:
-        """Return the mixture of a few walls, all else held, and the points (m, 2) it concerns."""
+        """Return the mixture of a few walls, all else fixed, and the relevant points (m, 2)."""
         density, total = self.density(xy)
         theirs = density[rows].sum(axis=0)
         near = theirs > CONCERNED * total
@@ -126,9 +126,9 @@ def scan_area(xy: Floats, sigma: float) -> float:
 def maximise(
     mixture: WallMixture, xy: Floats, steps: int, held: bool = False, tolerance: float = TOLERANCE
 ) -> WallMixture:
-    """Return the mixture after some steps of EM, fewer where the likelihood rises no more.
+    """Return the mixture after some steps of EM, fewer if the likelihood has converged.
 
-    With `held` the ends of the walls stay.
+    With `held` the ends of the walls are fixed.
     """
     from relmap.segmentation.em.step_kernels import em_step
 

@@ -1,8 +1,8 @@
 """Choosing the number of walls: removing, joining and splitting them.
 
-EM never changes the number of its components.  Each move here is judged by what the likelihood of
-the points concerned gains or loses by it, against the parameters it costs (as BIC does), except
-that touching pieces of one line are one wall whatever the density of points along it.
+EM never changes the number of its components.  Each move is accepted or rejected by the change of
+the likelihood of the relevant points and of the number of parameters (as in BIC), except that
+touching pieces of one line are always one wall.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from relmap.segmentation.ends.shadows import parted
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, SHARE, corners
 
 BENT = 10.0
-"""Loss of log likelihood above which two walls do not lie on one line."""
+"""Loss of log likelihood above which two walls are not collinear."""
 EMPTY = 6.0
-"""Points missing in a gap, for it to be one: fewer come by chance once in e**6."""
+"""Minimum number of missing points in a gap: fewer occur by chance once in e**6."""
 MISSED = 0.6
-"""Columns of beams missing in a gap: one is enough, since noise moves no point off its beam."""
+"""Missing columns of beams in a gap: one suffices, as noise moves no point off its beam."""
 CURVED = 3.0
-"""Standard deviations of curvature from which on a wall is tried as two."""
+"""Curvature, in standard deviations, above which splitting a wall is tried."""
 SETTLE = 6
 """Steps of EM after a move."""
 TRIAL = 8
-"""Steps of EM to see what a move is worth."""
+"""Steps of EM to evaluate a move."""
 GLANCE = 4
-"""Steps of EM to see which of several moves are worth more of them."""
+"""Steps of EM to select the most promising of several moves."""
 FINALISTS = 2
 FAR_M = 1e3
-"""Points from beams that do not meet a wall count as this far off it."""
+"""Distance assigned to points from beams that do not meet a wall."""
 LEG = 3.0
-"""Standard deviations from a wall's end within which another may begin unseen."""
+"""Standard deviations from a wall's end within which another may begin undetected."""
 ROUGH = 0.05
-"""Gain of log likelihood per wall and step below which a trial has settled."""
+"""Gain of log likelihood per wall and step below which a trial has converged."""
 
 
 def prune(mixture: WallMixture, xy: Floats, least: int) -> WallMixture:
@@ -61,7 +61,7 @@ def prune(mixture: WallMixture, xy: Floats, least: int) -> WallMixture:
 
 
 def merge(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Join pieces of one line without a gap, and pairs that are not worth their cost."""
+    """Join collinear pieces without a gap, and pairs that do not justify their parameters."""
     names, parted = list(range(len(mixture.walls))), set[tuple[int, int]]()
     while True:
         labels = mixture.labels(xy)
@@ -141,7 +141,7 @@ def _suspect(mixture: WallMixture, own: Floats, wall: Floats) -> bool:
 
 
 def _bent(mixture: WallMixture, xy: Floats, own: Floats, k: int) -> Floats | None:
-    """Return two walls that explain a wall's points better, if there are any."""
+    """Return two walls that better explain a wall's points, if there are any."""
     from relmap.segmentation.em.wall_kernels import sightings
 
     one, near = mixture.around([k], xy)
@@ -173,7 +173,7 @@ def _halves(t: Floats, d: Floats, sigma: float) -> list[Bools]:
 
 
 def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
-    """Return the wall through points (m, 2), with the sense of direction of another."""
+    """Return the wall through points (m, 2), with the orientation of another."""
     from relmap.segmentation.em.step_kernels import fit_line
     from relmap.segmentation.em.wall_kernels import sightings
 
@@ -185,9 +185,10 @@ def wall_through(own: Floats, like: Floats, beam: float = 0.0) -> Floats:
 
 
 def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
-    """Return whether no gap shows between two walls along the longer one, among n points in all.
+    """Return whether there is no gap between two walls along the longer one, among n points.
 
-    With columns of beams, missing columns count, not points: a distant wall has fewer points.
+    With columns of beams, missing columns are counted instead of points: a distant wall has fewer
+    points.
     """
     from relmap.segmentation.em.wall_kernels import beam_spacing, local_density
 
@@ -207,7 +208,7 @@ def _connected(mixture: WallMixture, w: Floats, v: Floats, n: float) -> bool:
 
 
 def split(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Split walls at doors: stretches too empty to belong to an evenly filled wall."""
+    """Split walls at doors: stretches too empty to belong to a uniformly filled wall."""
     from relmap.segmentation.em.wall_kernels import sightings
 
     labels, walls = mixture.labels(xy), []
@@ -240,7 +241,7 @@ def _hole(u: Floats, wall: Floats, mixture: WallMixture) -> tuple[float, float] 
 def missed_beams(bearing: Floats, beam: float) -> tuple[float, float] | None:
     """Return the widest step between sorted bearings (m,) if beams are missing in it.
 
-    Without half a beam at each side, which belongs to the wall.
+    Half a beam at each side is excluded, as it belongs to the wall.
     """
     if len(bearing) < 2:
         return None
@@ -254,8 +255,8 @@ def missed_beams(bearing: Floats, beam: float) -> tuple[float, float] | None:
 def widest_gap(t: Floats, sigma: float) -> tuple[float, float] | None:
     """Return the emptiest stretch of sorted positions (m,) along a wall, if it is a gap.
 
-    The number of points in a stretch is compared, as Poisson counts, with what an even wall would
-    have there and with what the noise carries in from both sides of a gap (0.8 sigma of wall).
+    The number of points in a stretch is compared, as Poisson counts, with that of a uniform wall
+    and with that due to noise from both sides of a gap (0.8 sigma of wall).
     """
     if len(t) < 6:
         return None

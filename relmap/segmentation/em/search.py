@@ -1,4 +1,4 @@
-"""From points to the wall mixture that explains them best."""
+"""From points to the wall mixture that best explains them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from relmap.segmentation.wall import BEGIN, END, SHARE, WALL
 FEW = 1000
 MOST = 3000
 MORE = 6000
-"""More points than these say no more about the number of walls; a random sample is searched."""
+"""Maximum number of points for the search of the number of walls; beyond it, a random sample."""
 POLISHED = 20000
-"""Lines and ends are made accurate on at most this many points."""
+"""Maximum number of points for the refinement of lines and ends."""
 LEAST = 8
-"""Points of a wall, at least."""
+"""Minimum number of points of a wall."""
 SHORTEST = 1.5
-"""At least one wall of a scan is longer than this many times the noise."""
+"""Minimum length of the longest wall of a scan, relative to the noise."""
 STRAYS = 0.1
-"""Share of a wall's points that may be a neighbour's."""
+"""Fraction of a wall's points that may belong to a neighbour."""
 STARTS = (0.5, 0.8)
-"""Lines are first looked for as if the noise were this many times what windows say: joining
-pieces of a wall is easier than parting walls taken for one."""
+"""Factor on the noise estimate for the first search for lines: joining pieces of a wall is easier
+than splitting merged walls."""
 ROUNDS = 4
 LOOSER = 12.0
 """Spacings of points by which an end may have been missed."""
@@ -39,7 +39,7 @@ FIRST, BETWEEN, LAST = 20, 10, 40
 def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
     """Return the walls of points (n, 2), robot frame, metres; their number is estimated.
 
-    Several starts on few points; the best is improved on more and more points.
+    Several starts on few points; the best is refined on increasing numbers of points.
     """
     few = part(xy, FEW, rng)
     mixture = search_walls(few, noise, rng)
@@ -56,7 +56,7 @@ def fit_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> Wall
 
 
 def loosened(mixture: WallMixture, n: int) -> WallMixture:
-    """Return walls found among n points a little longer, so that more points can show their ends.
+    """Return walls among n points, slightly extended, so that more points can show their ends.
 
     Without noise, no point beyond an end would ever be included.
     """
@@ -71,8 +71,8 @@ def loosened(mixture: WallMixture, n: int) -> WallMixture:
 def plausible(mixture: WallMixture, xy: Floats) -> WallMixture:
     """Return the mixture, without walls if the points have none.
 
-    A scan without walls is one that points spread evenly over its area explain as well, or whose
-    walls are all as thick as long.
+    A scan has no walls if a uniform distribution over its area explains it as well, or if all walls
+    are as thick as long.
     """
     if not long_enough(mixture).any():
         return mixture.only([])
@@ -87,9 +87,9 @@ def long_enough(mixture: WallMixture) -> Bools:
 
 
 def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
-    """Return which walls (k,) have points (n, 2) on several beams: one fixes no direction.
+    """Return which walls (k,) have points (n, 2) on several beams: one gives no direction.
 
-    Some of them may be a neighbour's.
+    Some of the points may belong to a neighbour.
     """
     from relmap.segmentation.em.wall_kernels import sightings
 
@@ -101,7 +101,7 @@ def seen_broad(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
 
 
 def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> WallMixture:
-    """Return the walls of points (n, 2): the best by evidence of several starts."""
+    """Return the walls of points (n, 2): the best of several starts by evidence."""
     sigma = window_noise(xy, rng) if noise is None else max(noise, FLOOR_M)
     nothing = WallMixture(
         np.zeros((0, WALL)),
@@ -117,14 +117,14 @@ def search_walls(xy: Floats, noise: float | None, rng: np.random.Generator) -> W
 
 
 def part(xy: Floats, most: int, rng: np.random.Generator) -> Floats:
-    """Return the points (n, 2), or a random part of them where there are more than `most`."""
+    """Return the points (n, 2), or a random sample if there are more than `most`."""
     return xy if len(xy) <= most else xy[rng.choice(len(xy), most, replace=False)]
 
 
 def search_from(
     nothing: WallMixture, xy: Floats, sigma: float, rng: np.random.Generator
 ) -> WallMixture:
-    """Return the walls found from lines of some noise by EM and moves between numbers of walls."""
+    """Return the walls from lines for a given noise, by EM and moves."""
     walls, _ = find_lines(xy, sigma, LEAST, rng, nothing.beam)
     start = replace(nothing, walls=walls)
     if not nothing.fixed_noise:
@@ -135,7 +135,7 @@ def search_from(
 def improve(
     mixture: WallMixture, xy: Floats, rng: np.random.Generator, thorough: bool = False
 ) -> WallMixture:
-    """Return the mixture after moves between numbers of walls, until none is worth it."""
+    """Return the mixture after moves between numbers of walls, until none is accepted."""
     for _ in range(ROUNDS):
         sizes = [len(mixture.walls)]
         mixture = prune(mixture, xy, LEAST)

@@ -23,14 +23,14 @@ from relmap.segmentation.em.wall_kernels import (
 from relmap.segmentation.wall import BEGIN, END, EXACT_M, PX, PY, SHARE, UX, UY
 
 NEWTON = 3
-"""Steps to the likeliest line."""
+"""Iterations to find the most likely line."""
 
 
 @helper
 def _gather(
     xy: Floats, share: Floats, total: Floats, wall: Floats, sigma: float, beam: float
 ) -> Floats:
-    """Return the statistics of a wall's points that a step of EM needs, in the wall's frame.
+    """Return the statistics of a wall's points for a step of EM, in the wall's frame.
 
     Their weight, that with their precision across the wall, with this precision sums of t, d, tt,
     td and dd; the pull on both ends, and the outermost measures.
@@ -65,7 +65,7 @@ def _gather(
 
 @helper
 def _turn(wall: Floats, s: Floats, begin: float, end: float, beam: float) -> float:
-    """Move a wall to its points' line of least squares, between two measures; return the scatter.
+    """Fit a wall to its points by least squares, between two measures; return the scatter.
 
     Total least squares across the wall; along beams, whose bearings are exact, plain ones.
     """
@@ -92,7 +92,7 @@ def _turn(wall: Floats, s: Floats, begin: float, end: float, beam: float) -> flo
 
 @compiled
 def fit_line(xy: Floats, wall: Floats, beam: float) -> None:
-    """Move a wall to the likeliest line of points (n, 2), all of them its own."""
+    """Move a wall to the most likely line of points (n, 2), all assigned to it."""
     ones = np.ones(len(xy))
     weighted_line(xy, ones, wall)
     for _ in range(NEWTON if beam > 0 else 0):
@@ -124,8 +124,8 @@ def em_step(
 ) -> tuple[float, float, float]:
     """Take one step of expectation and maximisation; walls (k, WALL) are changed in place.
 
-    `held` ends stay where they are along their walls. Returns the log likelihood before the step,
-    the noise after it, and the share of points that belong to the `rest` (n,), see `expect`.
+    `held` ends are fixed along their walls. Returns the log likelihood before the step, the noise
+    after it, and the fraction of points that belong to the `rest` (n,), see `expect`.
     """
     density, total = expect(xy, walls, sigma, rest, beam)
     n, likelihood, loose = len(xy), 0.0, 0.0

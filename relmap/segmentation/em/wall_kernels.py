@@ -21,14 +21,14 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 REACH = 6.0
-"""Beyond this many standard deviations a Gaussian is taken for nothing."""
+"""Standard deviations beyond which a Gaussian is treated as zero."""
 PEAK = 1.0 / math.sqrt(2.0 * math.pi)
 GRAZING = 1.56
-"""With beams, a wall ends where they meet it at a smaller angle than a quarter turn less this."""
+"""With beams, a wall ends where their incidence is within this angle of grazing."""
 BLUR = 0.5
-"""With beams, how unsharp an end is while it is looked for, in their spacing."""
+"""With beams, blur of an end during the search, in beam spacings."""
 NEXT = 1.0 / BLUR
-"""An end reaches this far: to the next beam, and not to those beyond."""
+"""Extent of an end: up to the next beam, and not beyond."""
 
 
 _CELLS = 512
@@ -62,7 +62,7 @@ def bell(x: float) -> float:
 
 @compiled
 def foot_and_height(wall: Floats) -> tuple[float, float]:
-    """Return where along a wall the sensor stands, and how far off its line."""
+    """Return the position of the sensor along a wall, and its distance from the line."""
     foot = -(wall[PX] * wall[UX] + wall[PY] * wall[UY])
     height = abs(wall[PX] * wall[UY] - wall[PY] * wall[UX])
     return foot, max(height, 1e-3)
@@ -70,19 +70,19 @@ def foot_and_height(wall: Floats) -> tuple[float, float]:
 
 @helper
 def measure(t: float, foot: float, height: float, beam: float) -> float:
-    """Return a place along a wall in what points fill evenly: metres, or of beams the angle."""
+    """Return the measure along a wall in which points are uniform: metres, or beam angle."""
     return math.atan((t - foot) / height) if beam > 0 else t
 
 
 @compiled
 def place(u: float, foot: float, height: float, beam: float) -> float:
-    """Return the place along a wall of a `measure`."""
+    """Return the place along a wall for a `measure`."""
     return foot + height * math.tan(min(max(u, -GRAZING), GRAZING)) if beam > 0 else u
 
 
 @compiled
 def span(wall: Floats, beam: float) -> float:
-    """Return how much of its `measure` a wall takes."""
+    """Return the extent of a wall in its `measure`."""
     foot, height = foot_and_height(wall)
     begin, end = measure(wall[BEGIN], foot, height, beam), measure(wall[END], foot, height, beam)
     return max(end - begin, 1e-9)
@@ -90,24 +90,24 @@ def span(wall: Floats, beam: float) -> float:
 
 @compiled
 def beam_spacing(wall: Floats, at: float, beam: float) -> float:
-    """Return how far apart beams meet a wall about a place along it, metres."""
+    """Return the spacing at which beams meet a wall at a place along it, metres."""
     foot, height = foot_and_height(wall)
     return beam * (height * height + (at - foot) * (at - foot)) / height
 
 
 @compiled
 def local_density(wall: Floats, at: float, beam: float) -> float:
-    """Return the share of a wall's points that lie about a place on it, per metre."""
+    """Return the density of a wall's points at a place along it, per metre."""
     spread = beam_spacing(wall, at, beam) / beam if beam > 0 else 1.0
     return 1.0 / max(span(wall, beam) * spread, 1e-12)
 
 
 @helper
 def end_blur(sigma: float, beam: float) -> float:
-    """Return how unsharp ends are, in the `measure` of a wall.
+    """Return the blur of ends, in the `measure` of a wall.
 
-    By the noise; but noise moves no point off its beam: there an end is as unsharp as beams are
-    apart.
+    It is given by the noise; with beams, noise moves no point off its beam, and the blur is the
+    spacing of the beams.
     """
     return BLUR * beam if beam > 0 else sigma
 

@@ -12,11 +12,11 @@ from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY, WALL
 
 ROUNDS = 2
-"""How often a line is grown along its band and fitted to what it met."""
+"""Number of alternations between growing a line along its band and fitting it."""
 BAND = 2.5
 """Half width, in standard deviations, of the band of a line's own points."""
 LEAST = 30
-"""Points from which on the spread of a window says how thick it is."""
+"""Minimum number of points in a window to estimate its thickness."""
 IN_A_ROW = 3
 ELONGATED = 9.0
 """A window shows a wall where its variance along is this many times that across."""
@@ -114,7 +114,7 @@ def _run_about(xy: Floats, wall: Floats, seed: int, band: float, gap: float, mem
 
 @helper
 def _angle(wall: Floats) -> float:
-    """Return the angle under which the sensor sees a wall."""
+    """Return the angle subtended by a wall at the sensor."""
     ax, ay = wall[PX] + wall[BEGIN] * wall[UX], wall[PY] + wall[BEGIN] * wall[UY]
     bx, by = wall[PX] + wall[END] * wall[UX], wall[PY] + wall[END] * wall[UY]
     return abs(math.atan2(ax * by - ay * bx, ax * bx + ay * by))
@@ -156,7 +156,7 @@ def _start_line(xy: Floats, seed: int, chance: float, band: float, window: float
 def grow_lines(
     xy: Floats, chances: Floats, sigma: float, window: float, repeat: float, narrow: float
 ) -> tuple[Floats, Bools, Floats]:
-    """Grow a line from each pair of near points that the chances (tries, 2) draw.
+    """Grow a line from each pair of near points selected by random numbers (tries, 2).
 
     Of points at one bearing, `repeat` count as one along the line; lines that the sensor sees under
     a `narrow` angle are discarded.

@@ -1,1 +1,1 @@
-"""Where walls end, and why."""
+"""Ends of walls, and their types."""

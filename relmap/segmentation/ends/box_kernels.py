@@ -27,11 +27,11 @@ from relmap.segmentation.em.wall_kernels import (
 from relmap.segmentation.wall import BEGIN, END, EXACT_M
 
 INWARD = 5.0
-"""An end is sought at most this many standard deviations inwards of where it was."""
+"""Range of the search for an end, in standard deviations inwards of its last estimate."""
 FEW = 4
-"""With beams, this many at an end tell the density of points there."""
+"""With beams, number of beams at an end from which the point density is estimated."""
 LEAST = 0.05
-"""With beams, points with a smaller share in a wall do not draw its end."""
+"""With beams, minimum weight of a point in a wall to influence its end."""
 _ROOT = math.sqrt(2.0)
 
 
@@ -99,7 +99,7 @@ def _below(limit: float, t: Floats, weight: Floats) -> tuple[Floats, Floats]:
 def lower_end(
     begin: float, end: float, t: Floats, weight: Floats, blur: float, density: float, beam: float
 ) -> float:
-    """Return the lower end of a blurred box, by maximum likelihood, with the upper one given.
+    """Return the lower end of a blurred box, by maximum likelihood, given the upper one.
 
     Places and blur are in the `measure` of the wall, the density in points per measure. With beams
     the blur is their spacing.
@@ -124,7 +124,7 @@ def lower_end(
 
 @helper
 def _density_at(begin: float, end: float, t: Floats, weight: Floats, beam: float) -> float:
-    """Return how many points lie on a measure about the lower end: of the first few beams.
+    """Return the density of points at the lower end, from the first few beams.
 
     Fewer of a column of beams meet a wall that is farther off: half as many make a whole column.
     """

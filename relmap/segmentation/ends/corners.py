@@ -1,4 +1,4 @@
-"""Where walls end: the ends of blurred boxes, and the corners in which walls meet."""
+"""Ends of walls: ends of blurred boxes, and corners where walls meet."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from relmap.segmentation.em.mixture import WallMixture, maximise
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY
 
 GATE = 3.0
-"""An end lies in a corner if it is within this many standard deviations of it."""
+"""Largest distance of an end from its corner, in standard deviations."""
 LEAST_SINE = 0.25
-"""Walls that meet at a smaller angle fix no corner."""
+"""Smallest angle between walls that determines a corner."""
 INFORMATION = 0.9032
 """Integral of phi**2 / Phi: the information of a blurred end, in units of density / sigma."""
 CONTESTED = 0.5
-"""Where two walls meet they dispute the points between them: their own ends err by this much more,
-in units of the noise."""
+"""Additional error of the ends of two meeting walls, which compete for points, in units of the
+noise."""
 WORTH = 2.0
-"""A crossing this many times less accurate than the end says nothing about it."""
+"""A crossing this many times less accurate than the end is not used."""
 WANDER = 4.0
-"""No end moves farther than half its wall or this many standard deviations: with few points, what
-its accuracy allows grows with every move."""
+"""Maximum movement of an end, relative to its wall and in standard deviations: with few points, the
+allowed range grows with every move."""
 ROUNDS = 2
 HELD = 4
-"""Steps of EM with the ends held in their corners."""
+"""Steps of EM with the ends fixed in their corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class Sharpened:
     ----------
     mixture : WallMixture
     spread : (k, 2) float64, metres
-        Standard deviation of where each wall begins and ends along itself.
+        Standard deviation of the begin and end of each wall along itself.
     joined : (k, 2) bool
-        Whether it does so in a corner with another wall.
+        Whether the end is in a corner with another wall.
     hidden : (k, 2) bool or None
         Whether the next beam meets something nearer; None if points are in no order.
     """
@@ -51,7 +51,7 @@ class Sharpened:
 
 
 def sharpen(mixture: WallMixture, xy: Floats) -> Sharpened:
-    """Return the mixture with its ends at full accuracy, and in the corners where walls meet."""
+    """Return the mixture with accurate ends, moved into the corners where walls meet."""
     for _ in range(ROUNDS):
         joined = meet(solve_ends(mixture, xy), len(xy)).mixture
         mixture = maximise(joined, xy, HELD, held=True)
@@ -59,7 +59,7 @@ def sharpen(mixture: WallMixture, xy: Floats) -> Sharpened:
 
 
 def solve_ends(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Return the mixture with the ends of its walls where they are most likely."""
+    """Return the mixture with the most likely ends of its walls."""
     from relmap.segmentation.em.wall_kernels import span
     from relmap.segmentation.ends.box_kernels import fit_ends
 
@@ -76,8 +76,8 @@ def solve_ends(mixture: WallMixture, xy: Floats) -> WallMixture:
 def meet(mixture: WallMixture, n: int) -> Sharpened:
     """Move the ends of walls, among n points, to where their walls meet others.
 
-    An end belongs to a corner if the wall it meets reaches there too, both within what their
-    accuracy allows. The crossing of two lines is better known than either end.
+    An end belongs to a corner if the other wall reaches it too, both within their accuracy. The
+    crossing of two lines is more accurate than either end.
     """
     walls, blur = mixture.walls, end_spread(mixture, n)
     amount = np.maximum(walls[:, SHARE] * n, 3.0)[:, None]
@@ -108,16 +108,16 @@ def meet(mixture: WallMixture, n: int) -> Sharpened:
 
 
 def end_spread(mixture: WallMixture, n: int) -> Floats:
-    """Return how accurate the ends (k, 2) of walls are, among n points, from those points alone.
+    """Return the standard deviations of the ends (k, 2) of walls among n points.
 
-    By the noise, and by how far apart points are; and between two beams an end lies anywhere.
+    They follow from the noise and the spacing of points; between two beams the position is uniform.
     """
     walls, beam = mixture.walls, mixture.beam
     at, (px, py, ux, uy) = walls[:, [BEGIN, END]], walls[:, [PX, PY, UX, UY]].T
     foot, height = -(px * ux + py * uy), np.maximum(np.abs(px * uy - py * ux), 1e-3)
     off, apart = at - foot[:, None], np.ones_like(at)
     span = off
-    if beam > 0:  # points lie evenly by angle
+    if beam > 0:  # points are uniform in angle
         span = np.arctan(off / height[:, None])
         apart = (height[:, None] ** 2 + off**2) / height[:, None]
     span = np.maximum(span[:, 1] - span[:, 0], 1e-9)
@@ -129,7 +129,7 @@ def end_spread(mixture: WallMixture, n: int) -> Floats:
 
 
 def crossings(walls: Floats) -> tuple[Floats, Floats]:
-    """Return how far along each line (k, 1) it crosses each other (1, k), and the sine there."""
+    """Return the crossings with each line (1, k) along each line (k, 1), and the sines."""
     ux, uy = walls[:, UX], walls[:, UY]
     cross = ux[:, None] * uy - uy[:, None] * ux
     dx, dy = walls[:, PX] - walls[:, PX, None], walls[:, PY] - walls[:, PY, None]

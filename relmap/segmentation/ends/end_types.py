@@ -11,16 +11,16 @@ from relmap.core.arrays import Bools, Floats
 from relmap.segmentation.planes import END_TYPES
 
 SURE = 2.5
-"""What lies within this many standard deviations of a limit is taken to be cut by it."""
+"""Distance from a limit, in standard deviations, within which an end is cut by it."""
 SLACK_RAD = 0.003
 SLACK_M = 0.01
 ALL_ROUND_RAD = np.deg2rad(170.0)
-"""Points beyond this bearing to a side: the view has no edge."""
+"""Bearing to a side above which the view has no edge."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What the sensor can see: half its field of view, centred ahead, and its range."""
+    """Limits of the sensor: half its field of view, centred ahead, and its range."""
 
     half_view_rad: float
     range_m: float
@@ -31,8 +31,9 @@ def sensor_limits(
 ) -> Limits:
     """Return the limits of the sensor; missing ones are estimated.
 
-    The edge of the view is the farthest bearing of an end (m, 2, 2), as the view is centred ahead.
-    The range shows only where two ends or more, in no corner, lie at one greatest distance.
+    The edge of the view is the largest bearing of an end (m, 2, 2), as the view is centred ahead.
+    The range is only determined if two or more ends, not in corners, have the same maximum
+    distance.
     """
     if view_rad is None:
         half = float(np.abs(bearings(ends)).max(initial=0.0))
@@ -91,13 +92,13 @@ def type_ends(
         "occluded",
         "range",
         "view",
-    ):  # written last to first, so that the first type in order wins
+    ):  # written in reverse, so that the first type in order wins
         kind[cut_by[reason]] = END_TYPES.index(reason)
     return np.array(END_TYPES)[kind]
 
 
 def _hidden(bearing: Floats, far: Floats, turn: Floats, spread: Floats) -> Bools:
-    """Return which ends (m, 2) lie beside the edge of a nearer wall that goes on beyond them."""
+    """Return which ends (m, 2) are next to the edge of a nearer wall that extends beyond them."""
     hidden = np.zeros(far.shape, dtype=np.bool_)
     for end in (0, 1):
         edge = 1 - end  # a wall beyond the right end shows its left end there

@@ -8,9 +8,9 @@ from relmap.core.arrays import Floats
 from relmap.segmentation.wall import BEGIN, END, corners
 
 HIDDEN = 0.7
-"""Share of a wall's view before which there cannot be another wall."""
+"""Fraction of a wall's view in front of which no other wall can be."""
 FLUSH = 4.0
-"""Standard deviations within which a wall before another is the same one."""
+"""Standard deviations within which a wall in front of another is the same one."""
 PARALLEL_SINE = 0.3
 
 
@@ -34,7 +34,7 @@ def side_by_side(w: Floats, v: Floats) -> bool:
 def one_hides_other(w: Floats, v: Floats, sigma: float) -> bool:
     """Return whether two walls share most of the smaller one's view: the sensor sees only one.
 
-    By more than the noise can make them seem to.
+    By more than noise explains.
     """
     spans, blur = [], 0.0
     for wall in (w, v):

@@ -1,8 +1,8 @@
-"""Walls are opaque: a nearer wall splits the visible part of the one behind it.
+"""Occlusion: a nearer wall splits the visible part of the one behind it.
 
-Where noise fills a narrow shadow, points alone do not show it; the wall that throws it does. The
-share of walls found in single scans hardly changes, but without this the corners beside a shadow
-are missing in maps.
+If noise fills a narrow shadow, it is not visible in the points, but follows from the occluding
+wall. The fraction of walls found in single scans hardly changes, but without this the corners
+beside a shadow are missing in maps.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.wall import BEGIN, END, PX, SHARE, UX
 
 BEFORE = 2.0
-"""Standard deviations by which the middle of a wall is nearer than what it hides."""
+"""Standard deviations by which an occluding wall must be nearer."""
 NARROWEST = 0.5
-"""Shadows narrower than this many standard deviations are left alone."""
+"""Minimum width of a shadow, in standard deviations."""
 BESIDE = 0.8
-"""A wall goes on beyond a shadow if this many standard deviations of it are seen there."""
+"""Minimum visible length of a wall beyond a shadow, in standard deviations."""
 LEAST = 16
-"""Points of a wall that throws a shadow, at least."""
+"""Minimum number of points of an occluding wall."""
 PLAIN = 2.0
-"""A shadow wider than this many standard deviations must show in the points, too."""
+"""Width of a shadow, in standard deviations, above which it must be visible in the points."""
 LEAKED = 0.8
-"""Points that noise carries into a shadow, in standard deviations of wall."""
+"""Points carried into a shadow by noise, in standard deviations of wall."""
 
 
 def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
@@ -37,7 +37,7 @@ def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
     rays = others[:, None, PX : PX + 2] + t[:, :, None] * others[:, None, UX : UX + 2]
     across = rays[..., 0] * wall[3] - rays[..., 1] * wall[2]
     height = wall[0] * wall[3] - wall[1] * wall[2]
-    met = height / np.where(np.abs(across) < 1e-9, 1e-9, across)  # in lengths of the ray
+    met = height / np.where(np.abs(across) < 1e-9, 1e-9, across)  # in multiples of the ray
     nearer = (met[:, 1] - 1) * np.linalg.norm(rays[:, 1], axis=1) > BEFORE * sigma
     ahead = (met > 0).all(axis=1)
     place = ((met[..., None] * rays - wall[:2]) @ wall[2:4])[:, [0, 2]]
@@ -46,7 +46,7 @@ def shadows(walls: Floats, k: int, sigma: float, n: int) -> Floats:
 
 
 def part_at_shadows(mixture: WallMixture, xy: Floats) -> WallMixture:
-    """Split walls where nearer ones hide them, if no more points lie there than noise explains."""
+    """Split walls occluded by nearer ones, unless more points lie there than noise explains."""
     from relmap.segmentation.em.wall_kernels import sightings
 
     labels, walls, room = mixture.labels(xy), [], BESIDE * mixture.along
@@ -68,7 +68,7 @@ def part_at_shadows(mixture: WallMixture, xy: Floats) -> WallMixture:
 
 
 def _empty(t: Floats, low: float, high: float, wall: Floats, sigma: float) -> bool:
-    """Return whether a stretch among sorted positions (m,) on a wall may hold nothing but noise."""
+    """Return whether a stretch among sorted positions (m,) on a wall may contain only noise."""
     if len(t) < LEAST:
         return False
     if high - low < PLAIN * sigma:

@@ -13,19 +13,19 @@ from relmap.segmentation.em.wall_kernels import weighted_line
 from relmap.segmentation.wall import BEGIN, END, PX, PY, SHARE, UX, UY, WALL
 
 STEEP = math.radians(4.0)
-"""A wall that a beam meets at a smaller angle is not followed from beam to beam."""
+"""Smallest incidence angle at which a wall is followed from beam to beam."""
 SKIPPED = 2.5
-"""Beams without a return, in a row, that break a wall."""
+"""Number of consecutive beams without a return that break a wall."""
 STRAYS = 3
-"""This many beams of something else in a row do not part the pieces of a wall."""
+"""Number of consecutive beams on another object that do not split a wall."""
 DOOR_M = 0.5
-"""Gaps as wide as this, through which beams go, part the pieces of a wall."""
+"""Width of a gap, crossed by beams, that splits a wall."""
 OPEN = 0.9
-"""Beams that go through."""
+"""Number of beams that must cross it."""
 OFF = 5.0
-"""A line does not fit where a point lies this many standard deviations off it."""
+"""Standard deviations of a point above which a line does not fit."""
 LIMIT = 4.0
-"""Nor where the mean square of two neighbours, in common, exceeds the noise's this many times."""
+"""Mean square of two neighbours, relative to the noise, above which a line does not fit."""
 
 
 @helper
@@ -59,7 +59,8 @@ def turns(xy: Floats) -> Floats:
 def off_chords(xy: Floats, inlier: float, rounds: int) -> float:
     """Return the median distance of points (n,) from the chords of their neighbours.
 
-    Those more than `inlier` such medians off are left out, again and again, so many times at most.
+    Points more than `inlier` such medians off are excluded, repeatedly, up to a maximum number of
+    times.
     """
     off, inliers = np.empty(len(xy) - 2), np.empty(len(xy) - 2)
     for i in range(len(off)):
@@ -90,9 +91,9 @@ def radii(xy: Floats) -> Floats:
 
 @helper
 def breaks(xy: Floats, turn: Floats, free: Floats, sigma: float) -> Bools:
-    """Return after which points (n,) the next one is not on the same surface.
+    """Return after which points (n,) the next one is on another surface.
 
-    `free` are the angles (n - 1,) between them without those of beams that met specks.
+    `free` are the angles (n - 1,) between them without those of beams that hit specks.
     """
     usual, radius = median(turn.copy()), radii(xy)
     broken = np.zeros(len(xy), dtype=np.bool_)
@@ -107,7 +108,7 @@ def breaks(xy: Floats, turn: Floats, free: Floats, sigma: float) -> Bools:
 
 @compiled
 def range_breaks(xy: Floats, sigma: float) -> Ints:
-    """Return after which points (n,) the next beam meets something else: 1, else 0."""
+    """Return after which points (n,) the next beam hits something else: 1, else 0."""
     broken = np.zeros(len(xy), dtype=np.int64)
     if len(xy) > 1:
         turn = turns(xy)
@@ -119,7 +120,7 @@ def range_breaks(xy: Floats, sigma: float) -> Ints:
 
 @helper
 def _split_at(xy: Floats, first: int, last: int, sigma: float) -> int:
-    """Return where points first to last (excluded) bend most; -1 where one line fits them."""
+    """Return where points first to last (excluded) bend most; -1 if one line fits them."""
     wall = _fit(xy, first, last)
     worst = 0.0
     for i in range(first, last):
@@ -182,7 +183,7 @@ def _straight(
 def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> bool:
     """Return whether beams pass between point b - 1 and point c.
 
-    What lies nearer than the wall only hides it.
+    Objects nearer than the wall only hide it.
     """
     wide = math.hypot(xy[c, 0] - xy[b - 1, 0], xy[c, 1] - xy[b - 1, 1])
     if wide < DOOR_M:
@@ -193,7 +194,7 @@ def _open_between(xy: Floats, turn: Floats, b: int, c: int, sigma: float) -> boo
     unseen = between / median(turn.copy()) - (c - b) - 1
     x, y = xy[b - 1, 0], xy[b - 1, 1]
     ux, uy = (xy[c, 0] - x) / wide, (xy[c, 1] - y) / wide
-    side = x * uy - y * ux  # where the sensor stands
+    side = x * uy - y * ux  # position of the sensor
     for i in range(b, c):
         off = (xy[i, 1] - y) * ux - (xy[i, 0] - x) * uy
         if off * side < 0 and abs(off) > OFF * sigma:
@@ -218,10 +219,10 @@ def _join(xy: Floats, turn: Floats, pieces: list[tuple[int, int]], sigma: float)
 
 @helper
 def _by_chance(xy: Floats, first: int, last: int, sigma: float) -> float:
-    """Return how probable it is that points first to last (excluded) form a line by chance.
+    """Return the probability that points first to last (excluded) form a line by chance.
 
-    The first and the last of them define a line; each of the others lies within the band that they
-    fill, out of a room as wide as the line is long.
+    The first and the last define a line; the others lie within their band, out of an area as wide
+    as the line is long.
     """
     wall, worst = _fit(xy, first, last), sigma
     for i in range(first, last):

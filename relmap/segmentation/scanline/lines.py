@@ -1,8 +1,8 @@
-"""Walls of a 2-D laser scan, whose points come in the order of the beams.
+"""Walls of a 2-D laser scan, whose points are ordered by beam.
 
-Broken where the range jumps (the adaptive distance of Borges and Aldon, "Line extraction in 2D
-range images for mobile robotics", 2004), split where a line does not fit, joined again where it
-does.
+The scan is broken where the range jumps (the adaptive distance of Borges and Aldon, "Line
+extraction in 2D range images for mobile robotics", 2004), split where a line does not fit, and
+joined again where it does.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from relmap.segmentation.noise import FLOOR_M
 from relmap.segmentation.wall import BEGIN, END, PX, PY, UX, UY
 
 CHANCE = 1e-3
-"""Points that form a line by chance with a greater probability are not a wall."""
+"""Largest probability that the points of a wall form a line by chance."""
 MEDIAN = 0.6745
 """Median of the magnitude of normal noise, in standard deviations."""
 INLIER = 5 / MEDIAN
-"""Five standard deviations, in such medians: what lies farther off is not noise."""
+"""Five standard deviations, in such medians: larger deviations are not noise."""
 ROUNDS = 10
 MANY = 1 / 12
-"""Where so many of the beams meet something small by themselves the laser looks through clutter."""
+"""Fraction of beams on small isolated objects above which the scan shows clutter."""
 BOWED, EXPLAINED = 2.0, 0.4
-"""Pieces of a curve bow by more than so many standard deviations, and turn from one to the next as
-much as they bow, but for this share."""
+"""Bow of the pieces of a curve, in standard deviations, and allowed difference between turn and
+bow."""
 NEXT = 2
-"""Numbers of the points between which one piece ends and the next begins differ by no more."""
+"""Largest difference of point numbers between the end of a piece and the begin of the next."""
 NOISE_AT_LEAST_M = 0.005
-"""Real walls are not flatter than this."""
+"""Minimum deviation of real walls from flatness."""
 
 
 def beam_noise(xy: Floats) -> float:
-    """Return the noise (metres) from how far each point lies off the chord of its neighbours.
+    """Return the noise (metres) from the distance of each point from the chord of its neighbours.
 
-    Corners and ends of walls are left out; the fewer the beams, the more of them there are.
+    Corners and ends of walls are excluded; with fewer beams they are more frequent.
     """
     from relmap.segmentation.scanline.beam_kernels import off_chords
 
@@ -55,7 +55,7 @@ def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
     xy : (n, 2) float64, robot frame, metres
         Right to left or left to right.
     noise : float or None
-        Metres; estimated where None.
+        Metres; None: estimated.
     """
     from relmap.segmentation.scanline.beam_kernels import line_pieces, piece_walls
 
@@ -76,9 +76,9 @@ def scan_walls(xy: Floats, noise: float | None) -> tuple[WallMixture, Ints]:
 
 
 def _beyond_clutter(xy: Floats, sigma: float) -> Ints:
-    """Return the points (k,) that remain without specks; all of them if specks are few.
+    """Return the remaining points (k,) without specks; all points if specks are few.
 
-    Elsewhere an object in front of a wall, such as a door jamb, is as good a landmark.
+    Otherwise an object in front of a wall, such as a door jamb, is a valid landmark.
     """
     from relmap.segmentation.scanline.speck_kernels import specks
 
@@ -102,7 +102,7 @@ def _beam_step(bearing: Floats) -> float:
 
 
 def _first_and_last(labels: Ints) -> tuple[Ints, Ints]:
-    """Return the first and the last point of each wall; labels (n,) ascend, but for -1."""
+    """Return the first and the last point of each wall; labels (n,) ascend, except -1."""
     rows = np.flatnonzero(labels >= 0)
     bounds = np.arange(int(labels.max(initial=-1)) + 2)
     begin = np.searchsorted(labels[rows], bounds)
@@ -110,9 +110,9 @@ def _first_and_last(labels: Ints) -> tuple[Ints, Ints]:
 
 
 def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixture:
-    """Return walls with their ends half a beam farther out, but for the scan's own ends.
+    """Return walls extended by half a beam at each end, except at the ends of the scan.
 
-    An end lies anywhere between its last beam and the next one, which meets something else.
+    An end is uniform between its last beam and the next one, which hits something else.
     """
     if len(mixture.walls) == 0:
         return mixture
@@ -126,9 +126,9 @@ def extend_to_beams(mixture: WallMixture, xy: Floats, labels: Ints) -> WallMixtu
 
 
 def hidden_ends(xy: Floats, labels: Ints) -> Bools:
-    """Return which ends (k, 2) of walls have something nearer just beside them.
+    """Return which ends (k, 2) of walls have something nearer right next to them.
 
-    A few beams are enough: a wall at too flat an angle to be found still hides others.
+    A few beams suffice: a wall at a grazing angle may be undetected but still hides others.
     """
     from relmap.segmentation.scanline.beam_kernels import range_breaks
 
@@ -144,7 +144,7 @@ def hidden_ends(xy: Floats, labels: Ints) -> Bools:
 
 
 def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
-    """Return which ends (k, 2) of walls are not corners because the surface continues as a curve.
+    """Return which ends (k, 2) of walls are no corners because the surface continues as a curve.
 
     Where a curve is cut into straight pieces depends on the point of view.
     """
@@ -158,7 +158,7 @@ def on_curves(mixture: WallMixture, xy: Floats, labels: Ints) -> Bools:
 
 
 def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
-    """Return how far each wall (k,) turns from its middle to its end, radians; 0 if unsure."""
+    """Return the turn of each wall (k,) from its middle to its end, radians; 0 if uncertain."""
     walls, own = mixture.walls, np.flatnonzero(labels >= 0)
     of, n = labels[own], len(walls)
     x, y = (xy[own] - walls[of, :2]).T
@@ -170,7 +170,7 @@ def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
 
     count = np.bincount(of, minlength=n)
     place -= (total(place) / count)[of]
-    # How a parabola differs from its line, and by how much of it the points are off.
+    # Difference between a parabola and its line, and the part of it in the residuals.
     slope, level = total(place**3) / total(place**2), total(place**2) / count
     bend = place**2 - slope[of] * place - level[of]
     weight = np.maximum(total(bend**2), 1e-12)
@@ -180,7 +180,7 @@ def _swings(mixture: WallMixture, xy: Floats, labels: Ints) -> Floats:
 
 
 def _where_met(walls: Floats, bearing: Floats, otherwise: Floats) -> Floats:
-    """Return how far along walls (k,) beams meet them, where that is near their ends."""
+    """Return the spacing of beams along walls (k,), near their ends."""
     c, s = np.cos(bearing), np.sin(bearing)
     across = walls[:, UX] * s - walls[:, UY] * c
     steep = np.abs(across) >= np.sin(np.deg2rad(3.0))

@@ -1,4 +1,4 @@
-"""Compiled loops that find the specks of a 2-D laser scan: beams that end before a surface."""
+"""Detection of specks in a 2-D laser scan: beams that end in front of a surface."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from relmap.core.linalg.order_kernels import median
 from relmap.segmentation.scanline.beam_kernels import OFF, STRAYS, breaks, radii, turns
 
 EVEN = 1.5
-"""How much farther apart points may be on a surface than the nearer of those beside them."""
+"""Factor by which points on a surface may be farther apart than the nearer of the adjacent ones."""
 BESIDE = 3
-"""Neighbours on either side by which a speck shows; more than half of those that are farther off
-than the next lie on one line with the next ones."""
+"""Number of neighbours on either side used to detect a speck; more than half of those farther away
+must be collinear."""
 
 
 @helper
@@ -55,7 +55,7 @@ def _close_specks(xy: Floats, sigma: float, found: Bools) -> None:
 
 @compiled
 def specks(xy: Floats, sigma: float) -> Bools:
-    """Return which points (n,) are specks before a surface that goes on beside them."""
+    """Return which points (n,) are specks in front of a surface that continues beside them."""
     n, found = len(xy), np.zeros(len(xy), dtype=np.bool_)
     if n < 3:
         return found
