@@ -76,11 +76,11 @@ SCAN_DATASETS: tuple[Dataset[ScanLog], ...] = (
     KittiBin(),
     DepthImages(),
 )
-"""Every format of point scans, likewise."""
+"""Every format of point scans, in the same order."""
 
 FORMATS = tuple(dataset.name for dataset in DATASETS)
 SCAN_FORMATS = tuple(dataset.name for dataset in SCAN_DATASETS)
-"""Names of landmark logs and of logs of point scans that ``--format`` takes."""
+"""Kinds of logs."""
 
 _LANDMARK_LOG, _SCAN_LOG = "landmark log", "log of point scans"
 
@@ -102,10 +102,10 @@ def open_log(
     format : str or None
         One of `FORMATS`; None: recognised by the content.
     columns : mapping of str to str, optional
-        What a table calls ``iteration``, ``stamp``, ``x``, ``y``, ``z`` and ``id``, where it is not
-        that; see `relmap.datasets.own_table`.
+        Column names of ``iteration``, ``stamp``, ``x``, ``y``, ``z`` and ``id``, if different; see
+        `relmap.datasets.own_table`.
     topics : sequence of str
-        Of a bag, those to read where there are several of a kind.
+        Topics of a bag to read if there are several of a kind.
 
     Returns
     -------
@@ -134,12 +134,12 @@ def open_scans(path: Path | str, format: str | None = None, topics: Sequence[str
     format : str or None
         One of `SCAN_FORMATS`; None: recognised by the content.
     topics : sequence of str
-        Of a bag, those to read where there are several of a kind.
+        Topics of a bag to read if there are several of a kind.
 
     Returns
     -------
     ScanLog
-        The points of a scan may be read only when they are asked for.  Odometry as `open_log`.
+        The points of a scan may be read lazily. Odometry as for `open_log`.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def _of_topics(path: Path, dataset: Dataset[Log], topics: Sequence[str]) -> Data
 def _choose(
     path: Path, format: str | None, datasets: tuple[Dataset[Log], ...], what: str
 ) -> Dataset[Log]:
-    """Return the format that is named, or the one that recognises the path."""
+    """Return the named format, or the one that recognises the path."""
     names = [dataset.name for dataset in datasets]
     if format is not None and format not in names:
         raise RelmapError(f"format {quoted(format)} is not known, expected {', '.join(names)}")
@@ -183,7 +183,7 @@ def _choose(
 
 
 def _found_instead(path: Path, what: str) -> str:
-    """Say what the path holds where no format of the kind that is wanted recognises it."""
+    """Describe the content of a path that no format of the wanted kind recognises."""
     others: tuple[Dataset[Any], ...] = DATASETS
     other, variant = _LANDMARK_LOG, "points"
     if what == _LANDMARK_LOG:

@@ -13,10 +13,10 @@ from relmap.datasets.scans import in_time_order
 from relmap.datasets.table import MAX_EXACT_INTEGER, Column, Table
 
 MAX_COORDINATE_M = 1e9
-"""No sensor sees a landmark further away than this."""
+"""Upper limit of a coordinate, larger than the range of any sensor."""
 
 MAX_EMPTY_ITERATIONS = 1_000_000
-"""More iterations than this without a row: the numbers do not count scans."""
+"""Maximum number of iterations without a row: with more, the numbers do not count scans."""
 
 
 def iteration_column(name: str) -> Column:
@@ -35,7 +35,7 @@ def stamp_column(name: str, required: bool = True) -> Column:
 
 
 def id_column(name: str, required: bool = True) -> Column:
-    """Return the column of known associations; negative or empty where there is none."""
+    """Return the column of known associations; negative or empty without an id."""
     limit = MAX_EXACT_INTEGER
     return Column(name, -limit, limit, integer=True, required=required, empty=-1.0)
 
@@ -49,9 +49,9 @@ def assemble_log(
 ) -> ObservationLog:
     """Sort the rows of a table by iteration, keeping their order within one.
 
-    Points (n, 2) or (n, 3), robot frame, metres, ids (n,) and covariances (n, d, d), square metres,
-    are those of the rows. RelmapError where the iteration numbers leave out too many, or an id
-    occurs twice in one iteration.
+    The arguments are points (n, 2) or (n, 3), robot frame, metres, ids (n,) and covariances (n, d,
+    d), square metres, of the rows. RelmapError if the iteration numbers have too many gaps, or an
+    id occurs twice in one iteration.
     """
     iteration = table.integers(iteration_name)
     order = np.argsort(iteration, kind="stable").astype(np.int64)
@@ -71,11 +71,11 @@ def assemble_log(
 
 
 def with_stamps(path: Path, log: ObservationLog, stamps_s: Floats) -> ObservationLog:
-    """Return a log with the times of its rows (n,), seconds, in the order of time.
+    """Return a log with the times of its rows (n,), seconds, in order of time.
 
-    The time of an iteration is that of its earliest row; one without a row lies evenly between its
-    neighbours. Where times contradict the numbers of the iterations, they are numbered anew in the
-    order of time, and a warning says so.
+    The time of an iteration is that of its earliest row; that of an iteration without a row is
+    interpolated. If times contradict the iteration numbers, the iterations are renumbered in order
+    of time, with a warning.
     """
     numbers, begin, which = np.unique(log.iteration, return_index=True, return_inverse=True)
     order, ascending = in_time_order(path, np.minimum.reduceat(stamps_s, begin))

@@ -1,7 +1,7 @@
-"""Landmarks that a detector put into a bag.
+"""Landmark detections in bags.
 
 * ``vision_msgs/Detection3DArray``: the centres of the boxes; the id is that of the detection, or
-  else the class of its first result where each class comes once in a message.
+  the class of its first result if each class occurs once per message.
 * ``visualization_msgs/MarkerArray``: the positions of markers that are added; namespace and id.
 * ``apriltag_ros/AprilTagDetectionArray`` (ROS 1): the positions of tags; their numbers.
 * ``geometry_msgs/PoseArray``: positions; no ids.
@@ -47,7 +47,7 @@ class BagDetections:
     Attributes
     ----------
     topics : tuple of str
-        Those to read where there are several of a kind, of detections and of odometry.
+        Topics to read if there are several with detections or odometry.
     """
 
     topics: tuple[str, ...] = ()
@@ -55,11 +55,11 @@ class BagDetections:
     description = "a bag with Detection3DArray, MarkerArray, AprilTagDetectionArray or PoseArray"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether it is a bag with detections, or one that cannot be read."""
+        """Return whether it is a bag with detections, or an unreadable one."""
         return is_bag(path) and topics_in(path, DETECTIONS) != []
 
     def load(self, path: Path) -> ObservationLog:
-        """Read the log, with ids where the messages have some."""
+        """Read the log, with ids if the messages have them."""
         with told(path), Bag(path) as bag:
             topic = bag.chosen(DETECTIONS, self.topics, "detections")
             driven = Driven(bag, self.topics)
@@ -93,7 +93,7 @@ def _read(bag: Bag, topic: str, mounting: Mounting) -> tuple[ObservationLog, str
 
 
 def _log(path: Path, values: Floats, stamps: list[float], ids: Ids | None) -> ObservationLog:
-    """Return the log of detections (n, 5): message, x, y, z, and a place for the id."""
+    """Return the log of detections (n, 5): message, x, y, z, and a placeholder for the id."""
     order, stamps_s = in_time_order(path, np.array(stamps))
     values[:, 0] = np.argsort(order)[values[:, 0].astype(np.int64)]
     names = None

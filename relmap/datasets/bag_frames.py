@@ -1,7 +1,7 @@
-"""Where a sensor is on its robot, and how the robot moved, as a bag tells it.
+"""The pose of a sensor on its robot, and the odometry, in a bag.
 
-The robot's frame is the child frame of its odometry where static transforms lead there from the
-sensor, else the last frame that they lead to; without transforms it is the sensor's own.
+The robot frame is the child frame of the odometry if static transforms connect it to the sensor,
+otherwise the last frame they lead to; without transforms it is the sensor frame.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from relmap.datasets.textfile import quoted, shown
 ODOMETRY = ("nav_msgs/msg/Odometry",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FIXED_FRAMES = ("map", "odom", "world", "earth")
-"""Frames of the world (REP 105): no part of the robot."""
+"""World frames (REP 105), which are not part of the robot."""
 CORRECTED_FRAMES = ("map", "world", "earth")
-"""Poses in these come from something that corrects them: they are no odometry (REP 105)."""
+"""Frames whose poses are corrected, and so are not odometry (REP 105)."""
 NO_ODOMETRY = "its odometry is in a frame of the map, which something corrects"
 STILL = 1e-6
-"""A transform that varies by no more is static."""
+"""Largest variation of a static transform."""
 
 _LOG = logging.getLogger(__name__)
 
 
 def stamp_s(t: int, message: Any) -> float:
-    """Return the time of a message, seconds: that in its header, or else when it was written."""
+    """Return the time of a message, seconds, from its header or else its recording time."""
     markers = getattr(message, "markers", None)
     header = markers[0].header if markers else getattr(message, "header", None)
     if header is None:
@@ -45,7 +45,7 @@ def stamp_s(t: int, message: Any) -> float:
 
 
 def pose_of(position: Any, orientation: Any, where: str) -> Floats:
-    """Return a pose (4, 4); RelmapError, which begins with a place, where it is none."""
+    """Return a pose (4, 4); RelmapError, starting with the given place, if it is invalid."""
     quaternion = [orientation.x, orientation.y, orientation.z, orientation.w]
     at = [position.x, position.y, position.z]
     if not np.isfinite([*quaternion, *at]).all() or not 0.5 < np.linalg.norm(quaternion) < 2:
@@ -56,7 +56,7 @@ def pose_of(position: Any, orientation: Any, where: str) -> Floats:
 
 
 class Mounting:
-    """Where sensors are on the robot of a bag."""
+    """The poses of sensors on the robot of a bag."""
 
     def __init__(self, bag: Bag, base: str | None) -> None:
         self._base = base
@@ -78,7 +78,7 @@ class Mounting:
             moving.add(child)
 
     def of(self, sensor: str) -> tuple[str, Floats]:
-        """Return the name of the robot's frame, and T_robot_sensor (4, 4)."""
+        """Return the name of the robot frame, and T_robot_sensor (4, 4)."""
         frame, T = _name(sensor), np.eye(4)
         seen = {frame}
         while frame != self._base and frame in self._parents:
@@ -95,14 +95,14 @@ def _name(frame: str) -> str:
 
 
 class Driven:
-    """The odometry of a bag; none if there is none, or several topics have some.
+    """The odometry of a bag; none if there is none, or several topics have it.
 
     Attributes
     ----------
     base : str or None
-        The frame whose poses it gives.
+        The frame of its poses.
     reason : str
-        Why what stands there is not taken for odometry, if so.
+        Why the poses there are not used as odometry, if so.
     """
 
     def __init__(self, bag: Bag, topics: tuple[str, ...]) -> None:

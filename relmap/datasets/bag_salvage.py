@@ -1,4 +1,4 @@
-"""What can be read of a bag that is cut or damaged: its records one after another, from the first.
+"""Recovery of truncated or damaged bags, record by record from the beginning.
 
 The format of ROS 1 is "Bag format 2.0" (wiki.ros.org/Bags/Format/2.0); MCAP is read by `mcap`. Of
 SQLite see "Database File Format" (sqlite.org/fileformat2.html), 1.3.
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 MAX_BYTES = 1 << 30
-"""Of messages that are kept in memory."""
+"""Size of messages kept in memory."""
 
 _MAGIC = b"#ROSBAG V2.0\n"
 _CHUNK, _CONNECTION, _MESSAGE = 5, 7, 2
@@ -35,7 +35,7 @@ VISION_MSGS = {
     ),
     "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nDetection3D[] detections\n",
 }
-"""Messages of detections that rosbags does not know by itself."""
+"""Detection messages unknown to rosbags."""
 
 _TOPICS = "SELECT id, name, type FROM topics"
 _SIZE = struct.Struct("<I")
@@ -52,12 +52,12 @@ class Found:
 
 
 def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
-    """Return all messages that stand before the damage, and their types.
+    """Return all messages before the damage, and their types.
 
     Parameters
     ----------
     files : sequence of Path
-        Of ROS 1 (``.bag``), MCAP (``.mcap``) or ROS 2 (``.db3``).
+        Files of ROS 1 (``.bag``), MCAP (``.mcap``) or ROS 2 (``.db3``).
     """
     from rosbags.typesys import Stores, get_typestore
 
@@ -66,7 +66,7 @@ def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
     size = 0
     for file in files:
         records = {".bag": _of_ros1, ".mcap": _of_mcap}.get(file.suffix, _of_sqlite)
-        with suppress(Exception):  # what stands before the damage is what counts
+        with suppress(Exception):  # messages before the damage are kept
             for message in records(file, definitions):
                 found.append(message)
                 size += len(message.raw)
@@ -78,7 +78,7 @@ def salvaged(files: Sequence[Path]) -> tuple[list[Found], Typestore]:
 
 
 def known_types() -> Typestore:
-    """Return the types of bags that do not define them: those of ROS 2 Humble, as vision_msgs 4."""
+    """Return the types of bags without definitions: those of ROS 2 Humble, with vision_msgs 4."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -91,7 +91,7 @@ def _types(definitions: dict[str, str]) -> dict[str, Any]:
 
     types: dict[str, Any] = {}
     for name, definition in definitions.items():
-        with suppress(Exception):  # a type that cannot be read is one that is not there
+        with suppress(Exception):  # an unreadable type is treated as missing
             types.update(get_types_from_msg(definition, name))
     return types
 
@@ -113,7 +113,7 @@ def _ros1_message(
     connections: dict[int, tuple[str, str]],
     definitions: dict[str, str],
 ) -> Iterator[Found]:
-    """Take note of a connection, or yield a message."""
+    """Register a connection, or yield a message."""
     op = header["op"][0]
     if op == _CONNECTION:
         told = dict(_fields(data))
@@ -128,7 +128,7 @@ def _ros1_message(
 
 
 def _records(data: bytes) -> Iterator[tuple[dict[str, bytes], bytes]]:
-    """Yield header and data of each record; the data of a last chunk may be cut."""
+    """Yield header and data of each record; the data of a last chunk may be truncated."""
     at = 0
     while at + 8 <= len(data):
         size = _SIZE.unpack_from(data, at)[0]
@@ -152,7 +152,7 @@ def _fields(data: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 def _unpacked(compression: str, data: bytes) -> bytes:
-    """Return as much as there is of a chunk."""
+    """Return the available part of a chunk."""
     if compression == "none":
         return data
     if compression == "bz2":
@@ -186,7 +186,7 @@ def _of_sqlite(file: Path, definitions: dict[str, str]) -> Iterator[Found]:
     page = struct.unpack(">H", data[16:18])[0]
     page = 1 << 16 if page == 1 else page
     n_pages = len(data) // page
-    # SQLite reads nothing of a database with fewer pages than its header says.
+    # SQLite reads nothing if a database has fewer pages than its header states.
     data[28:32] = struct.pack(">I", n_pages)
     with closing(sqlite3.connect(":memory:")) as base:
         base.deserialize(bytes(data[: n_pages * page]))

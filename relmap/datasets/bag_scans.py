@@ -1,7 +1,7 @@
 """Point scans in bags: ``sensor_msgs/LaserScan`` and ``sensor_msgs/PointCloud2``.
 
-The points are in the robot's frame (`relmap.datasets.bag_frames`); of a laser that lies level,
-upside down or not, they are planar. Stamps are those of the headers.
+The points are in the robot's frame (`relmap.datasets.bag_frames`); for a level laser, upside down
+or not, they are planar. Stamps are those of the headers.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from relmap.datasets.textfile import shown
 
 LASER, CLOUD = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2"
 LEVEL = np.cos(np.deg2rad(5.0))
-"""The cosine of the largest tilt of a laser whose scan counts as planar."""
+"""Cosine of the largest tilt of a laser whose scans count as planar."""
 MAX_POINTS = 1 << 22
-"""In one cloud."""
+"""Maximum number of points in a cloud."""
 
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
@@ -39,7 +39,7 @@ class BagScans:
     Attributes
     ----------
     topics : tuple of str
-        Those to read where there are several of a kind, of scans and of odometry.
+        Topics to read if there are several with scans or odometry.
     """
 
     topics: tuple[str, ...] = ()
@@ -47,13 +47,13 @@ class BagScans:
     description = "a bag of ROS 1 or 2, or an MCAP file, with LaserScan or PointCloud2"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether it is a bag with scans, or one without detections, or cannot be read."""
+        """Return whether it is a bag with scans, one without detections, or an unreadable one."""
         return is_bag(path) and (
             not topics_in(path, DETECTIONS) or bool(topics_in(path, (LASER, CLOUD)))
         )
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log; a cloud is read when its scan is asked for."""
+        """Read the log; clouds are read lazily."""
         with told(path), Bag(path) as bag:
             topic = bag.chosen((LASER, CLOUD), self.topics, "LaserScan or PointCloud2")
             driven = Driven(bag, self.topics)
@@ -141,12 +141,12 @@ def _clouds(bag: Bag, topic: str, mounting: Mounting) -> tuple[ScanLog, str]:
 
 
 def cloud_points(message: Any, where: str) -> Floats:
-    """Return the points (n, 3) of a ``PointCloud2`` that are finite.
+    """Return the finite points (n, 3) of a ``PointCloud2``.
 
     Raises
     ------
     RelmapError
-        If it has no x, y, z or fewer bytes than points; `where` stands before the message.
+        If it has no x, y, z or too few bytes; `where` is the prefix of the message.
     """
     n, step = int(message.width) * int(message.height), int(message.point_step)
     order = ">" if message.is_bigendian else "<"

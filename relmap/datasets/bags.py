@@ -1,7 +1,7 @@
-"""Bags of ROS 1 and ROS 2 and MCAP files: which messages they hold, and their content.
+"""Access to bags of ROS 1 and ROS 2 and MCAP files.
 
-`rosbags` reads them; a bag that it refuses as damaged is read from its beginning as far as it goes
-(`relmap.datasets.bag_salvage`), and a warning says so.
+`rosbags` reads them; a damaged bag is read up to the damage (`relmap.datasets.bag_salvage`), with a
+warning.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _LOG = logging.getLogger(__name__)
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a file is a bag, or a folder holds one, damaged or not."""
+    """Return whether a path is a bag or contains one, damaged or not."""
     if os.path.isdir(path):
         return bool(_files(path))
     return path.suffix in _ENDINGS and foreign_at(path) in BAGS
 
 
 def can_read() -> bool:
-    """Return whether what reads bags is installed."""
+    """Return whether the reader of bags is installed."""
     return find_spec("rosbags") is not None
 
 
 def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
-    """Return the topics of some types in a bag; None if it is none, or cannot be opened."""
+    """Return the topics of given types in a bag; None if it is no bag, or cannot be opened."""
     if not is_bag(path) or not can_read():
         return None
     try:
@@ -53,13 +53,13 @@ def topics_in(path: Path, types: Iterable[str]) -> list[str] | None:
 
 
 class Bag:
-    """A bag that is open; whatever is wrong with it comes as a RelmapError.
+    """An open bag; any error is raised as RelmapError.
 
     Attributes
     ----------
     path : Path
     types : dict of str to str
-        The type of the messages of each topic, as ROS 2 calls it.
+        The message type of each topic, with its ROS 2 name.
     """
 
     def __init__(self, path: Path) -> None:
@@ -115,11 +115,11 @@ class Bag:
             reader.close()
 
     def topics_of(self, types: Iterable[str]) -> list[str]:
-        """Return the topics whose messages are of one of the types, in order."""
+        """Return the sorted topics whose messages are of one of the types."""
         return sorted(topic for topic, type_ in self.types.items() if type_ in types)
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
-        """Yield the time of each message of a topic, nanoseconds, and what it says."""
+        """Yield the time, nanoseconds, and content of each message of a topic."""
         n = 0
         try:
             for t, raw in self._raw(topic):
@@ -160,9 +160,9 @@ class Bag:
         _LOG.warning("%s: damaged (%s): only the first %d messages", shown(self.path), reason, n)
 
     def chosen(self, types: Sequence[str], topics: Sequence[str], what: str) -> str:
-        """Return the one topic of some types: of those that are named, or of all.
+        """Return the only topic of given types, among the named ones or all.
 
-        A warning says if the bag is damaged.
+        Logs a warning if the bag is damaged.
 
         Raises
         ------
@@ -190,19 +190,19 @@ class Bag:
 
 @contextmanager
 def told(path: Path) -> Iterator[None]:
-    """Turn any error while a bag is read into a RelmapError: of a damaged file any may come."""
+    """Convert any error while a bag is read into a RelmapError."""
     try:
         yield
     except (RelmapError, GeneratorExit):
         raise
-    except Exception as error:  # of a damaged file any error may come
+    except Exception as error:  # damaged files can raise any error
         reason = quoted(str(error).partition("\n")[0] or type(error).__name__)
         found = foreign_at(path) or "a bag"
         raise RelmapError(f"{shown(path)}: is {found} and cannot be read: {reason}") from error
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the files of a bag; none where a folder holds none."""
+    """Return the files of a bag; none if a folder contains none."""
     if not os.path.isdir(path):
         return [path]
     return [file for file in members_of(path, _ENDINGS) if foreign_at(file) in BAGS]

@@ -1,4 +1,4 @@
-"""What every landmark log looks like once read, and what a format's reader offers."""
+"""The common form of landmark logs, and the interface of readers."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from relmap.core.errors import RelmapError
 Log = TypeVar("Log", covariant=True)
 
 MAX_ITERATION = 100_000_000
-"""Iteration numbers above this are taken for damage: no sensor log is that long."""
+"""Upper limit of iteration numbers: no sensor log is that long."""
 
 
 def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]:
-    """Return the part of iterations ``range(begin, end)`` that a log from first to last holds.
+    """Return the part of iterations ``range(begin, end)`` covered by a log.
 
     Raises
     ------
@@ -27,7 +27,7 @@ def common_range(begin: int, end: int, first: int, last: int) -> tuple[int, int]
         If there is none.
     """
     if max(begin, first) >= min(end, last):
-        raise RelmapError(f"scans {begin}:{end} hold nothing: the log covers {first}:{last}")
+        raise RelmapError(f"scans {begin}:{end} are empty: the log covers {first}:{last}")
     return max(begin, first), min(end, last)
 
 
@@ -41,13 +41,13 @@ class Scan:
         Number of the iteration in the log.
     points_robot : (n, 2) or (n, 3) float64, robot frame, metres
     ids : (n,) int64 or None
-        Known association; negative where a landmark was not identified.
+        Known association; negative for unidentified landmarks.
     rows : (n,) int64
-        0-based rows of the log that hold the points.
+        0-based rows of the log that contain the points.
     covariances : (n, d, d) float64 or None, robot frame, square metres
     odometry : (4, 4) float64 or None
-        Motion since the iteration before: the pose of the robot in its frame there. NaN where it is
-        not known, None where the log has no odometry.
+        Motion since the previous iteration: the pose of the robot in its previous frame. NaN if
+        unknown, None if the log has no odometry.
     """
 
     iteration: int
@@ -68,22 +68,22 @@ class ObservationLog:
         Two columns: a planar, 3-DoF world.
     iteration : (n,) int64, ascending
     rows : (n,) int64
-        0-based rows of the source that hold the observations.
+        0-based rows of the source that contain the observations.
     first_iteration, end_iteration : int
-        The log covers ``range(first_iteration, end_iteration)``; iterations without a row saw
-        nothing.
+        The log covers ``range(first_iteration, end_iteration)``; iterations without a row are
+        empty.
     ids : (n,) int64 or None
-        Known association; negative where a landmark was not identified.
+        Known association; negative for unidentified landmarks.
     stamps_s : (end_iteration - first_iteration,) float64 or None
         Time of each iteration, seconds; None if the log has no clock.
     covariances : (n, d, d) float64 or None, robot frame, square metres
-        How noisy each observation is; None if the log does not tell.
+        Covariance of each observation; None if unknown.
     odometry : (end_iteration - first_iteration, 4, 4) float64 or None
-        Motion to each iteration from the one before, see `Scan`; that of the first is not used.
+        Motion from the previous iteration to each one, see `Scan`; that of the first is not used.
     no_odometry : str
-        Why poses that stand in the log where odometry would are not taken for it, if so.
+        Why the log's odometry fields are not used as odometry, if so.
     names : tuple of str or None
-        What the ids 0, 1 and so on stand for, where the log has texts for ids.
+        Original names of the ids 0, 1, ..., if the log has text ids.
     """
 
     points_robot: Floats
@@ -125,7 +125,7 @@ class ObservationLog:
         Parameters
         ----------
         begin, end : int
-            In the log's own numbers; the log may end before.
+            Iteration numbers of the log; the log may end before.
 
         Raises
         ------
@@ -153,13 +153,13 @@ class Dataset(Protocol[Log]):
     """One format of logs."""
 
     name: str
-    """The format's name, as ``--format`` takes it."""
+    """The format's name for ``--format``."""
 
     description: str
-    """What its files look like, for messages."""
+    """Description of its files, for messages."""
 
     def recognises(self, path: Path) -> bool:
-        """Tell from its content whether a file or folder is of this format.
+        """Return whether the content of a file or folder has this format.
 
         Parameters
         ----------
@@ -173,11 +173,11 @@ class Dataset(Protocol[Log]):
         Parameters
         ----------
         path : Path
-            A file or folder that `recognises` knows.
+            A file or folder accepted by `recognises`.
 
         Raises
         ------
         RelmapError
-            If the content is not what the format promises: file, line, field.
+            If the content violates the format: file, line, field.
         """
         ...

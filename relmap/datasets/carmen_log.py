@@ -2,15 +2,16 @@
 
 * ``FLASER n r1..rn x y theta odom_x odom_y odom_theta t host t_logger``: the beams spread over 180
   degrees, from right to left. The robot frame is the LASER's: x, y, theta is its pose, after SLAM
-  the corrected one. An even n leaves out the last beam, at 90 degrees to the left.
+  the corrected one. With even n, the last beam, at 90 degrees to the left, is missing.
 * ``ROBOTLASER1 type start_angle fov resolution max_range accuracy remission n r1..rn m v1..vm
   laser_x laser_y laser_theta robot_x robot_y robot_theta tv rv 3 safeties t host t_logger``. The
   robot frame is the robot's. A graph log has ``VERTEX2 id x y theta``, the optimised pose, before
   each scan.
 
 Beside them ``ODOM x y theta tv rv accel t host t_logger``, and ``PARAM robot_frontlaser_offset``,
-how far the laser is ahead. The stamp is t, the first of the two times. Which pose is odometry, if
-any, `relmap.datasets.carmen_odometry` tells. CARMEN: M. Montemerlo, N. Roy and S. Thrun, IROS 2003.
+the distance of the laser ahead. The stamp is t, the first of the two times.
+`relmap.datasets.carmen_odometry` determines which pose, if any, is odometry. CARMEN: M. Montemerlo,
+N. Roy and S. Thrun, IROS 2003.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from relmap.datasets.scans import (
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 FULL_SCALES_M = (32.767, 51.16, 81.91)
-"""A SICK LMS writes what is too far, and other failures, as the last steps of its scale."""
+"""A SICK LMS reports missing returns and other failures as the last steps of its scale."""
 ERROR_STEPS_M = 0.12
 
 _HALLMARKS = {"FLASER", "ROBOTLASER1", "PARAM", "ODOM", "VERTEX2", "RLASER", "SYNC", "NEFF"}
@@ -55,10 +56,10 @@ _FORMS = {
 
 @dataclass(frozen=True, eq=False)
 class _Scan:
-    """What one line holds; `limit_m` is what it says of the sensor's maximum.
+    """Content of one line; `limit_m` is its statement of the sensor's maximum range.
 
-    Poses are x, y, yaw; `counted` is that of the robot where odometry stands, and `speeds` are the
-    wheels', ahead and of turns, if any.
+    Poses are x, y, yaw; `counted` is the robot pose in the odometry fields, and `speeds` are the
+    forward and angular speed, if any.
     """
 
     ranges_m: Floats
@@ -78,7 +79,7 @@ class CarmenLog:
     description = "a CARMEN log with FLASER or ROBOTLASER1 lines"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the first line other than a comment begins as those of CARMEN do."""
+        """Return whether the first line other than a comment begins like a CARMEN line."""
         if os.path.isdir(path):
             return False
         with suppress(RelmapError):
@@ -89,7 +90,7 @@ class CarmenLog:
     def load(self, path: Path) -> ScanLog:
         """Read the log: planar scans, beams in order, without those that did not return.
 
-        Of ``FLASER`` and ``ROBOTLASER1`` the kind is read that comes first.
+        If there are both ``FLASER`` and ``ROBOTLASER1`` lines, the kind that comes first is read.
         """
         scans: list[_Scan] = []
         vertices, beams, hints = NumberRows(path, 3), 0, Hints()
@@ -117,7 +118,7 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
     scans, poses = [scans[index] for index in order], poses[order]
     counted = planar_poses(*np.array([scan.counted for scan in scans]).T)
     hints = hints.moving([speed for scan in scans for speed in scan.speeds])
-    # The frame of FLASER lines is the laser's; they have no speeds.
+    # The frame of FLASER lines is that of the laser; they have no speeds.
     odometry, reason = odometry_of(poses, counted, hints, of_laser=not scans[0].speeds)
     log = laser_scans(
         path,
@@ -132,7 +133,7 @@ def _log(path: Path, scans: list[_Scan], vertices: Floats, hints: Hints) -> Scan
 
 
 def _limit(scans: list[_Scan]) -> float:
-    """Return the range that says there was no return."""
+    """Return the range that means no return."""
     largest = max(float(scan.ranges_m.max()) for scan in scans)
     tops = [scale - ERROR_STEPS_M for scale in FULL_SCALES_M]
     full = [top for top in tops if top <= largest <= top + ERROR_STEPS_M]
@@ -180,7 +181,7 @@ def _robotlaser(line: _Line) -> _Scan:
 
 
 def _in_frame(laser: list[float], robot: list[float]) -> list[float]:
-    """Return the pose x, y, yaw of the laser in the robot's frame; both are given in a third."""
+    """Return the pose x, y, yaw of the laser in the robot frame, given both in a third frame."""
     dx, dy = laser[0] - robot[0], laser[1] - robot[1]
     c, s = math.cos(robot[2]), math.sin(robot[2])
     return [c * dx + s * dy, c * dy - s * dx, laser[2] - robot[2]]
@@ -188,7 +189,7 @@ def _in_frame(laser: list[float], robot: list[float]) -> list[float]:
 
 @dataclass(frozen=True)
 class _Line:
-    """The words of one line; its methods raise RelmapError with the place of what is wrong."""
+    """The words of one line; its methods raise RelmapError with the location of errors."""
 
     path: Path
     number: int
@@ -203,7 +204,7 @@ class _Line:
         return count
 
     def numbers(self, cells: list[str], count: int, words: int) -> list[float]:
-        """Return `count` finite numbers in cells of a line that has this many words."""
+        """Return `count` finite numbers from a line with the given number of words."""
         values = finite_numbers(cells)
         if len(values) != count or len(self.cells) != words:
             of_right_length = len(self.cells) == words

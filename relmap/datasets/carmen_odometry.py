@@ -1,13 +1,13 @@
 """Distinguishes odometry from corrected poses in CARMEN logs.
 
-Programs that correct a log often write the corrected pose into every field, that of the odometry
-too; a map that used it would use the answer. So a pose counts as odometry only with evidence:
+Programs that correct a log often write the corrected pose into every field, including odometry;
+using it would use the answer. So a pose counts as odometry only with evidence:
 
-* another pose of the scan departs from it during the log (``FLASER`` has two, ``VERTEX2`` is one):
+* another pose of the scan deviates from it during the log (``FLASER`` has two, ``VERTEX2`` is one):
   then that one is corrected and this one is not; or
 * the log also has the speeds of the wheels (``ODOM``, ``ROBOTLASER1``), no line ``NEFF``, which
   particle filters write, and the laser is where ``robot_frontlaser_offset`` has it. Programs that
-  rewrite poses write speeds of 0.
+  rewrite poses write zero speeds.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from relmap.datasets.scans import FIXED, planar_poses
 
 OFFSET = "robot_frontlaser_offset"
 SAME, MOST = 10 * FIXED, 0.9
-"""Two paths are one where this share of their poses agrees so well; some are rounded more."""
+"""Fraction of poses that must agree this well for two paths to be equal; some are rounded."""
 CORRECTED = (
-    "the pose in the place of odometry is that of a corrected path: it has no wheel speeds, or a "
+    "its odometry field contains a corrected path: it has no wheel speeds, or a "
     "particle filter wrote it"
 )
 
 
 @dataclass(frozen=True)
 class Hints:
-    """What the lines between the scans say.
+    """Hints from the lines between the scans.
 
     Attributes
     ----------
     filtered : bool
         Whether a particle filter wrote the log.
     moved : bool
-        Whether wheels are said to turn.
+        Whether wheel speeds are not zero.
     offset_m : float or None
-        How far the laser is ahead of the robot's centre.
+        Distance of the laser ahead of the robot's centre.
     """
 
     filtered: bool = False
@@ -50,7 +50,7 @@ class Hints:
     offset_m: float | None = None
 
     def seen(self, cells: list[str]) -> Hints:
-        """Return what is known after another line, which may be of any kind."""
+        """Return the hints updated by another line of any kind."""
         if cells[0] == "NEFF":
             return replace(self, filtered=True)
         if cells[0] == "ODOM":
@@ -59,7 +59,7 @@ class Hints:
         return replace(self, offset_m=offset[0]) if offset and abs(offset[0]) < 100 else self
 
     def moving(self, speeds: Sequence[float]) -> Hints:
-        """Return what is known after speeds, ahead and of turns."""
+        """Return the hints updated by speeds, forward and angular."""
         there = self.moved or any(abs(speed) > FIXED for speed in speeds)
         return replace(self, moved=there) if there != self.moved else self
 
@@ -67,14 +67,14 @@ class Hints:
 def odometry_of(
     poses: Floats, counted: Floats, hints: Hints, of_laser: bool
 ) -> tuple[Floats | None, str]:
-    """Return the motions (k, 4, 4) of the scans' frame, or None and why there are none.
+    """Return the motions (k, 4, 4) of the scans' frame, or None and the reason.
 
     Parameters
     ----------
     poses : (k, 4, 4) float64
-        Of the scans' frame, perhaps corrected.
+        Poses of the scans' frame, possibly corrected.
     counted : (k, 4, 4) float64
-        Of the robot, where odometry stands.
+        Poses of the robot in the odometry fields.
     hints : Hints
     of_laser : bool
         Whether the scans' frame is the laser's, not the robot's.
@@ -91,7 +91,7 @@ def odometry_of(
 
 
 def _same_path(a: Floats, b: Floats) -> bool:
-    """Return whether two paths (k, 4, 4) differ by a fixed frame or by another map alone."""
+    """Return whether two paths (k, 4, 4) differ only by a fixed frame or by another map."""
     if _constant(relative(a, b)):
         return True
     anchors = np.unique(np.array([1, 2, 3]) * (len(a) - 1) // 4)
@@ -99,7 +99,7 @@ def _same_path(a: Floats, b: Floats) -> bool:
 
 
 def _constant(relation: Floats, none: bool = False) -> bool:
-    """Return whether most planar poses are the same, or those of no motion."""
+    """Return whether most planar poses are equal, or equal up to a motion."""
     apart = np.column_stack([relation[:, :2, 3], relation[:, :2, 0]])
     usual = np.array([0.0, 0.0, 1.0, 0.0]) if none else np.median(apart, axis=0)
     return bool((np.abs(apart - usual).max(axis=1) <= SAME).mean() >= MOST)

@@ -1,8 +1,8 @@
 """One point cloud: PCD or PLY, as text or binary, plain or packed by xz; PCD packed by LZF, too.
 
-Only the points' x, y and z are read. They are read here and not by open3d because that makes up
-what a damaged file lacks: of a PLY text cut short it returns as many points as the header says,
-the last ones arbitrary, and in a PCD text it takes a word for 0 (version 0.20).
+Only the points' x, y and z are read. They are not read by open3d because it invents missing data of
+damaged files: for a truncated PLY text it returns as many points as the header states, the last
+ones arbitrary, and in a PCD text it reads a word as 0 (version 0.20).
 
 The formats: PCD 0.7, https://pointclouds.org/documentation/tutorials/pcd_file_format.html; PLY
 1.0, G. Turk, Stanford 1994.
@@ -27,13 +27,13 @@ from relmap.datasets.foreign import HEAD_BYTES, foreign_format
 from relmap.datasets.textfile import quoted, shown, unreadable
 
 MAX_BYTES, MAX_POINTS = 1 << 28, 1 << 23
-"""A cloud unpacks to at most 256 MiB and eight million points: all of it is held at once."""
+"""Limits of an unpacked cloud, 256 MiB and eight million points: all of it is held in memory."""
 
 _XZ_MAGIC = b"\xfd7zXZ\x00"
 _XZ_BLOCK, _XZ_MEMORY = 1 << 22, 1 << 28
 _HEADER_BYTES = 1 << 16
 _MOST_NUMBERS = 10_000
-"""No field of a point has more numbers."""
+"""Maximum number of values per field of a point."""
 _END = re.compile(rb"^(?:DATA[^\n]*|end_header[ \t\r]*)\n", re.MULTILINE)
 _MAGIC = re.compile(rb"ply\r?\n|# \.PCD|VERSION|FIELDS")
 _PCD_TYPES = {
@@ -43,7 +43,7 @@ _PCD_TYPES = {
 }
 _PCD_FORMS = ("ascii", "binary", "binary_compressed")
 _LZF_SIZES = struct.Struct("<II")
-"""Bytes packed and unpacked, before the packed ones."""
+"""Numbers of packed and unpacked bytes, stored before the packed ones."""
 _PLY_TYPES = dict(
     {"char": "i1", "short": "i2", "int": "i4", "float": "f4", "double": "f8"},
     **{"uchar": "u1", "ushort": "u2", "uint": "u4", "float32": "f4", "float64": "f8"},
@@ -55,10 +55,10 @@ _PLY_ORDER = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"
 
 @dataclass(frozen=True)
 class _Layout:
-    """How the points are stored in a file.
+    """Storage layout of the points of a file.
 
-    Each number of a point has a name and a numpy type. Where the points are packed by LZF, they
-    are stored field by field, and `fields` gives how many numbers each field has; else it is empty.
+    Each number of a point has a name and a numpy type. Points packed by LZF are stored field by
+    field, and `fields` gives the number of values of each field; otherwise it is empty.
     """
 
     count: int
@@ -82,12 +82,12 @@ def read_cloud(file: Path) -> Floats:
     Returns
     -------
     (n, 3) float64, metres
-        Without those that are NaN: beams that did not return.
+        Without NaN points, which are beams without a return.
 
     Raises
     ------
     RelmapError
-        If the file is damaged, holds less than it says, or no point.
+        If the file is damaged, has less data than it states, or no point.
     """
     data = _unpacked(file, MAX_BYTES)
     end = _header_end(data)
@@ -112,7 +112,7 @@ def read_cloud(file: Path) -> Floats:
 
 
 def _unpacked(file: Path, most: int) -> bytes:
-    """Return the bytes of a file, but no more than the most and one."""
+    """Return at most the maximum number of bytes of a file, plus one."""
     try:
         with file.open("rb") as stream:
             packed = stream.read(len(_XZ_MAGIC)) == _XZ_MAGIC
@@ -129,7 +129,7 @@ def _unpacked(file: Path, most: int) -> bytes:
 
 
 def _without_xz(stream: BinaryIO, most: int) -> bytes:
-    """Return the first unpacked bytes of a file of one xz stream; the most of them is a limit."""
+    """Return the first unpacked bytes of an xz file, up to a limit."""
     unpacker = lzma.LZMADecompressor(lzma.FORMAT_XZ, _XZ_MEMORY)
     data = b""
     while not unpacker.eof and len(data) < most:
@@ -141,13 +141,13 @@ def _without_xz(stream: BinaryIO, most: int) -> bytes:
 
 
 def _header_end(data: bytes) -> int | None:
-    """Return where the header ends; None if there is none."""
+    """Return the end of the header; None if there is none."""
     end = _END.search(data, 0, _HEADER_BYTES) if _MAGIC.match(data) else None
     return end and end.end()
 
 
 def _pcd(header: list[list[str]]) -> _Layout:
-    """Read a header of PCD; ValueError, KeyError or IndexError where it is none."""
+    """Read a header of PCD; ValueError, KeyError or IndexError if invalid."""
     entries = {line[0]: line[1:] for line in header if not line[0].startswith("#")}
     counts = [int(text) for text in entries.get("COUNT", ["1"] * len(entries["FIELDS"]))]
     if not all(0 < count <= _MOST_NUMBERS for count in counts):
@@ -165,7 +165,7 @@ def _pcd(header: list[list[str]]) -> _Layout:
 
 
 def _ply(header: list[list[str]]) -> _Layout:
-    """Read a header of PLY; ValueError, KeyError or IndexError where it is none."""
+    """Read a header of PLY; ValueError, KeyError or IndexError if invalid."""
     lines = [line for line in header[1:-1] if line[0] not in ("comment", "obj_info")]
     order = _PLY_ORDER[lines[0][1]]
     if lines[1][:2] != ["element", "vertex"]:
@@ -181,7 +181,7 @@ def _ply(header: list[list[str]]) -> _Layout:
 
 
 def _points(layout: _Layout, data: bytes, begin: int) -> Floats:
-    """Return x, y and z of all points (n, 3); ValueError where some are missing."""
+    """Return x, y and z of all points (n, 3); ValueError if some are missing."""
     axes = [layout.names.index(axis) for axis in "xyz"]
     if layout.count <= 0:
         return np.empty((0, 3))
@@ -206,7 +206,7 @@ def _points(layout: _Layout, data: bytes, begin: int) -> Floats:
 
 
 def _packed_columns(layout: _Layout, data: bytes, axes: list[int]) -> Floats:
-    """Return some numbers (n, len(axes)) of all points; ValueError where data do not fit."""
+    """Return some numbers (n, len(axes)) of all points; ValueError if the data do not fit."""
     from relmap.datasets.lzf_kernels import unpacked_lzf
 
     n, types = layout.count, [np.dtype(kind) for kind in layout.types]

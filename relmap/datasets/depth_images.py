@@ -1,10 +1,10 @@
 """A folder of depth images: 16-bit PNG files and the intrinsics of the camera.
 
-As 7-Scenes (J. Shotton et al., CVPR 2013) has them: ``frame-000000.depth.png`` and so on, in
-millimetres, 0 and 65535 where there is no reading; ``camera-intrinsics.txt``, the 3x3 matrix K of
-the camera; and, for comparison, ``frame-000000.pose.txt``, the matrix T_reference_camera.  The
-camera looks along z, with x to the right and y down; the points come out with x ahead, y left and z
-up, one of each two by two pixels.
+The format of 7-Scenes (J. Shotton et al., CVPR 2013): ``frame-000000.depth.png`` and so on, in
+millimetres, 0 and 65535 without a reading; ``camera-intrinsics.txt``, the 3x3 matrix K of the
+camera; and, for comparison, ``frame-000000.pose.txt``, the matrix T_reference_camera.  The camera
+looks along z, with x to the right and y down; the points are returned with x ahead, y left and z
+up, one per two by two pixels.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from relmap.datasets.textfile import require_path, shown, unreadable
 INTRINSICS, DEPTH, POSE = "camera-intrinsics.txt", ".depth.png", ".pose.txt"
 UNIT_M, NO_READING = 1e-3, (0, 65535)
 EVERY = 2
-"""Of so many rows and columns of pixels one is read: points enough for planes."""
+"""Subsampling of rows and columns of pixels."""
 MOST_PIXELS = 1 << 24
 T_CAMERA_ROBOT = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
@@ -37,11 +37,11 @@ class DepthImages:
     description = f"a folder of *{DEPTH}"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a folder of depth images."""
+        """Return whether it is a folder of depth images."""
         return os.path.isdir(path) and (path / INTRINSICS).is_file() and bool(_files(path))
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log; an image is read when its scan is asked for."""
+        """Read the log; images are read lazily."""
         require_path(path)
         files = _files(path) if os.path.isdir(path) else []
         if not files:
@@ -62,7 +62,7 @@ def _files(folder: Path) -> list[Path]:
 
 def _points(file: Path, K: Floats) -> Floats:
     """Return the points (n, 3) of an image, metres."""
-    from PIL import Image  # comes with matplotlib
+    from PIL import Image  # installed with matplotlib
 
     try:
         with Image.open(file) as image:
@@ -81,7 +81,7 @@ def _points(file: Path, K: Floats) -> Floats:
 
 
 def _poses(files: list[Path]) -> Floats | None:
-    """Return T_reference_robot (k, 4, 4); None where an image has none."""
+    """Return T_reference_robot (k, 4, 4); None if an image has no pose."""
     each = [file.with_name(file.name.removesuffix(DEPTH) + POSE) for file in files]
     if not all(file.is_file() for file in each):
         return None

@@ -5,11 +5,11 @@
     STEP image dX dY dPhi cXX cXY cYY cXPhi cYPhi cPhiPhi
     LANDMARK_C pX pY quality cXX cXY cYY id
 
-A step of the odometry (where the robot is, in its frame before the step), then the circles seen
-after it, numbered by hand. In the file X points to the robot's right and -Y ahead; here x = -pY is
-ahead and y = -pX to the left. The data confirm the sign of Y (no circle lies behind the robot);
-that of X is the header's, since a map and its mirror image explain the numbers equally well. Phi
-goes from X to Y, to the right, so that a turn to the left is -dPhi.
+A step of the odometry (the robot pose in its frame before the step), then the circles seen after
+it, numbered by hand. In the file X points to the robot's right and -Y ahead; here x = -pY is ahead
+and y = -pX to the left. The data confirm the sign of Y (no circle lies behind the robot); that of X
+is the header's, since a map and its mirror image explain the numbers equally well. Phi goes from X
+to Y, to the right, so that a turn to the left is -dPhi.
 """
 
 from __future__ import annotations
@@ -55,23 +55,23 @@ _ENDINGS = (".circles", ".circles.gz")
 
 
 class DlrCircles:
-    """Reads ``map.circles``, plain or gzipped, or a folder that holds just one such file."""
+    """Reads ``map.circles``, plain or gzipped, or a folder with exactly one such file."""
 
     name = "dlr-circles"
     description = f"DLR's circles, *.circles with lines {STEP!r} and {LANDMARK!r}"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the first line is a step or a circle, or a folder holds such a file."""
+        """Return whether the first line is a step or a circle, or a folder contains such a file."""
         if os.path.isdir(path):
             return bool(_files_in(path))
         first = " ".join(columns_of(path)).split()
         return len(first) > 1 and first[0] in _WORDS
 
     def load(self, path: Path) -> ObservationLog:
-        """Read the log: planar, one iteration per step, ids negative where none was given.
+        """Read the log: planar, one iteration per step, ids negative for unidentified circles.
 
-        The covariances are taken where all are positive definite. A circle with several ids counts
-        as not identified.
+        The covariances are used if all are positive definite. A circle with several ids counts as
+        not identified.
         """
         table, steps = _read(_only_file(path))
         points_robot = -np.column_stack([table.columns["pY"], table.columns["pX"]])
@@ -86,14 +86,14 @@ class DlrCircles:
 
 
 def read_ids(path: Path) -> Ints:
-    """Return the ids of all circles that were identified, ascending; fails as `DlrCircles.load`."""
+    """Return the ids of all identified circles, ascending; errors as for `DlrCircles.load`."""
     table, _ = _read(_only_file(path))
     ids = np.unique(table.integers("id"))
     return ids[ids >= 0]
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """Return the logs in a folder, by the ends of their names and by their content."""
+    """Return the logs in a folder, by extension and content."""
     return [file for file in members_of(folder, _ENDINGS) if DlrCircles().recognises(file)]
 
 
@@ -102,7 +102,7 @@ def _only_file(path: Path) -> Path:
 
 
 def _read(path: Path) -> tuple[Table, Floats]:
-    """Return the circles, checked, and dX, dY, dPhi of each step."""
+    """Return the validated circles, and dX, dY, dPhi of each step."""
     rows, steps = NumberRows(path, len(_COLUMNS)), NumberRows(path, 3)
     for number, line in numbered_lines(path):
         cells = line.split()

@@ -1,4 +1,4 @@
-"""Files of other formats, known by their first bytes, so that messages can name them."""
+"""Detection of other formats by their first bytes, for messages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import zlib
 from pathlib import Path
 
 HEAD_BYTES = 512
-"""Bytes at the beginning of a file that identify its format."""
+"""Number of first bytes used to identify a format."""
 BAGS = (
     "a ROS 1 bag",
     "an SQLite database, as ROS 2 bags are (.db3)",
@@ -17,7 +17,7 @@ BAGS = (
 )
 ZIP, PARQUET = "a zip archive", "a Parquet file"
 _MOST_FILES = 20
-"""Files of a folder that are looked at."""
+"""Maximum number of files of a folder that are examined."""
 _GZIP_MAGIC, _GZIP_WINDOW = b"\x1f\x8b", 31
 _MAGIC = (
     (0, b"#ROSBAG V2", BAGS[0]),
@@ -56,7 +56,7 @@ _KITTI_FAR_M = 500.0
 
 
 def foreign_format(head: bytes) -> str | None:
-    """Return what a file of another format is, from its first bytes; None if it is unknown."""
+    """Return the name of another format from the first bytes; None if unknown."""
     if head.startswith(_GZIP_MAGIC):
         try:
             inner = zlib.decompressobj(_GZIP_WINDOW).decompress(head, HEAD_BYTES)
@@ -68,7 +68,7 @@ def foreign_format(head: bytes) -> str | None:
 
 
 def foreign_at(path: Path) -> str | None:
-    """Return what a file of another format is, or a folder holds; None if that is unknown."""
+    """Return the other format of a file, or of a folder's content; None if unknown."""
     if not os.path.isdir(path):
         return _foreign_file(path)
     name, hallmark = _ROS2_FOLDER
@@ -93,7 +93,7 @@ def _foreign_file(file: Path) -> str | None:
 
 
 def is_kitti(file: Path) -> bool:
-    """Return whether a file may hold points of KITTI's laser: that format has no magic number."""
+    """Return whether a file may contain points in KITTI's format, which has no magic number."""
     head = _head(file)
     if len(head) < _KITTI.size or file.stat().st_size % 16:
         return False

@@ -1,4 +1,4 @@
-"""Data frames of pandas and polars, and Parquet files, as tables of landmarks that were seen."""
+"""Data frames of pandas and polars, and Parquet files, as tables of observations."""
 
 from __future__ import annotations
 
@@ -32,11 +32,10 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
     Parameters
     ----------
     frame : pandas.DataFrame or polars.DataFrame
-        A row is one landmark seen.
+        One row per observation.
     columns : mapping of str to str, optional
-        What the frame calls ``iteration``, ``stamp`` (seconds, or a time), ``x``, ``y``, ``z``
-        (robot frame, metres) and ``id``, where it is not that. Iteration or stamp may be missing,
-        and so may z and id.
+        Column names of ``iteration``, ``stamp`` (seconds, or a time), ``x``, ``y``, ``z`` (robot
+        frame, metres) and ``id``, if different. Iteration or stamp, z and id may be missing.
 
     Returns
     -------
@@ -45,7 +44,7 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
     Raises
     ------
     RelmapError
-        If a column is missing or a value cannot be used: the row, from 0, and the column.
+        If a column is missing or a value is invalid: with 0-based row and column.
     """
     path = Path("data frame")
     check_columns(columns or {})
@@ -55,7 +54,7 @@ def log_of_frame(frame: Any, columns: Mapping[str, str] | None = None) -> Observ
 
 
 def read_parquet(path: Path, columns: Mapping[str, str]) -> dict[str, NDArray[Any]]:
-    """Return the columns that are read of a Parquet file."""
+    """Return the used columns of a Parquet file."""
     try:
         from pyarrow import ArrowException, parquet
     except ImportError:

@@ -1,4 +1,4 @@
-"""The header of a table, and the one file in a folder that holds a log."""
+"""The header of a table, and the log file in a folder."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from relmap.datasets.textfile import open_text, require_utf8, shown, unreadable
 
 
 def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
-    """Return the path itself if it is no folder, else the only file of a kind found in it.
+    """Return the path itself unless it is a folder, else the only file of a kind in it.
 
-    `names` says for messages how such files are named. RelmapError where there is none, or there
-    are several.
+    `names` describes such files for messages. RelmapError if there is none, or there are several.
     """
     if not os.path.isdir(path):
         return path
@@ -28,18 +27,18 @@ def only_one(path: Path, found: Sequence[Path], what: str, names: str) -> Path:
 
 
 def file_in(path: Path, name: str) -> Path:
-    """Return the path itself if it is no folder, else the file of a name in it."""
+    """Return the path itself unless it is a folder, else the file with a name in it."""
     return path / name if os.path.isdir(path) else path
 
 
 def file_beside(path: Path | str, name: str) -> Path:
-    """Return the file of a name in a folder, or beside a file."""
+    """Return the file with a name in a folder, or beside a file."""
     path = Path(path)
     return (path if os.path.isdir(path) else path.parent) / name
 
 
 def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
-    """Return the members of a folder whose names end so, in order."""
+    """Return the sorted members of a folder with one of the extensions."""
     try:
         return [member for member in sorted(folder.iterdir()) if member.name.endswith(endings)]
     except OSError as error:
@@ -47,11 +46,11 @@ def members_of(folder: Path, endings: tuple[str, ...]) -> list[Path]:
 
 
 SEPARATORS = ",;\t"
-"""What may stand between the cells of a table; in its header the most frequent one does."""
+"""Possible separators of a table; the most frequent one in the header is used."""
 
 
 class Head(NamedTuple):
-    """What precedes the rows of a table: comments without ``#``, and the header's cells."""
+    """Content before the rows of a table: comments without ``#``, and the header's cells."""
 
     comments: tuple[str, ...]
     columns: tuple[str, ...]
@@ -62,7 +61,7 @@ class Head(NamedTuple):
 def read_head(path: Path, stream: TextIO) -> Head:
     """Read comments and header from a stream of `open_text`, up to the first row.
 
-    RelmapError where the file is empty, holds no header or is not text.
+    RelmapError if the file is empty, has no header or is not text.
     """
     comments = []
     number = 0
@@ -93,9 +92,9 @@ TABLES = "*.csv or *.csv.gz"
 
 
 def tables_with(path: Path, columns: frozenset[str]) -> list[Path]:
-    """Return the files whose header has all the columns: the path itself, or those in the folder.
+    """Return the files whose header has all the columns: the path, or files in the folder.
 
-    In a folder only names that end in ``.csv`` or ``.csv.gz`` are looked into.
+    In a folder only files ``*.csv`` and ``*.csv.gz`` are examined.
     """
     if not os.path.isdir(path):
         return [path] if columns <= columns_of(path) else []

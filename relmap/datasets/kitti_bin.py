@@ -1,10 +1,10 @@
 """A folder of clouds as KITTI stores them: one .bin file per scan, four float32 a point.
 
 The four are x, y, z (metres) and the reflectance, 0 to 1 (A. Geiger et al., IJRR 2013).  The scans
-come in the order of the numbers in their names.  Poses to compare with are a file ``poses.txt``
-beside the clouds or one folder above, the upper three rows of T_reference_robot in each line; or a
-folder ``poses`` beside theirs with a text file of the same name for each scan, of position and
-quaternion: x, y, z, qx, qy, qz, qw (as PlaneSLAM, A. Dai et al., 2022, stores those of AirSim).
+are sorted by the numbers in their names. Reference poses are a file ``poses.txt`` beside the clouds
+or in the parent folder, with the upper three rows of T_reference_robot in each line; or a folder
+``poses`` beside the folder of clouds, with a text file of the same name for each scan, with
+position and quaternion: x, y, z, qx, qy, qz, qw (as in PlaneSLAM, A. Dai et al., 2022, for AirSim).
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from relmap.datasets.textfile import require_path, shown, unreadable
 
 POSES, POSES_FOLDER = "poses.txt", "poses"
 FOLDERS = ("", "lidar", "velodyne", "velodyne_points/data")
-"""Where the clouds are in the folder given."""
+"""Subfolder of the clouds."""
 
 
 class KittiBin:
-    """Reads a folder of .bin files, or one that holds such a folder."""
+    """Reads a folder of .bin files, or a folder with such a subfolder."""
 
     name = "kitti-bin"
     description = "a folder of .bin files"
 
     def recognises(self, path: Path) -> bool:
-        """Tell whether it is a folder whose first .bin file may be a cloud of KITTI's."""
+        """Return whether it is a folder whose first .bin file may be a KITTI cloud."""
         files = _files(path) if os.path.isdir(path) else []
         return bool(files) and is_kitti(files[0])
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log; a cloud is read when its scan is asked for."""
+        """Read the log; clouds are read lazily."""
         require_path(path)
         files = _files(path) if os.path.isdir(path) else []
         if not files:
@@ -51,7 +51,7 @@ class KittiBin:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the clouds in a folder, in the order of the numbers in their names."""
+    """Return the clouds in a folder, sorted by the numbers in their names."""
     for inner in FOLDERS:
         try:
             found = [path for path in (folder / inner).glob("*.bin") if path.is_file()]
@@ -85,7 +85,7 @@ def _read_cloud(file: Path) -> Floats:
 
 
 def _poses(files: list[Path]) -> Floats | None:
-    """Return T_reference_robot (k, 4, 4) of each scan; None where the log has none."""
+    """Return T_reference_robot (k, 4, 4) of each scan; None without reference poses."""
     folder = files[0].parent
     for file in (folder / POSES, folder.parent / POSES):
         if file.is_file():
@@ -104,7 +104,7 @@ def _poses(files: list[Path]) -> Floats | None:
 
 
 def _seven(file: Path) -> Floats:
-    """Return position and quaternion (7,); one of no turn may be left out."""
+    """Return position and quaternion (7,); the quaternion may be omitted."""
     numbers = numbers_in(file)
     if len(numbers) == 3:
         numbers = np.append(numbers, [0.0, 0.0, 0.0, 1.0])
@@ -115,13 +115,13 @@ def _seven(file: Path) -> Floats:
 
 
 def numbers_in(file: Path, width: int | None = None) -> Floats:
-    """Return the numbers of a small text file, between blanks or commas.
+    """Return the numbers of a small text file, separated by white space or commas.
 
     Parameters
     ----------
     file : Path
     width : int, optional
-        How many stand in a line.
+        Number of values per line.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def numbers_in(file: Path, width: int | None = None) -> Floats:
     Raises
     ------
     RelmapError
-        Where the file cannot be read or holds something else.
+        If the file cannot be read or has other content.
     """
     try:
         lines = file.read_text("ascii").splitlines()

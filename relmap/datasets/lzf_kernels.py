@@ -1,8 +1,8 @@
-"""LZF, as PCD files of the form ``binary_compressed`` are packed.
+"""LZF decompression, for PCD files in ``binary_compressed`` form.
 
-A control byte below 32 begins a literal run of one byte more; any other repeats what was unpacked
-before: the upper three bits are its length less 2 (7: a byte follows that is added), the rest and
-the next byte how far back it begins, less 1. The format: M. Lehmann, liblzf.
+A control byte below 32 begins a literal run of that length plus one; any other is a back reference:
+the upper three bits are its length minus 2 (7: the next byte is added), the rest and the following
+byte its distance minus 1. The format: M. Lehmann, liblzf.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from relmap.core.linalg.compiling import compiled
 
 MOST_TIMES = 88
-"""Three bytes stand for at most 264."""
+"""Maximum expansion: three bytes unpack to at most 264."""
 
 
 def unpacked_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
-    """Return the `size` bytes that data unpacks to; ValueError where it is damaged."""
+    """Return the `size` bytes that data unpacks to; ValueError if damaged."""
     if size > MOST_TIMES * len(data):
         raise ValueError(f"{len(data)} packed bytes for {size}, more than LZF can")
     result = np.empty(size, dtype=np.uint8)
@@ -28,7 +28,7 @@ def unpacked_lzf(data: bytes, size: int) -> NDArray[np.uint8]:
 
 @compiled
 def _unpack(data: NDArray[np.uint8], result: NDArray[np.uint8]) -> bool:
-    """Unpack data (m,) and tell whether it fills the result (n,) exactly."""
+    """Unpack data (m,) and return whether it fills the result (n,) exactly."""
     at, done, m, n = 0, 0, len(data), len(result)
     while at < m:
         control = int(data[at])
@@ -52,7 +52,7 @@ def _unpack(data: NDArray[np.uint8], result: NDArray[np.uint8]) -> bool:
             at += 1
             if first < 0:
                 return False
-            for k in range(length):  # byte by byte: a repetition may run into itself
+            for k in range(length):  # byte by byte: a back reference may overlap its own output
                 result[done + k] = result[first + k]
         done += length
     return done == n

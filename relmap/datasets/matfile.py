@@ -1,8 +1,8 @@
-"""Matrices of numbers in MATLAB files of level 5, which may be damaged or no MATLAB files at all.
+"""Numeric matrices in MATLAB files of level 5, robust against damaged files.
 
-They are read here and not by scipy, whose reader ends the whole program on some damaged files and
-unpacks whatever size is stated (version 1.17).  The format: "MAT-File Format", MathWorks,
-chapter 1; a header of 128 bytes, then elements, each a tag of type and size with its data.
+They are not read by scipy, whose reader crashes the program on some damaged files and unpacks any
+stated size (version 1.17).  The format: "MAT-File Format", MathWorks, chapter 1; a header of 128
+bytes, then elements, each a tag of type and size with its data.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import quoted, shown
 
 MAX_BYTES = 1 << 28
-"""A file unpacks to at most 256 MiB: a hundred times the largest that is read."""
+"""Limit of the unpacked size, 256 MiB: a hundred times the largest file in use."""
 MAX_NUMBERS = 1 << 24
-"""Numbers in a matrix at most."""
+"""Maximum number of values in a matrix."""
 
 _MAGIC = b"MATLAB 5.0 MAT-file"
 _HEADER_BYTES = 128
@@ -36,7 +36,7 @@ _COMPLEX = 0x0800
 
 
 def is_matlab(path: Path) -> bool:
-    """Tell from its first bytes whether a file is a MATLAB file."""
+    """Return whether a file is a MATLAB file, from its first bytes."""
     if not os.path.isfile(path):
         return False
     try:
@@ -52,7 +52,7 @@ def read_matrix(file: Path, name: str) -> Floats:
     Raises
     ------
     RelmapError
-        If the file is missing or damaged, or holds no such matrix.
+        If the file is missing or damaged, or contains no such matrix.
     """
     try:
         with open(file, "rb") as stream:
@@ -75,7 +75,7 @@ def read_matrix(file: Path, name: str) -> Floats:
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield type and content of each element; ValueError where one ends beyond the data."""
+    """Yield type and content of each element; ValueError if one exceeds the data."""
     at = 0
     while at < len(data):
         if len(data) - at < 8:
@@ -95,7 +95,7 @@ def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
 
 
 def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
-    """Yield what each matrix of a file holds, unpacked."""
+    """Yield the unpacked content of each matrix of a file."""
     room = MAX_BYTES
     for kind, content in _elements(data, order):
         if kind == _COMPRESSED:
@@ -111,7 +111,7 @@ def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
 
 
 def _matrix(content: memoryview, order: str, name: str) -> Floats | None:
-    """Return a matrix if it is the one of that name; ValueError where it is none of numbers."""
+    """Return a matrix if it has the given name; ValueError if it is not numeric."""
     parts = _elements(content, order)
     try:
         flags = np.frombuffer(next(parts)[1], f"{order}u4")

@@ -3,16 +3,16 @@
 A folder with, for robots 1, 2 and so on, plain or gzipped, ``#`` before a comment:
 
 * ``Barcodes.dat``: number of a subject, and its bar code; subjects 1 to 5 are robots.
-* ``RobotN_Measurement.dat``: t s, bar code, range m, bearing rad (to the left). Rows of one time
-  are one image.
+* ``RobotN_Measurement.dat``: t s, bar code, range m, bearing rad (to the left). Rows with equal
+  time are one image.
 * ``RobotN_Odometry.dat``: t s, forward velocity m/s, angular velocity rad/s, as commanded.
 * ``RobotN_Groundtruth.dat``: t s, x m, y m, heading rad, by Vicon.
 * ``Landmark_Groundtruth.dat``: subject, x m, y m and their standard deviations.
 
-An image with a landmark is an iteration. Ids are those of the subjects; other robots, which move,
-and unknown bar codes are left out. The folder is one log of all robots, one after another, with
-an unknown motion from the last image of one to the first of the next; a file of measurements is
-the log of one robot. To each time of robot N, (N - 1) x 100 000 s are added, so that times grow.
+An image with a landmark is an iteration. Ids are the subject numbers; other robots, which move, and
+unknown bar codes are left out. The folder is one log of all robots in sequence, with unknown motion
+from the last image of one to the first of the next; a file of measurements is the log of one robot.
+(N - 1) x 100 000 s are added to the times of robot N, so that times ascend.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from relmap.datasets.textfile import shown
 
 BARCODES, LANDMARKS = "Barcodes.dat", "Landmark_Groundtruth.dat"
 ROBOTS = 5
-"""Subjects up to this one are robots."""
+"""Subjects up to this number are robots."""
 APART_S = 100_000.0
-"""What the times of two robots of one log are shifted by: more than a day."""
+"""Offset between the times of two robots of one log: more than a day."""
 
 MOST_ROBOTS = 99
 _SEEN = "t bar-code range bearing"
@@ -55,11 +55,11 @@ class Mrclam:
     description = f"MRCLAM's folder with {BARCODES} and RobotN_Measurement.dat, or one such file"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether bar codes lie there, and measurements."""
+        """Return whether there are bar codes and measurements."""
         return os.path.isfile(file_beside(path, BARCODES)) and bool(_robots(path))
 
     def load(self, path: Path) -> ObservationLog:
-        """Read the log: planar, with the odometry of the robots that have some."""
+        """Read the log: planar, with the available odometry."""
         robots = _robots(path)
         if not robots:
             raise RelmapError(f"{shown(path)}: holds no measurements, expected {self.description}")
@@ -89,7 +89,7 @@ class Mrclam:
 
 @dataclass(frozen=True, eq=False)
 class _Drive:
-    """What one robot saw of landmarks, in the order of time, and how it moved."""
+    """Landmark observations of one robot, in order of time, and its motions."""
 
     row_stamps_s: Floats
     points_robot: Floats
@@ -102,13 +102,13 @@ class _Drive:
 
     @classmethod
     def of(cls, robot: int, file: Path, subjects: dict[int, int], before: int) -> _Drive:
-        """Read the files of a robot; `before` counts the rows of those before it."""
+        """Read the files of a robot; `before` is the number of rows of earlier robots."""
         measured = read_rows(file, _MEASUREMENT, "#", "measurement", f"4 numbers: {_SEEN}").values
         measured[:, 1] = [subjects.get(int(code), -1) for code in measured[:, 1]]
         rows = np.flatnonzero(measured[:, 1] > ROBOTS)
         rows = rows[np.lexsort((rows, measured[rows, 1], measured[rows, 0]))]
         same = (np.diff(measured[rows, :2], axis=0) == 0).all(axis=1)
-        rows = np.delete(rows, np.flatnonzero(same) + 1)  # one landmark twice in one image
+        rows = np.delete(rows, np.flatnonzero(same) + 1)  # duplicate landmark in one image
         t, subject, range_m, bearing_rad = measured[rows].T
         directions = np.column_stack([np.cos(bearing_rad), np.sin(bearing_rad)])
         stamps_s = np.unique(t)
@@ -126,14 +126,14 @@ class _Drive:
 
 
 def is_ground_truth(path: Path) -> bool:
-    """Return whether the true landmarks lie in a folder, or beside a file of one of the robots."""
+    """Return whether the true landmarks are in a folder, or beside a file of a robot."""
     return os.path.isfile(file_beside(path, LANDMARKS)) and (
         os.path.isdir(path) or path.name == LANDMARKS or bool(_NAME.fullmatch(path.name))
     )
 
 
 def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
-    """Read the truth: surveyed landmarks, and the robots by Vicon.
+    """Read the truth: surveyed landmarks, and the robot poses by Vicon.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
     positions : (m, 3) float64, metres
         z = 0.
     stamps_s : (k,) float64
-        The times of the images of all robots, as in the log, where Vicon saw the robot.
+        The times of the images of all robots, as in the log, at which Vicon saw the robot.
     poses : (k, 4, 4) float64
         T_map_robot.
 
@@ -175,7 +175,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats, Floats]:
 
 
 def _vicon(file: Path, at_s: Floats) -> Floats:
-    """Return the poses of a robot (k, 4, 4) at times; NaN where Vicon did not see it."""
+    """Return the poses of a robot (k, 4, 4) at given times; NaN if Vicon did not see it."""
     limits = (_TIME, MAX_COORDINATE_M, MAX_COORDINATE_M, _ANGLE)
     rows = read_rows(file, limits, "#", "pose", "4 numbers: t x y heading").values
     t, first = np.unique(rows[:, 0], return_index=True)
@@ -216,7 +216,7 @@ def _robots(path: Path) -> dict[int, Path]:
 
 
 def _file(folder: Path, robot: int, kind: str) -> Path | None:
-    """Return a file of a robot, plain or gzipped, if it is there."""
+    """Return a file of a robot, plain or gzipped, if it exists."""
     for end in ("", ".gz"):
         file = folder / f"Robot{robot}_{kind}.dat{end}"
         if os.path.isfile(file):

@@ -6,12 +6,12 @@ DOWN. Comments above the header give the sensor's pose on the robot, and the noi
     # sensor on robot: t = 0.5 0.2 0.1 ; R (row major) = 1 0 0 0 1 0 0 0 1
     # sigma: range 0.01 m, yaw 0.001745 rad, pitch 0.001745 rad; ...
 
-``X.odometry.csv.gz`` beside ``X.observations.csv.gz``, where it is there, has the header
+``X.odometry.csv.gz`` beside ``X.observations.csv.gz``, if it exists, has the header
 ``step,dx_m,dy_m,dz_m,dyaw_rad,dpitch_rad,droll_rad``: the motion that FOLLOWS each step, in the
 robot's frame at that step.
 
-The simulator's exact truth lies beside a log ``X.observations.csv.gz`` in
-``X_ground_truth.txt`` (landmarks) and ``X_ground_truth_robot_path.txt``.
+The exact truth of the simulator is beside a log ``X.observations.csv.gz`` in ``X_ground_truth.txt``
+(landmarks) and ``X_ground_truth_robot_path.txt``.
 """
 
 from __future__ import annotations
@@ -65,20 +65,20 @@ _LOG = re.compile(r"\.observations\.csv(\.gz)?$")
 
 
 class MrptLandmarks:
-    """Reads one log of ranges and bearings, or a folder that holds just one."""
+    """Reads one log of ranges and bearings, or a folder with exactly one."""
 
     name = "mrpt-landmarks"
     description = f"an MRPT landmark log with the header {header_text(_COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the header is that of an MRPT landmark log, or nearly so."""
+        """Return whether the header is that of an MRPT landmark log, or almost."""
         if os.path.isdir(path):
             return bool(tables_with(path, _HALLMARK))
         found = columns_of(path)
         return not found.isdisjoint({"yaw_rad", "pitch_rad"})
 
     def load(self, path: Path) -> ObservationLog:
-        """Read the log: points in the robot's frame, two columns where the world is planar.
+        """Read the log: points in the robot frame, with two columns if the world is planar.
 
         The world is planar if the pitch is free of noise and always 0, and the sensor is upright.
         """
@@ -100,13 +100,13 @@ class MrptLandmarks:
 
 
 def _odometry_files(file: Path) -> list[Path]:
-    """Return how the file of the odometry beside a log may be called."""
+    """Return the possible names of the odometry file of a log."""
     base, n = _LOG.subn("", file.name)
     return [file.with_name(f"{base}.odometry.csv{end}") for end in ("", ".gz")] if n else []
 
 
 def _odometry(file: Path, log: ObservationLog) -> Floats:
-    """Return the motion (k, 4, 4) to each step, which the file names by the step before."""
+    """Return the motion (k, 4, 4) to each step; the file refers to the step before."""
     columns = read_table(file, _MOTION).columns
     index = columns["step"].astype(np.int64) + 1 - log.first_iteration
     t = np.column_stack([columns[f"d{axis}_m"] for axis in "xyz"])
@@ -146,7 +146,7 @@ def _sensor_pose(table: Table) -> tuple[Floats, Floats]:
 
 
 def _sigmas(table: Table) -> Floats:
-    """Return the noise (3,) of range, yaw and pitch in the comments; NaN where there is none."""
+    """Return the noise (3,) of range, yaw and pitch from the comments; NaN if missing."""
     for comment in table.comments:
         if match := _SIGMAS.search(comment):
             sigmas = finite_numbers(match.groups())
@@ -155,7 +155,7 @@ def _sigmas(table: Table) -> Floats:
 
 
 def is_ground_truth(path: Path) -> bool:
-    """Return whether a path is named as a truth file is, or a folder holds a file so named."""
+    """Return whether a path has the name of a truth file, or a folder contains one."""
     if os.path.isdir(path):
         return bool(_landmark_files(path))
     return path.name.endswith((_LANDMARKS, _PATH))
@@ -167,7 +167,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     Parameters
     ----------
     path : Path or str
-        The log, either of its two truth files, or a folder with the truth of just one log.
+        The log, either of its two truth files, or a folder with the truth of exactly one log.
 
     Returns
     -------
@@ -179,7 +179,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     Raises
     ------
     RelmapError
-        If a file is missing, or a row of it is not what the format promises.
+        If a file is missing, or a row violates the format.
     """
     base = _truth_base(Path(path))
     file = Path(f"{base}{_LANDMARKS}")
@@ -210,7 +210,7 @@ def _landmark_files(folder: Path) -> list[Path]:
 
 
 def _truth_base(path: Path) -> str:
-    """Return what the names of both truth files begin with, folder included."""
+    """Return the common prefix of the names of both truth files, with the folder."""
     if os.path.isdir(path):
         path = only_one(path, _landmark_files(path), "landmark truth", f"*{_LANDMARKS}")
     name = str(path)

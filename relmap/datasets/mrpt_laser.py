@@ -40,7 +40,7 @@ _MAXIMUM = re.compile(r"max range (\S+) m\b")
 
 
 class MrptLaser:
-    """Reads one log, or a folder that holds just one."""
+    """Reads one log, or a folder with exactly one."""
 
     name = "mrpt-laser2d"
     description = "MRPT's laser scans with the header t_s,gt_x,gt_y,gt_theta,...,r0,r1,..."
@@ -71,7 +71,7 @@ class MrptLaser:
 
 
 def _path(table: Table) -> Floats:
-    """Return the poses (k, 4, 4) that the odometry adds up to."""
+    """Return the poses (k, 4, 4) integrated from the odometry."""
     steps = planar_poses(*(table.columns[name] for name in ("odo_dx", "odo_dy", "odo_dtheta")))
     return path_of(np.roll(steps, 1, axis=0))
 

@@ -1,7 +1,7 @@
-"""Arrays in ``.npz`` files that may be damaged or hostile.
+"""Arrays in ``.npz`` files that may be damaged or malicious.
 
-They are not read by numpy (2.4), which allocates whatever a header promises and evaluates the
-header as Python, so that a damaged one raises errors of the tokeniser.
+They are not read by numpy (2.4), which allocates any size stated in a header and evaluates the
+header as Python, so that a damaged one raises tokeniser errors.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_NUMBERS = 1 << 26
-"""Numbers in an array at most: 22 million points."""
+"""Maximum number of values in an array: 22 million points."""
 
 DAMAGE = (
     *(OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error, struct.error),
     *(ValueError, TypeError, LookupError),
 )
-"""What reading a damaged file raises."""
+"""Exceptions raised for damaged files."""
 
 _HEADER_BYTES = 10_000
 _HEADER = re.compile(
@@ -35,9 +35,9 @@ _HEADER = re.compile(
 def read_array(
     archive: zipfile.ZipFile, member: zipfile.ZipInfo, most: int = MAX_NUMBERS
 ) -> NDArray[Any]:
-    """Return a member as an array of numbers; one of `DAMAGE` is raised where it is not one.
+    """Return a member as a numeric array; raises one of `DAMAGE` if it is not one.
 
-    Headers are matched as numpy writes them, never evaluated.
+    Headers are matched against numpy's format, never evaluated.
     """
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
         raise ValueError(f"{member.filename} is packed in a way that numpy does not use")

@@ -1,4 +1,4 @@
-"""Lines of numbers, gathered one by one at 8 bytes a number."""
+"""Lines of numbers, collected at 8 bytes per number."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from relmap.core.errors import RelmapError
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
 MAX_LISTED = 1 << 24
-"""Numbers in such rows at most: some two million poses."""
+"""Maximum number of values in such rows: some two million poses."""
 
 
 def too_many(path: Path, line: int, most: int) -> RelmapError:
-    """Return the error to raise where a file holds more numbers than memory is meant for."""
+    """Return the error for a file with more numbers than the memory limit."""
     problem = f"more than {most} numbers, expected at most that"
     return RelmapError(f"{shown(path)}: line {line}: {problem}")
 
 
 def parse_number(cell: str) -> float:
-    """Return the number in a cell, by the same grammar as `relmap.datasets.table.parse_fast`.
+    """Return the number in a cell, with the grammar of `relmap.datasets.table.parse_fast`.
 
     Raises
     ------
     ValueError
-        If the cell does not hold a number.
+        If the cell is not a number.
     """
     if "_" in cell or not cell.isascii():
         raise ValueError(cell)
@@ -59,18 +59,18 @@ def read_rows(
     ----------
     path : Path
     limits : sequence of float
-        The largest magnitude of each number, finite.
+        The largest allowed magnitude of each number, finite.
     comment : str
-        What begins a comment.
+        Start of a comment.
     what, expected : str
-        What a row is, and what it holds, for messages.
+        Description of a row and its content, for messages.
     separator : str, optional
-        What separates the numbers and may follow the last; white space by default.
+        Separator of the numbers, also allowed after the last; white space by default.
 
     Raises
     ------
     RelmapError
-        If the file cannot be read, holds no row, or a line is not a row.
+        If the file cannot be read, has no row, or a line is not a row.
     """
     rows = NumberRows(path, len(limits))
     for number, line in numbered_lines(path):
@@ -86,7 +86,7 @@ def read_rows(
 
 
 class NumberRows:
-    """Rows of `width` numbers each and their lines; RelmapError where there are too many."""
+    """Rows of `width` numbers each and their lines; RelmapError if there are too many."""
 
     def __init__(self, path: Path, width: int) -> None:
         self._path = path

@@ -1,10 +1,10 @@
 """The project's own observation log: ``observations.csv``, plain or gzipped.
 
 Header ``iteration,x,y[,z][,id][,stamp]`` in any order, rows in any order; robot frame, metres;
-``id`` is a known association, negative or empty where there is none; ``stamp`` is the time of the
+``id`` is a known association, negative or empty if there is none; ``stamp`` is the time of the
 iteration, seconds. Without ``z`` the world is planar. Semicolons and tabs separate as commas do.
-``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the place, robot frame,
-square metres: all of them or none.
+``cxx,cxy,cyy``, and with ``z`` also ``cxz,cyz,czz``, are the covariance of the position, robot
+frame, square metres: all of them or none.
 """
 
 from __future__ import annotations
@@ -48,23 +48,23 @@ COLUMNS = (
     stamp_column("stamp", required=False),
     *(Column(f"c{pair}", -1e18, 1e18, "square metres", required=False) for pair in _PAIRS),
 )
-"""What a log may say of each observation."""
+"""Columns of an observation log."""
 
 _GZIP_LEVEL = 4
 _ROWS_AT_ONCE = 50_000
 
 
 class ObservationCsv:
-    """Reads ``observations.csv``, or a folder that holds it."""
+    """Reads ``observations.csv``, or a folder that contains it."""
 
     name = "observation-csv"
     description = f"observations.csv with the header {header_text(COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the header is that of an observation log, or nearly so.
+        """Return whether the header is that of an observation log, or almost.
 
-        A header that lacks a column or misspells one is recognised too, so that the reader can
-        say what is wrong with it.
+        A header with a missing or misspelt column is recognised too, so that the reader can report
+        the error.
         """
         if os.path.isdir(path):
             return any("range_m" not in columns_of(member) for member in _members(path))
@@ -86,12 +86,12 @@ class ObservationCsv:
 
 
 def points_of(table: Table) -> Floats:
-    """Return the points in a table, (n, 2) or, where it has z, (n, 3)."""
+    """Return the points in a table, (n, 2) or, with a z column, (n, 3)."""
     return np.column_stack([table.columns[axis] for axis in "xyz" if axis in table.columns])
 
 
 def covariances_of(table: Table, points: Floats) -> Floats | None:
-    """Return the covariances (n, d, d) of points (n, d); None where there are none."""
+    """Return the covariances (n, d, d) of points (n, d); None without covariance columns."""
     d = points.shape[1]
     wanted = [f"c{pair}" for pair in _PAIRS if d == 3 or "z" not in pair]
     found = [name for name in table.columns if name[1:] in _PAIRS]
@@ -121,14 +121,14 @@ def write_observation_csv(path: Path | str, log: ObservationLog) -> None:
     Parameters
     ----------
     path : Path or str
-        The file, gzipped if its name ends in ``.gz``; it appears whole or not at all.
+        The file, gzipped if its name ends in ``.gz``; written atomically.
     log : ObservationLog
         Coordinates in metres, robot frame.
 
     Raises
     ------
     RelmapError
-        If the file cannot be written, or would hold what the reader refuses.
+        If the file cannot be written, or its content would not be readable.
     """
     path = Path(path)
     if not len(log.points_robot):

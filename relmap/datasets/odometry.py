@@ -1,13 +1,13 @@
-"""Odometry of logs: how the robot moved from one iteration to the next, as its wheels count.
+"""Odometry of logs: the motion of the robot between iterations.
 
 A motion is the pose (4, 4) of the robot in its own frame one iteration before; NaN if unknown.
 Motions come from the log itself or from a file beside it:
 
 * ``odometry.csv`` or ``odometry.csv.gz``: header ``iteration,x,y,yaw`` or
-  ``iteration,x,y,z,qx,qy,qz,qw``, the motion from the iteration before to this one. An iteration
-  without a row is one whose motion is not known.
+  ``iteration,x,y,z,qx,qy,qz,qw``, the motion from the previous iteration to this one. Without a row
+  the motion is unknown.
 * ``odometry.tum``: lines ``t x y z qx qy qz qw``, poses in one odometry frame, at the log's times
-  or at others: between two poses the robot moved evenly.
+  or at others: poses are interpolated.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from relmap.datasets.table import Column, Table, read_table
 from relmap.datasets.textfile import replacing, shown
 
 TABLES, TRAJECTORY = ("odometry.csv", "odometry.csv.gz"), "odometry.tum"
-"""The names of the files beside a log."""
+"""Names of the odometry files beside a log."""
 
 GAP = 10.0
-"""So many times the usual time between two poses is a gap: what lies in it is not known."""
+"""Multiple of the usual time between two poses above which there is a gap."""
 
 Log = TypeVar("Log", ObservationLog, ScanLog)
 
@@ -51,18 +51,18 @@ _COLUMNS = (
 )
 _TUM_LIMITS = (1e12, *[MAX_COORDINATE_M] * 3, *[1.001] * 4)
 _UNIT = 1e-2
-"""How far the length of a quaternion may be from 1, as files round it."""
+"""Tolerance of the length of a quaternion, for rounded files."""
 
 
 def motions(poses: Floats) -> Floats:
-    """Return the motion to each of the poses (k, 4, 4) from the one before; of the first NaN."""
+    """Return the motion from the previous to each of the poses (k, 4, 4); NaN for the first."""
     found = np.full(poses.shape, np.nan)
     found[1:] = relative(poses[:-1], poses[1:])
     return found
 
 
 def composed(odometry: Floats, kept: Ints) -> Floats:
-    """Return the motions (m, 4, 4) between the iterations that are kept, from those of all.
+    """Return the motions (m, 4, 4) between the kept iterations, from those of all.
 
     Parameters
     ----------
@@ -79,31 +79,31 @@ def composed(odometry: Floats, kept: Ints) -> Floats:
 
 
 def path_of(odometry: Floats) -> Floats:
-    """Return the poses (k, 4, 4) that motions add up to; where one is not known it stands still."""
+    """Return the poses (k, 4, 4) integrated from motions; unknown motions are ignored."""
     steps = np.where(np.isnan(odometry), np.eye(4), odometry)
     return np.array([*accumulate(steps[1:], np.matmul, initial=np.eye(4))])
 
 
 def moved_frame(odometry: Floats, T_robot_other: Floats) -> Floats:
-    """Return the motions (k, 4, 4) of a frame (4, 4) that is fixed on the robot, from its own."""
+    """Return the motions (k, 4, 4) of a frame (4, 4) fixed on the robot."""
     back = relative(T_robot_other, np.eye(4))
     return np.asarray(back @ odometry @ T_robot_other)
 
 
 def driven(stamps_s: Floats, speed_m_s: Floats, turn_rad_s: Floats, at_s: Floats) -> Floats:
-    """Return where a vehicle is that goes ahead and turns as it says.
+    """Return the poses of a vehicle integrated from forward and angular speed.
 
     Parameters
     ----------
     stamps_s, speed_m_s, turn_rad_s : (n,) float64
-        Each speed and turn rate holds until the next stamp; the stamps grow.
+        Each speed and turn rate applies until the next stamp; the stamps ascend.
     at_s : (k,) float64
 
     Returns
     -------
     (k, 4, 4) float64
-        In its frame at the first stamp; NaN before it, and later than `GAP` usual steps after the
-        last.
+        Poses in the frame at the first stamp; NaN before it, and later than `GAP` usual steps after
+        the last.
     """
     usual = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 1.0
     before = np.searchsorted(stamps_s, at_s, side="right") - 1
@@ -121,7 +121,7 @@ def driven(stamps_s: Floats, speed_m_s: Floats, turn_rad_s: Floats, at_s: Floats
 
 
 def _arcs(speed_m_s: Floats, turn_rad_s: Floats, duration_s: Floats) -> Floats:
-    """Return x, y, yaw (n, 3) of arcs of circles; see `core.odometry.motion_from_velocity`."""
+    """Return x, y, yaw (n, 3) of circular arcs; see `core.odometry.motion_from_velocity`."""
     n = len(duration_s)
     way, yaw = speed_m_s[:n] * duration_s, turn_rad_s[:n] * duration_s
     along, across = np.sinc(yaw / math.pi), np.sin(yaw / 2) * np.sinc(yaw / math.tau)
@@ -144,18 +144,18 @@ def relative(a: Floats, b: Floats) -> Floats:
 
 
 def with_odometry_beside(log: Log, path: Path) -> Log:
-    """Return a log with the odometry of the file beside it, if there is one.
+    """Return a log with the odometry of the file beside it, if any.
 
     Raises
     ------
     RelmapError
-        If there are several, or the one is damaged.
+        If there are several, or it is damaged.
     """
     names = [name for name in (*TABLES, TRAJECTORY) if os.path.isfile(file_beside(path, name))]
     if not names:
         return log
     if len(names) > 1:
-        raise RelmapError(f"{shown(path)}: {' and '.join(names)} lie beside it, expected one")
+        raise RelmapError(f"{shown(path)}: {' and '.join(names)} exist beside it, expected one")
     file = file_beside(path, names[0])
     found = _read_trajectory(file, log) if names[0] == TRAJECTORY else _read_motions(file, log)
     return replace(log, odometry=_in_plane(found) if log.dimension == 2 else found)
@@ -209,7 +209,7 @@ def _with_quaternions(file: Path, numbers: Floats, lines: Ints) -> Floats:
 
 
 def read_tum(file: Path) -> tuple[Floats, Floats, Ints]:
-    """Return times (k,), poses (k, 4, 4) and lines (k,) of a TUM file; fails as `read_rows`."""
+    """Return times (k,), poses (k, 4, 4) and lines (k,) of a TUM file; see `read_rows`."""
     rows = read_rows(file, _TUM_LIMITS, "#", "pose", "8 numbers: t x y z qx qy qz qw")
     poses = _with_quaternions(file, rows.values[:, 1:], rows.lines)
     return rows.values[:, 0], poses, rows.lines
@@ -230,7 +230,7 @@ def _read_trajectory(file: Path, log: ObservationLog | ScanLog) -> Floats:
 
 
 def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
-    """Return poses (k, 4, 4) at other times; NaN beyond the ends and in gaps."""
+    """Return poses (k, 4, 4) interpolated at other times; NaN beyond the ends and in gaps."""
     if len(poses) < 2:
         return np.full((len(at_s), 4, 4), np.nan)
     after = np.clip(np.searchsorted(stamps_s, at_s), 1, len(stamps_s) - 1)
@@ -247,7 +247,7 @@ def poses_at(stamps_s: Floats, poses: Floats, at_s: Floats) -> Floats:
 
 
 def write_odometry_csv(path: Path, odometry: Floats, first_iteration: int = 0) -> None:
-    """Write motions (k, 4, 4) so that reading them gives the same motions, as far as rounding goes.
+    """Write motions (k, 4, 4) so that they can be read back, up to rounding.
 
     Planar ones, without height, roll and pitch, are written as x, y and yaw.
 

@@ -1,4 +1,4 @@
-"""The columns of a table of any origin, and the log that its numbers give."""
+"""The columns of tables of any origin, and conversion to a log."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from relmap.datasets.table import MAX_EXACT_INTEGER, Column, checked_table
 from relmap.datasets.textfile import quoted, shown
 
 MAX_NAME = 200
-"""Characters of a text id at most."""
+"""Maximum number of characters of a text id."""
 
 BY_NAME = {column.name: column for column in COLUMNS}
 _LOG = logging.getLogger(__name__)
 
 Numbers = tuple[list[Column], Floats, Ints, str, tuple[str, ...] | None]
-"""Columns, numbers (n, columns), line of each row, what that is called, and texts of ids."""
+"""Columns, numbers (n, columns), line of each row, name of a line, and text ids."""
 
 
 def check_columns(columns: Mapping[str, str]) -> None:
-    """Refuse, with a `RelmapError`, columns that the observation log does not have."""
+    """Raise a `RelmapError` for columns that the observation log does not have."""
     unknown = [quoted(name) for name in columns if name not in BY_NAME]
     if unknown:
         raise RelmapError(f"columns: {', '.join(unknown)}, expected some of {', '.join(BY_NAME)}")
 
 
 def chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[str, str]:
-    """Return what the table calls the columns that are read."""
+    """Return the names of the used columns in the table."""
     names = {ours: columns.get(ours, ours) for ours in BY_NAME}
     wanted = {ours: theirs for ours, theirs in names.items() if theirs in there}
     needed = {"x", "y", *columns}
@@ -58,21 +58,21 @@ def chosen(path: Path, there: list[str], columns: Mapping[str, str]) -> dict[str
 
 
 class Ids:
-    """The ids of rows, which are numbers or texts; told apart when all are there."""
+    """The ids of rows, numbers or texts; the type is determined after all are read."""
 
     def __init__(self) -> None:
         self._index: dict[str, int] = {}
         self._of_row = array("q")
 
     def add(self, text: str, where: str) -> None:
-        """Add the id of a row, empty where there is none; RelmapError if it is too long."""
+        """Add the id of a row, empty without one; RelmapError if it is too long."""
         if len(text) > MAX_NAME:
             expected = f"expected at most {MAX_NAME} characters"
             raise RelmapError(f"{where}: {quoted(text)}, {expected}")
         self._of_row.append(self._index.setdefault(text, len(self._index)) if text else -1)
 
     def numbered(self) -> tuple[Floats, tuple[str, ...] | None]:
-        """Return the id of each row (n,), negative for none, and what they stand for if texts."""
+        """Return the id of each row (n,), negative for none, and their names if texts."""
         names, of_row = list(self._index), np.array(self._of_row, dtype=np.int64)
         numbers = [_whole(name) for name in names]
         if all(number is not None for number in numbers):
@@ -93,7 +93,7 @@ def _whole(text: str) -> float | None:
 
 
 def with_ids(used: list[Column], values: Floats, lines: Ints, place: str, ids: Ids) -> Numbers:
-    """Return a table (n, columns), in which `ids` stand in the place of that column, if any."""
+    """Return a table (n, columns), with `ids` in place of the id column, if any."""
     names = None
     for k, column in enumerate(used):
         if column.name == "id":
@@ -102,12 +102,12 @@ def with_ids(used: list[Column], values: Floats, lines: Ints, place: str, ids: I
 
 
 def log_of(path: Path, numbers: Numbers) -> ObservationLog:
-    """Return the log that the numbers of a table give.
+    """Return the log given by the numbers of a table.
 
     Raises
     ------
     RelmapError
-        If there is no row, or a number is none that its column allows.
+        If there is no row, or a number is out of the range of its column.
     """
     used, values, lines, place, names = numbers
     if not len(values):

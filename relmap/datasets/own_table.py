@@ -1,9 +1,8 @@
-"""Tables with columns of any name: CSV and Parquet files, data frames.
+"""Tables with arbitrary column names: CSV and Parquet files, data frames.
 
 A row is one observation of a landmark. ``--columns x=px,y=py,iteration=frame,stamp=t,id=name``
-names the columns; the others have the names that `relmap.datasets.observation_csv` gives them.
-Other columns are ignored, and a warning lists them. Times may replace the numbers of iterations;
-ids may be texts.
+names the columns; the defaults are the names of `relmap.datasets.observation_csv`. Other columns
+are ignored, with a warning. Times may replace iteration numbers; ids may be texts.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ class OwnTable:
     Attributes
     ----------
     columns : mapping of str to str
-        What the table calls a column of the observation log.
+        Names of the columns of the observation log in the table.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -50,7 +49,7 @@ class OwnTable:
     description = "a table, CSV or Parquet, whose columns --columns names"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether it is a Parquet file: other tables are taken for observation logs."""
+        """Return whether it is a Parquet file: other tables are read as observation logs."""
         return path.is_file() and foreign_at(path) == PARQUET
 
     def load(self, path: Path) -> ObservationLog:
@@ -62,7 +61,7 @@ class OwnTable:
 
 
 def _text_table(path: Path, columns: Mapping[str, str]) -> Numbers:
-    """Read a table of text."""
+    """Read a text table."""
     values, lines, ids = array("d"), array("q"), Ids()
     with open_text(path) as stream:
         head = read_head(path, stream)
@@ -101,7 +100,7 @@ def _number(text: str, separator: str, column: Column, where: str) -> float:
 def _rows(
     path: Path, stream: Iterable[str], line: int, separator: str
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a table of text that are not empty, and their lines."""
+    """Yield the non-empty rows of a text table, and their lines."""
 
     def checked() -> Iterator[str]:
         for number, text in enumerate(stream, line + 1):

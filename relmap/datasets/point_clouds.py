@@ -1,8 +1,8 @@
 """A folder of point clouds, one file per scan: PCD or PLY, plain or packed by xz.
 
-The scans come in the order of the numbers in their names. ``alidarPose.csv`` beside them (as BALM,
-Z. Liu and F. Zhang, RA-L 2021, writes it) gives the reference poses: rows 4N to 4N + 3 are the
-matrix T_reference_robot of file number N, with the time, which then is the order, in its last cell.
+The scans are sorted by the numbers in their names. ``alidarPose.csv`` beside them (as in BALM, Z.
+Liu and F. Zhang, RA-L 2021) gives the reference poses: rows 4N to 4N + 3 are the matrix
+T_reference_robot of file number N, with the time, which then defines the order, in its last cell.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ class PointClouds:
     description = "a folder of .pcd or .ply files (or .xz)"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether it is such a file, or a folder of them that is not a result of relmap."""
+        """Return whether it is such a file, or a folder of them other than a result of relmap."""
         if not os.path.isdir(path):
             return is_cloud(path)
         return bool(_files(path)) and not (path / _RESULT).exists()
 
     def load(self, path: Path) -> ScanLog:
-        """Read the log; a cloud is read when its scan is asked for.
+        """Read the log; clouds are read lazily.
 
         Points whose coordinates are NaN are beams without a return and left out.
         """
@@ -63,7 +63,7 @@ class PointClouds:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the clouds in a folder, in the order of the numbers in their names."""
+    """Return the clouds in a folder, sorted by the numbers in their names."""
     try:
         found = [path for path in folder.iterdir() if _NAME.search(path.name)]
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Relations between poses that were checked by hand: the ground truth of real laser logs.
+"""Manually checked relations between poses: the ground truth of real laser logs.
 
 R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27, 2009.
 Each line is ``t1 t2 x y z roll pitch yaw``: the pose at t2 in the frame of the pose at t1.
@@ -51,7 +51,7 @@ def read_relations(path: Path) -> Relations:
     Raises
     ------
     RelmapError
-        If it cannot be read, holds no relation, or a line is not a relation.
+        If it cannot be read, has no relation, or a line is not a relation.
     """
     table = read_rows(path, _LIMITS, "#", "relation", f"8 numbers: {_COLUMNS}").values
     T = poses_of(Rotation.from_euler("xyz", table[:, 5:]), table[:, 2:5])

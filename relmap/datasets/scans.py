@@ -16,12 +16,12 @@ from relmap.datasets.base import common_range
 from relmap.datasets.textfile import shown
 
 MAX_BEAMS, MAX_SCANS = 1 << 24, 1 << 18
-"""Beams and scans in a log of a laser at most: some fifty thousand scans of 360."""
+"""Maximum number of beams and scans of a laser log: some fifty thousand scans of 360 beams."""
 
 _LOG = logging.getLogger(__name__)
 
 FIXED = 1e-3
-"""What the pose of a laser on the robot may vary by, as logs round it: metres and radians."""
+"""Allowed variation of the pose of a laser on the robot, due to rounding: metres and radians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +33,14 @@ class PointScan:
     iteration : int
         Number of the scan in the log.
     points_robot : (n, 2) or (n, 3) float64, robot frame, metres
-        Of a 2-D laser two columns, the beams that returned, in order from right to left.
+        For a 2-D laser two columns, the beams with a return, from right to left.
     stamp_s : float
-        Time, seconds; the iteration where the log has no clock.
+        Time, seconds; the iteration number if the log has no clock.
     T_reference_robot : (4, 4) float64 or None
-        The pose that the log gives for comparison, if any.
+        The reference pose given by the log, if any.
     odometry : (4, 4) float64 or None
-        Motion since the scan before: the pose of the robot in its frame there. NaN where it is not
-        known, None where the log has no odometry.
+        Motion since the previous scan: the pose of the robot in its previous frame. NaN if unknown,
+        None if the log has no odometry.
     """
 
     iteration: int
@@ -52,7 +52,7 @@ class PointScan:
 
 @dataclass(frozen=True)
 class SensorView:
-    """The known properties of the sensor of a log, the same for all scans.
+    """Known properties of the sensor of a log, the same for all scans.
 
     Attributes
     ----------
@@ -73,26 +73,26 @@ class SensorView:
 
 @dataclass(frozen=True, eq=False)
 class ScanLog:
-    """The point scans of a whole run; the points of a scan may be read only when asked for.
+    """The point scans of a whole run; the points of a scan may be read lazily.
 
     Attributes
     ----------
     dimension : int
         2 for scans of a 2-D laser, else 3.
     stamps_s : (k,) float64, ascending
-        Time of each scan, seconds; iteration numbers where the log has no clock.
+        Time of each scan, seconds; iteration numbers if the log has no clock.
     points_of : callable
-        Gives the points (n, dimension) of the scan at an index in range(k); robot frame, metres.
-        It raises RelmapError where a file of that scan is damaged.
+        Returns the points (n, dimension) of the scan at an index in range(k); robot frame, metres.
+        It raises RelmapError if a file of that scan is damaged.
     poses : (k, 4, 4) float64 or None
-        T_reference_robot of each scan: the poses the log gives for comparison, exact or not.
+        T_reference_robot of each scan: the reference poses of the log, exact or not.
     first_iteration : int
         Number of the first scan.
     sensor : SensorView
     odometry : (k, 4, 4) float64 or None
-        Motion to each scan from the one before, see `PointScan`; that of the first is not used.
+        Motion from the previous scan to each one, see `PointScan`; that of the first is not used.
     no_odometry : str
-        Why poses that stand in the log where odometry would are not taken for it, if so.
+        Why the log's odometry fields are not used as odometry, if so.
     """
 
     dimension: int
@@ -128,7 +128,7 @@ class ScanLog:
         Parameters
         ----------
         begin, end : int
-            In the log's own numbers; the log may end before.
+            Iteration numbers of the log; the log may end before.
 
         Raises
         ------
@@ -156,7 +156,7 @@ def stored_scans(
     poses: Floats | None = None,
     sensor: SensorView | None = None,
 ) -> ScanLog:
-    """Make a log of points (n, 2) or (n, 3) that are all in memory.
+    """Make a log of points (n, 2) or (n, 3) in memory.
 
     Scan `i` is the rows from ``offsets[i]`` to ``offsets[i + 1]``; see `ScanLog` for the rest.
     """
@@ -170,7 +170,7 @@ def stored_scans(
 
 
 def require_memory(where: str, scans: int, beams: int) -> None:
-    """Make sure that a log of a laser has no more scans and beams than memory is meant for."""
+    """Check that a laser log does not exceed the limits of scans and beams."""
     if scans > MAX_SCANS or beams > MAX_BEAMS:
         problem = f"more than {MAX_SCANS} scans or {MAX_BEAMS} beams, expected at most that"
         raise RelmapError(f"{where}: {problem}")
@@ -185,14 +185,14 @@ def laser_scans(
     stamps_s: Floats,
     poses: Floats | None,
 ) -> ScanLog:
-    """Make a log of 2-D laser scans, without the beams that did not return.
+    """Make a log of 2-D laser scans, without the beams that have no return.
 
     Parameters
     ----------
     path : Path
         The log, for warnings.
     ranges_m, bearings_rad : list of k (b,) float64
-        Beams in order, right to left; a range of 0 or less, as some lasers write errors, or of
+        Beams from right to left; a range of 0 or less, which some lasers use for errors, or of
         `limit_m` or more is not a return.
     limit_m : float
     T_robot_laser : (k, 3) float64
@@ -203,7 +203,7 @@ def laser_scans(
     """
     below = sum(int((ranges < 0).sum()) for ranges in ranges_m)
     if below:
-        _LOG.warning("%s: %d ranges below 0 are taken for no return", shown(path), below)
+        _LOG.warning("%s: %d ranges below 0 are treated as no return", shown(path), below)
     returned = [(ranges > 0) & (ranges < limit_m) for ranges in ranges_m]
     counts = [int(beams.sum()) for beams in returned]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -217,7 +217,7 @@ def laser_scans(
 
 
 def _laser_view(bearings_rad: list[Floats], limit_m: float, T_robot_laser: Floats) -> SensorView:
-    """Return what all scans have in common; empty if the laser is not fixed on the robot."""
+    """Return the properties common to all scans; empty if the laser is not fixed on the robot."""
     if np.ptp(T_robot_laser, axis=0).max() > FIXED:
         return SensorView()
     half = min(min(-bearings.min(), bearings.max()) for bearings in bearings_rad)
@@ -251,8 +251,8 @@ def planar_poses(x: Floats, y: Floats, yaw: Floats) -> Floats:
 def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     """Return the order of scans in time, and their stamps (seconds) in this order.
 
-    The stamps (k,) are finite and in the order of the log, which is named in warnings. Where the
-    clock is too coarse to tell scans apart, they are counted instead.
+    The stamps (k,) are finite and in the order of the log, which is named in warnings. If the clock
+    is too coarse to distinguish scans, they are numbered instead.
     """
     late = int((stamps_s < np.maximum.accumulate(stamps_s)).sum())
     if late:
@@ -261,5 +261,5 @@ def in_time_order(path: Path, stamps_s: Floats) -> tuple[Ints, Floats]:
     ascending = stamps_s[order]
     if (np.diff(ascending) > 0).all():
         return order, ascending
-    _LOG.warning("%s: times repeat: the scans are counted instead", shown(path))
+    _LOG.warning("%s: times repeat: the scans are numbered instead", shown(path))
     return order, np.arange(len(stamps_s), dtype=np.float64)

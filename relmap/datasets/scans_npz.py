@@ -1,9 +1,9 @@
 """The project's own log of point scans: ``scans.npz``.
 
 ``points`` (n, 3) or, of a 2-D laser, (n, 2): robot frame, metres. ``iteration`` (n,): the scan of
-each point, from 0; of one scan the points stay in their order. ``stamps_s`` (iterations,): the
-time of every scan, seconds, which is their order; a scan without a point is an empty one.
-``view_rad`` and ``range_m`` (optional numbers): the sensor's horizontal field of view and range.
+each point, from 0; the points of a scan keep their order. ``stamps_s`` (iterations,): the time of
+every scan, seconds, ascending; a scan without points is empty. ``view_rad`` and ``range_m``
+(optional numbers): the sensor's horizontal field of view and range.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ FILE_NAME = "scans.npz"
 """The log's name in a folder."""
 
 MAX_BYTES = 1 << 29
-"""A log unpacks to at most 512 MiB."""
+"""Limit of the unpacked size of a log, 512 MiB."""
 
 _END_MAGIC = b"PK\x05\x06"
 _DIRECTORY = struct.Struct("<4s8sLL2s")
-"""The end of a zip file: its magic number, and in third place the bytes of its directory."""
+"""The end of a zip file: its magic number, and in third place the size of its directory."""
 _DIRECTORY_BYTES, _COMMENT_BYTES = 1 << 16, 1 << 16
 _KINDS = {"points": "f", "iteration": "iu", "stamps_s": "fiu"}
 _LIMITS = ("view_rad", "range_m")
-"""What a log may state about its sensor."""
+"""Optional values about the sensor."""
 
 
 class ScansNpz:
-    """Reads ``scans.npz``, or a folder that holds it."""
+    """Reads ``scans.npz``, or a folder that contains it."""
 
     name = "scans-npz"
     description = f"{FILE_NAME} with points (n, 3), iteration (n,) and stamps_s (iterations,)"
@@ -50,7 +50,7 @@ class ScansNpz:
     def recognises(self, path: Path) -> bool:
         """Return whether it is a zip file with arrays, as .npz files are, or a damaged one.
 
-        A saved map is a zip file with arrays as well, and none.
+        A saved map, which is also a zip file with arrays, is not recognised.
         """
         file = file_in(path, FILE_NAME)
         return foreign_at(file) == ZIP and not _without_arrays(file)
@@ -81,11 +81,11 @@ def write_scans_npz(
     Parameters
     ----------
     path : Path
-        The file; it appears whole or not at all.
+        The file, written atomically.
     scans : list of k (n, 3) or (n, 2) float64, robot frame, metres
     stamps_s : (k,) float64
     sensor : SensorView, optional
-        Its field of view and range are written where they are known.
+        Its field of view and range are written if known.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def write_scans_npz(
 
 
 def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
-    """Return the arrays the log must have, of the kinds of numbers they must be."""
+    """Return the required arrays, with validated types."""
     try:
         _check_directory(file)
         with zipfile.ZipFile(file) as archive:
@@ -128,7 +128,7 @@ def _read_arrays(file: Path) -> dict[str, NDArray[Any]]:
 
 
 def _without_arrays(file: Path) -> bool:
-    """Return whether a zip file is whole and holds no array."""
+    """Return whether a zip file is intact and contains no array."""
     try:
         _check_directory(file)
         with zipfile.ZipFile(file) as archive:
@@ -138,7 +138,7 @@ def _without_arrays(file: Path) -> bool:
 
 
 def _check_directory(file: Path) -> None:
-    """Check that the directory of a zip file is that of a few arrays; ValueError where not."""
+    """Check that the directory of a zip file has few entries; ValueError if not."""
     with file.open("rb") as stream:
         stream.seek(0, os.SEEK_END)
         stream.seek(max(stream.tell() - _COMMENT_BYTES - _DIRECTORY.size, 0))
@@ -152,7 +152,7 @@ def _check_directory(file: Path) -> None:
 
 
 def _limit(file: Path, name: str, array: NDArray[Any]) -> float:
-    """Return a limit of the sensor that a log states."""
+    """Return a sensor limit stated by a log."""
     if array.shape == () and array.dtype.kind in "fiu" and 0 < float(array) < np.inf:
         return float(array)
     raise RelmapError(f"{shown(file)}: array {name}: {array!r}, expected one positive number")

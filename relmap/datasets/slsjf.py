@@ -1,14 +1,14 @@
 """The simulation of 8240 steps that comes with I-SLSJF (S. Huang and Z. Wang, UTS Sydney).
 
-A planar robot sees range and bearing of point beacons. ``sensor_data.mat`` holds a row for each
-observation: step (from 1), beacon id, range in metres, bearing in radians (0 ahead, positive to
-the left), and three zeros. The exact truth lies in the same folder:
+A planar robot observes range and bearing of point beacons. ``sensor_data.mat`` has a row per
+observation: step (from 1), beacon id, range in metres, bearing in radians (0 ahead, positive to the
+left), and three zeros. The exact truth is in the same folder:
 
 * ``store_beaconsTrue.mat``: rows of id, x, y (metres).
 * ``store_robotTrue.mat``: x, y (metres) and phi (radians) of a step in each column, from step 1.
 
-``store_robotOdo.mat``, if it exists, has the same form: the path that the noisy speed and turn rate
-add up to, the odometry. ``parameters.txt``, if it exists, gives the noise: ``sigr = 0.1`` (metres)
+``store_robotOdo.mat``, if it exists, has the same form: the path integrated from noisy speed and
+turn rate, the odometry. ``parameters.txt``, if it exists, gives the noise: ``sigr = 0.1`` (metres)
 of the range and ``sigtheta = (1*pi/180)`` (radians) of the bearing.
 """
 
@@ -60,7 +60,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class SlsjfSimulation:
-    """Reads ``sensor_data.mat``, or the folder that holds it."""
+    """Reads ``sensor_data.mat``, or the folder that contains it."""
 
     name = "slsjf-sim"
     description = f"the simulation of I-SLSJF as a folder with {LOG_FILE}"
@@ -72,8 +72,8 @@ class SlsjfSimulation:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar; step 1 is iteration 0.
 
-        Bearings may exceed a full turn. Observations whose range is negative, which the simulated
-        noise made of a few short ones, are left out.
+        Bearings may exceed a full turn. Observations with negative range, due to the simulated
+        noise, are left out.
         """
         file = file_in(path, LOG_FILE)
         table = _table(file, read_matrix(file, "sensor_data"), _OBSERVATION, "row")
@@ -90,7 +90,7 @@ class SlsjfSimulation:
 
 
 def _odometry(file: Path, log: ObservationLog) -> Floats:
-    """Return the motions (k, 4, 4) of the steps of a log; NaN where the file does not reach."""
+    """Return the motions (k, 4, 4) of the steps of a log; NaN beyond the end of the file."""
     poses = np.full((len(log), 4, 4), math.nan)
     there = _path(file)[log.first_iteration : log.end_iteration]
     poses[: len(there)] = there
@@ -104,7 +104,7 @@ def _path(file: Path) -> Floats:
 
 
 def _sigmas(file: Path) -> tuple[float, float] | None:
-    """Return the noise of range, metres, and bearing, radians; None if no file gives it."""
+    """Return the noise of range, metres, and bearing, radians; None if not given."""
     if not file.is_file():
         return None
     text = "".join(line for _, line in numbered_lines(file))
@@ -118,7 +118,7 @@ def _sigmas(file: Path) -> tuple[float, float] | None:
 
 
 def _table(file: Path, matrix: Floats, columns: tuple[Column, ...], place: str) -> Table:
-    """Check a matrix with a row for each observation, beacon or pose."""
+    """Check a matrix with a row per observation, beacon or pose."""
     if matrix.shape[1] != len(columns):
         raise RelmapError(
             f"{shown(file)}: {matrix.shape[1]} numbers per {place}, "
@@ -137,7 +137,7 @@ def _with_positive_ranges(table: Table) -> Table:
 
 
 def is_ground_truth(path: Path) -> bool:
-    """Return whether a folder holds the true beacons, or a path is named as a truth file is."""
+    """Return whether a folder contains the true beacons, or a path has the name of a truth file."""
     return path.name in (BEACONS_FILE, ROBOT_FILE) or os.path.isfile(path / BEACONS_FILE)
 
 
@@ -152,7 +152,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     Returns
     -------
     landmark_ids : (m,) int64
-        Of every beacon, those never seen too.
+        Ids of all beacons, including those never seen.
     positions : (m, 3) float64, map frame, metres
         z = 0.
     poses : (k, 4, 4) float64
@@ -161,7 +161,7 @@ def read_ground_truth(path: Path | str) -> tuple[Ints, Floats, Floats]:
     Raises
     ------
     RelmapError
-        If a file is missing, or holds what the format does not allow.
+        If a file is missing, or violates the format.
     """
     file = file_beside(path, BEACONS_FILE)
     beacons = _table(file, read_matrix(file, file.stem), _BEACON, "row").columns

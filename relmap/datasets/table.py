@@ -1,4 +1,4 @@
-"""Tables of numbers in CSV files, read fast, with the exact place of whatever is wrong."""
+"""Fast reading of numeric CSV tables, with exact error locations."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from relmap.datasets.number_rows import parse_number, too_many
 from relmap.datasets.textfile import open_text, quoted, require_utf8, shown
 
 MAX_EXACT_INTEGER = 2**53 - 1
-"""Beyond this float64 cannot represent every integer."""
+"""Largest number below which float64 represents every integer."""
 
 MAX_NUMBERS = 1 << 25
-"""Numbers in a table at most: some seven million observations."""
+"""Maximum number of values in a table: some seven million observations."""
 
 _BATCH_CHARACTERS = 1 << 22
 _MOST_NAMES = 12
-"""Messages list no more columns than this."""
+"""Maximum number of columns listed in messages."""
 
 
 @dataclass(frozen=True)
 class Column:
     """A column that a table may have: its values are from `low` to `high`, both allowed.
 
-    The `unit` is for messages; `empty` is what an empty cell stands for, None if it is an error.
+    The `unit` is for messages; `empty` is the value of an empty cell, None if it is an error.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Column:
 
     @property
     def expected(self) -> str:
-        """Say what a cell must hold."""
+        """Describe the allowed cells."""
         kind = "an integer" if self.integer else "a number"
         unit = f" of {self.unit}" if self.unit else ""
         return f"{kind}{unit} from {self.low:.10g} to {self.high:.16g}"
@@ -51,10 +51,10 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table as read: every column that the file has, checked.
+    """A table with all columns of the file, validated.
 
-    `lines` holds the 1-based line of the file for each row; messages call it `place`: a line, or
-    a row where the file has no lines.
+    `lines` is the 1-based line of the file for each row; messages call it `place`: a line, or a row
+    if the file has no lines.
     """
 
     path: Path
@@ -68,7 +68,7 @@ class Table:
         return self.columns[name].astype(np.int64)
 
     def fail(self, row: int, name: str, problem: str) -> NoReturn:
-        """Raise a RelmapError that names file, line and field of a 0-based row."""
+        """Raise a RelmapError with file, line and field of a 0-based row."""
         where = f"{self.place} {self.lines[row]}, field {name}"
         raise RelmapError(f"{shown(self.path)}: {where}: {problem}")
 
@@ -83,7 +83,7 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
     Raises
     ------
     RelmapError
-        If header, row, cell or the file itself is not as the columns say.
+        If header, row, cell or file are invalid.
     """
     parts, count = [], 0
     with open_text(path) as stream:
@@ -107,7 +107,7 @@ def read_table(path: Path, columns: Sequence[Column]) -> Table:
 def checked_table(
     path: Path, columns: Sequence[Column], values: Floats, lines: Ints, place: str = "line"
 ) -> Table:
-    """Make a table of numbers (n, columns) from another file than CSV, where each is as it must be.
+    """Make a validated table of numbers (n, columns) from a file other than CSV.
 
     See `Table` for lines and place.
     """
@@ -120,7 +120,7 @@ def checked_table(
 
 
 def header_text(columns: Sequence[Column]) -> str:
-    """Return the header that the columns ask for, optional ones in brackets."""
+    """Return the expected header, with optional columns in brackets."""
     first, *others = columns
     shown_columns = others[: _MOST_NAMES - 1]
     text = "".join(f",{c.name}" if c.required else f"[,{c.name}]" for c in shown_columns)
@@ -202,7 +202,7 @@ def _wrong_cell(path: Path, line: int, column: Column, cell: str, problem: str) 
 
 
 def _first_outside(values: Floats, columns: Sequence[Column]) -> list[tuple[int, int, str]]:
-    """Return row and column of the first cell that its column does not allow, if any, and why."""
+    """Return row and column of the first invalid cell, if any, and the reason."""
     found = []
     for k, column in enumerate(columns):
         cells = values[:, k]
@@ -221,7 +221,7 @@ def _first_outside(values: Floats, columns: Sequence[Column]) -> list[tuple[int,
 
 
 def parse_fast(batch: list[str], width: int, separator: str = ",") -> Floats | None:
-    """Return the numbers of plain lines, (n, width); None where a line is anything else."""
+    """Return the numbers of plain lines, (n, width); None if a line is anything else."""
     if not batch[0].strip():
         return None
     try:

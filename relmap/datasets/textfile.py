@@ -1,4 +1,4 @@
-"""Text files that may be gzipped, damaged, enormous or no text at all."""
+"""Text files that may be gzipped, damaged, too large or not text."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
 
 MAX_BYTES = 1 << 30
-"""A log is at most 1 GiB of text, gzip unpacked: some fifteen million observations."""
+"""Limit of the size of a log, 1 GiB unpacked: some fifteen million observations."""
 
 MAX_LINES = 10_000_000
-"""It has no more lines, whatever they hold: each takes memory many times its own bytes."""
+"""Maximum number of lines: each needs much more memory than its size."""
 
 MAX_LINE_BYTES = 1 << 16
-"""A longer line is not a row of a table."""
+"""Maximum length of a line of a table."""
 
 _GZIP_MAGIC = b"\x1f\x8b"
 _SHOWN_CHARACTERS = 60
@@ -46,7 +46,7 @@ def quoted(text: str) -> str:
 
 
 def require_path(path: Path) -> int:
-    """Return the mode of a file or folder; RelmapError where the path is neither."""
+    """Return the mode of a file or folder; RelmapError if the path is neither."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError) as error:
@@ -57,7 +57,7 @@ def require_path(path: Path) -> int:
 
 
 def unreadable(path: Path, error: Exception) -> RelmapError:
-    """Return the error to raise where the operating system refuses to read a path."""
+    """Return the error for a path that the operating system refuses to read."""
     if isinstance(error, FileNotFoundError):
         return RelmapError(f"{shown(path)}: does not exist, expected a file or folder to read")
     reason = getattr(error, "strerror", None) or error
@@ -68,13 +68,13 @@ def unreadable(path: Path, error: Exception) -> RelmapError:
 def open_text(path: Path) -> Iterator[TextIO]:
     r"""Open a UTF-8 text file, gzipped (by its magic bytes) or not, to be read once.
 
-    Lines end in ``\n`` however the file ends them, and a byte-order mark is dropped. Bytes that
-    are not UTF-8 come as lone surrogates: `require_utf8` names the line.
+    Lines end in ``\n`` however the file ends them, and a byte-order mark is dropped. Bytes that are
+    not UTF-8 are returned as lone surrogates, for `require_utf8`.
 
     Raises
     ------
     RelmapError
-        At opening where the file cannot be read; while reading where it is damaged, larger than
+        On opening if the file cannot be read; while reading if it is damaged, larger than
         `MAX_BYTES` or not text.
     """
     if stat.S_ISDIR(require_path(path)):
@@ -91,7 +91,7 @@ def open_text(path: Path) -> Iterator[TextIO]:
 
 
 class _GuardedBytes(io.RawIOBase):
-    """The bytes of a file, unpacked; stops with a RelmapError at what no text log can hold."""
+    """The unpacked bytes of a file; raises RelmapError at content no text log can have."""
 
     def __init__(self, path: Path, file: io.BufferedReader) -> None:
         super().__init__()
@@ -147,7 +147,7 @@ class _GuardedBytes(io.RawIOBase):
 
 
 def require_utf8(path: Path, number: int, line: str) -> None:
-    """Raise RelmapError where a line as `open_text` gives it holds bytes that are not UTF-8."""
+    """Raise RelmapError if a line from `open_text` contains bytes that are not UTF-8."""
     if line.isascii():
         return
     try:
@@ -160,9 +160,9 @@ def require_utf8(path: Path, number: int, line: str) -> None:
 
 
 def why_not_written(error: Exception) -> str:
-    """Return why the operating system refuses to write a path."""
+    """Return the reason why the operating system refuses to write a path."""
     if isinstance(error, FileExistsError | NotADirectoryError):
-        return "a file stands where a folder must be"
+        return "a file exists in place of a folder"
     return shown(getattr(error, "strerror", None) or error)
 
 
@@ -180,7 +180,7 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         with part.open("wb") as file:
             yield file
             file.flush()
-            os.fsync(file.fileno())  # some file systems report only here that the disk is full
+            os.fsync(file.fileno())  # some file systems report a full disk only here
         part.replace(path)
     except (OSError, ValueError) as error:
         raise RelmapError(f"cannot write {shown(path)}: {why_not_written(error)}") from error

@@ -1,7 +1,7 @@
 """True paths as files of poses: TUM (``t x y z qx qy qz qw``) and KITTI (3 x 4 matrices by rows).
 
-KITTI's poses have no times: those in ``times.txt`` beside the file count, one a line, or else the
-numbers of the lines, from 0.
+KITTI's poses have no times: they are read from ``times.txt`` beside the file, one per line,
+otherwise line numbers from 0 are used.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from relmap.datasets.textfile import numbered_lines, shown
 TIMES = "times.txt"
 _TUM, _KITTI = 8, 12
 _RIGID = 1e-3
-"""How far the rotation of a pose may be from one, as files round it."""
+"""Tolerance of the rotation of a pose, for rounded files."""
 
 
 def is_trajectory(path: Path) -> bool:
-    """Return whether the first line that is no comment holds 8 or 12 numbers."""
+    """Return whether the first line other than a comment has 8 or 12 numbers."""
     if not os.path.isfile(path):
         return False
     with suppress(RelmapError):
@@ -38,7 +38,7 @@ def is_trajectory(path: Path) -> bool:
 
 
 def read_trajectory(path: Path) -> tuple[Floats, Floats]:
-    """Read a path that `is_trajectory` knows.
+    """Read a path recognised by `is_trajectory`.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def read_trajectory(path: Path) -> tuple[Floats, Floats]:
     Raises
     ------
     RelmapError
-        If a line holds no pose.
+        If a line is not a pose.
     """
     _, first = next((n, s) for n, s in numbered_lines(path) if s.partition("#")[0].strip())
     if len(first.partition("#")[0].split()) == _TUM:

@@ -6,10 +6,10 @@ of the rear axle's centre and 0.50 m to its left. Three files beside it are read
 
 * ``VictoriaParkSinSincronizar.mat``: ``TLsr`` (1, scans), the time of every scan, seconds.
 * ``data_sensor_clean_clean.mat``: t ms, range, bearing, x_est, y_est, tree id, associated by
-  S. Huang and Z. Wang (UTS) with an EKF. Not a truth: another program's result.
+  S. Huang and Z. Wang (UTS) with an EKF. This is not a truth but a result of another program.
 * ``aa3_dr.mat``: ``time`` (ms), ``speed`` (m/s) of the left rear wheel and ``steering`` (rad, to
-  the left): the odometry. The rear axle's centre moves as the published model of the car says, at
-  v / (1 - tan(steering) H / L), and turns by tan(steering) / L a metre.
+  the left): the odometry. By the published model of the car, the centre of the rear axle moves at v
+  / (1 - tan(steering) H / L) and turns by tan(steering) / L per metre.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ from relmap.datasets.table import Column, Table, header_text, read_table
 from relmap.datasets.textfile import shown
 
 CLOCK_FILE = "VictoriaParkSinSincronizar.mat"
-"""Holds the time of every scan, those without a tree too."""
+"""File with the time of every scan, including those without a tree."""
 
 ASSOCIATION_FILE = "data_sensor_clean_clean.mat"
-"""Holds tree numbers."""
+"""File with tree numbers."""
 
 WHEEL_FILE = "aa3_dr.mat"
-"""Holds speed and steering."""
+"""File with speed and steering."""
 
 WHEELBASE_M, WHEEL_M = 2.83, 0.76
-"""L, between the axles, and H, from the centre of the rear axle to the wheel that is measured."""
+"""L, between the axles, and H, from the centre of the rear axle to the measured wheel."""
 LASER_AHEAD_M, LASER_LEFT_M = 3.78, 0.50
-"""Where the laser is, from the rear axle's centre."""
+"""Position of the laser, from the centre of the rear axle."""
 
 _COLUMNS = (
     iteration_column("scan"),
@@ -65,13 +65,13 @@ _LOG = logging.getLogger(__name__)
 
 
 class VictoriaPark:
-    """Reads ``trees_per_scan.csv.gz``, or the folder that holds it."""
+    """Reads ``trees_per_scan.csv.gz``, or the folder that contains it."""
 
     name = "victoria-park"
     description = f"Victoria Park's trees with the header {header_text(_COLUMNS)}"
 
     def recognises(self, path: Path) -> bool:
-        """Return whether the header is that of Victoria Park's trees, or nearly so."""
+        """Return whether the header is that of Victoria Park's trees, or almost."""
         if os.path.isdir(path):
             return bool(tables_with(path, _HALLMARK))
         found = columns_of(path)
@@ -80,10 +80,10 @@ class VictoriaPark:
     def load(self, path: Path) -> ObservationLog:
         """Read the log: planar, laser frame, one iteration per scan.
 
-        Trees have ids if the association file lies in the same folder, -1 for a tree it lacks, and
-        the log has odometry, of the laser, if the file of speed and steering does.
-        Without the clock file the log ends with the last scan that has a tree, and the time of a
-        scan without one is interpolated.
+        Trees have ids if the association file is in the same folder, -1 for missing trees, and the
+        log has odometry, of the laser, if the file of speed and steering is. Without the clock file
+        the log ends with the last scan that has a tree, and the time of a scan without one is
+        interpolated.
         """
         file = only_one(path, tables_with(path, _HALLMARK), "Victoria Park log", TABLES)
         table = read_table(file, _COLUMNS)
@@ -99,15 +99,15 @@ class VictoriaPark:
 
 
 def is_reference(path: Path) -> bool:
-    """Return whether a folder holds the association file, or a path is named as it is."""
+    """Return whether a folder contains the association file, or a path has its name."""
     return path.name == ASSOCIATION_FILE or os.path.isfile(path / ASSOCIATION_FILE)
 
 
 def read_reference_map(path: Path | str) -> tuple[Ints, Floats]:
-    """Read the trees' places from the association file: an EKF's, not a surveyed truth.
+    """Read the tree positions from the association file: EKF estimates, not a surveyed truth.
 
-    The file holds the filter's estimate at every observation, which moves by 0.45 m (median) and
-    up to 3.5 m; the last one of each tree fits the observed distances best and is returned.
+    The file contains the filter's estimate at every observation, which changes by 0.45 m (median)
+    and up to 3.5 m; the last one of each tree best fits the observed distances and is returned.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _points(range_m: Floats, bearing_rad: Floats) -> Floats:
 
 
 def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLog:
-    """Give the log its stamps, and the empty scans at its ends where the clock knows them."""
+    """Add the stamps to the log, and empty scans at its ends according to the clock."""
     row_stamps = table.columns["t_ms"][log.rows] / 1000
     scans, first_rows, counts = np.unique(log.iteration, return_index=True, return_counts=True)
     scan_stamps = row_stamps[first_rows]
@@ -169,9 +169,10 @@ def _with_clock(table: Table, log: ObservationLog, clock: Path) -> ObservationLo
 
 
 def _match_ids(log: ObservationLog, file: Path) -> Ints:
-    """Return each observation's tree number, -1 where the association file has none.
+    """Return each observation's tree number, -1 if missing in the association file.
 
-    Both files hold detections of the same scans: equal time stamp, and the nearest point.
+    Both files contain detections of the same scans: matched by equal time stamp and the nearest
+    point.
     """
     rows = _read_association(file)
     assert log.stamps_s is not None
