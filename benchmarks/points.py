@@ -74,10 +74,19 @@ def batch(world: FigureEight) -> float:
     return rmse(result, world.landmark_ids, world.landmark_ids, world.landmarks_map)
 
 
+def header(*names: str) -> None:
+    row(*names)
+    row(*["---"] * len(names))
+
+
+def row(*cells: object) -> None:
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
 def figure_eight() -> None:
     """Print the landmark RMSE over the seeds with known association."""
-    print("figure eight, sigma 0.05, known association, median landmark RMSE of 10 seeds [m]")
-    print("  density   chained   refined   frame-to-map   batch   least share mapped")
+    print("\nFigure eight, sigma 0.05, known association, median landmark RMSE of 10 seeds [m]\n")
+    header("density", "live", "refined", "frame-to-map", "batch", "mapped")
     for density in (25, 100):
         errors, shares, limits = [], [], []
         for seed in SEEDS:
@@ -87,17 +96,15 @@ def figure_eight() -> None:
             shares.append(share)
             limits.append(batch(world))
         chained, refined, theirs = np.median(errors, axis=0)
-        print(
-            f"  {density:7} {chained:9.4f} {refined:9.4f} {theirs:14.4f} {np.median(limits):7.4f}"
-            f" {min(shares):20.3f}",
-            flush=True,
-        )
+        errors_m = (chained, refined, theirs, np.median(limits))
+        row(density, *(f"{error:.4f}" for error in errors_m), f"{min(shares):.1%}")
 
 
 def figure_eight_without_ids() -> None:
     """Print what becomes of the eight when landmarks must be recognised."""
-    print("figure eight, sigma 0.05, no ids, refined, seeds 0-4")
-    print("  density   loops   median RMSE [m]   worst landmarks per true one   worst purity")
+    print("\nFigure eight, sigma 0.05, no ids, refined, seeds 0-4\n")
+    names = ("RMSE, median [m]", "landmarks per true one, worst", "purity, worst")
+    header("density", "loops", *names)
     for density, iterations in ((25, 900), (25, 1800), (100, 900), (100, 1800)):
         errors, per_true, purities = [], [], []
         for seed in range(5):
@@ -112,22 +119,18 @@ def figure_eight_without_ids() -> None:
             errors.append(rmse(mapper.map, true, world.landmark_ids, world.landmarks_map))
             per_true.append(len(true) / len(np.unique(true)))
             purities.append(purity(landmarks, world.log.ids))
-        print(
-            f"  {density:7} {iterations // 900:7} {np.median(errors):17.4f} {max(per_true):30.3f}"
-            f" {min(purities):14.5f}",
-            flush=True,
-        )
+        figures = (f"{np.median(errors):.4f}", f"{max(per_true):.3f}", f"{min(purities):.5f}")
+        row(density, iterations // 900, *figures)
 
 
 def live_map() -> None:
     """Print how far the live map is behind the refined one at the end of the eight."""
-    print("figure eight, density 25, sigma 0.05, seeds 0-39: error before refinement / after")
-    print("  association   last update, median (worst)   finished, median (worst)")
+    print("\nFigure eight, density 25, sigma 0.05, seeds 0-39: error before refinement / after\n")
+    header("association", "last update, median (worst)", "finished, median (worst)")
     for association in ("known", "nearest"):
         found = np.array([behind(seed, association == "known") for seed in range(40)])
         typical, worst = np.median(found, axis=0), found.max(axis=0)
-        columns = [f"{a:.2f} ({b:.2f})" for a, b in zip(typical, worst, strict=True)]
-        print(f"  {association:11} {columns[0]:>29} {columns[1]:>26}", flush=True)
+        row(association, *(f"{a:.2f} ({b:.2f})" for a, b in zip(typical, worst, strict=True)))
 
 
 def behind(seed: int, known: bool) -> list[float]:
@@ -148,13 +151,13 @@ def behind(seed: int, known: bool) -> list[float]:
 
 def mrpt(data: Path) -> None:
     """Print the landmark RMSE on MRPT's logs."""
-    print("MRPT landmark logs, known association, no odometry: landmark RMSE [m]")
-    print("  chained   refined   frame-to-map   share mapped   log")
+    print("\nMRPT landmark logs, known association, no odometry: landmark RMSE [m]\n")
+    header("log", "live", "refined", "frame-to-map", "mapped")
     for name in ("kf-slam_demo", "kf-slam_6D_demo", "kf-slam_6D_demo_noncentered"):
         path = data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
         ids, positions, _ = read_ground_truth(path)
         (chained, refined, theirs), share = known(open_log(path), ids, positions)
-        print(f"  {chained:7.4f} {refined:9.4f} {theirs:14.4f} {share:14.3f}   {name}")
+        row(name, *(f"{error:.4f}" for error in (chained, refined, theirs)), f"{share:.1%}")
 
 
 def constant_time() -> None:
@@ -163,8 +166,8 @@ def constant_time() -> None:
     run(PointMapper(), log.between(0, 100))
     times = run(PointMapper(), log)
     warm, last = np.median(times[20:120]), np.median(times[-100:])
-    print("figure eight, density 100, 3000 iterations, known association, beyond 20 of warm-up")
-    print(f"  last 100 / first 100 iterations, median time: {last / warm:.2f}", flush=True)
+    print("\nFigure eight, density 100, 3000 iterations, known association, after 20 of warm-up:")
+    print(f"last 100 / first 100 iterations, median time: {last / warm:.2f}", flush=True)
 
 
 def main() -> None:

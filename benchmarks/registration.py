@@ -129,11 +129,11 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
 
 
 def title(text: str) -> None:
-    print(f"\n{text:64}{REGISTRATIONS[0]:>18}{REGISTRATIONS[1]:>18}")
+    print(f"\n| {text} | {' | '.join(REGISTRATIONS)} |\n|---|---|---|")
 
 
 def row(name: str, values: Iterable[str]) -> None:
-    print(f"  {name:62}" + "".join(f"{value:>18}" for value in values), flush=True)
+    print(f"| {name} | {' | '.join(values)} |", flush=True)
 
 
 def share(counts: tuple[int, int]) -> str:
@@ -214,10 +214,10 @@ def victoria_park(data: Path) -> None:
 
 
 def largest_submaps(result: Result, n: int = 5) -> None:
-    print(f"  largest submaps of {REGISTRATIONS[0]}:")
+    print(f"\nLargest submaps of {REGISTRATIONS[0]}:\n")
     for submap in result.summary["submaps"][:n]:
         scans = f"{submap['iterations'][0]}:{submap['iterations'][1] + 1}"
-        print(f"    {submap['landmarks']} landmarks, scans {scans}", flush=True)
+        print(f"* {submap['landmarks']} landmarks, scans {scans}", flush=True)
 
 
 def small_robots(data: Path) -> None:
@@ -233,7 +233,8 @@ def small_robots(data: Path) -> None:
 
 def cost(iterations: int = 300, warm_up: int = 20) -> None:
     """Time one match beside building and asking one k-d tree of the same scans."""
-    print("\ncost of matching a scan, median [ms]    k-d tree   constellation   ratio")
+    print("\n| cost of matching a scan, median | k-d tree [ms] | constellation [ms] | ratio |")
+    print("|---|---|---|---|")
     for density in (125, 500, 1250):
         log = simulate_figure_eight(density=density, iterations=iterations).log
         registration = Constellation(MapperConfig().max_missed)
@@ -249,7 +250,9 @@ def cost(iterations: int = 300, warm_up: int = 20) -> None:
             previous = points
         tree, match = 1e3 * np.median(times[warm_up:], axis=0)
         visible = len(log.points_robot) / len(log)
-        print(f"  {visible:4.0f} visible{tree:34.3f}{match:16.3f}{match / tree:8.1f}", flush=True)
+        print(
+            f"| {visible:.0f} visible | {tree:.3f} | {match:.3f} | {match / tree:.1f} |", flush=True
+        )
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.document import write_all
 from tests.commands import PATIENCE_S
 
 
@@ -87,3 +89,30 @@ def test_every_benchmark_tells_what_it_does(script: Path, child_env: dict[str, s
         check=True,
     )
     assert done.stdout.startswith(f"usage: {script.name}")
+
+
+def test_every_table_of_the_document_is_written_by_a_benchmark(repo_root: Path) -> None:
+    text = (repo_root / "docs" / "benchmarks.md").read_text(encoding="utf-8")
+    section = re.compile(
+        r"<!-- begin: ((\w+\.py)(?: \d+)?) -->\n(.*?)<!-- end: \1 -->\n", re.DOTALL
+    )
+    sections = section.findall(text)
+    assert len({name for name, *_ in sections}) == len(sections)
+    for name, script, content in sections:
+        assert (repo_root / "benchmarks" / script).is_file()
+        assert "\n|" in content, name
+        assert f"Measured by `benchmarks/{script}" in content, name
+    assert "\n|" not in section.sub("", text)
+
+
+def test_the_output_of_a_benchmark_replaces_its_sections(tmp_path: Path) -> None:
+    document = tmp_path / "benchmarks.md"
+    sections = [f"<!-- begin: {name} -->\nold\n<!-- end: {name} -->" for name in ("a.py 2", "b.py")]
+    document.write_text("\n\n".join(["# Benchmarks", *sections, ""]), encoding="utf-8")
+    printed = "First\n\n| x |\n|---|\n| 1 |\n\nSecond\n\n| y |\n|---|\n| 2 |\n"
+    assert write_all((document,), "a.py", printed, "Measured.") == 1
+    replaced = "<!-- begin: a.py 2 -->\n\n| y |\n|---|\n| 2 |\n\nMeasured.\n\n<!-- end: a.py 2 -->"
+    assert document.read_text(encoding="utf-8") == "\n\n".join(
+        ["# Benchmarks", replaced, sections[1], ""]
+    )
+    assert write_all((document,), "c.py", printed, "Measured.") == 0

@@ -1,0 +1,33 @@
+"""The verdicts on the paper's figures, as a table of docs/benchmarks.md.
+
+relmap figures -o DIR --data DATA
+python benchmarks/figures.py DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+
+from relmap.figures.making import FIGURES
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, help="as `relmap figures` wrote it")
+    folder = parser.parse_args().folder
+    figures = {figure.name: figure for figure in FIGURES}
+    print("| figure | shows | found | value | the claim is |\n|---|---|---|---|---|")
+    with (folder / "verdicts.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            figure = figures[row["figure"]]
+            value = f"{float(row['value']):.3g}"
+            print(
+                f"| {figure.name} | {figure.title} | {figure.unit} | {value} | {row['verdict']} |"
+            )
+
+
+if __name__ == "__main__":
+    main()
