@@ -201,4 +201,6 @@ def _found_instead(path: Path, what: str) -> str:
         return f"is {foreign}, not a {what}"
     with open_text(path) as stream:
         head = read_head(path, stream)
-    return f"line {head.line}: {quoted(','.join(head.columns))} does not begin a {what}"
+    table = what == _LANDMARK_LOG and len(head.columns) > 1
+    hint = " (other column names are given with --columns)" if table else ""
+    return f"line {head.line}: {quoted(','.join(head.columns))} does not begin a {what}{hint}"
