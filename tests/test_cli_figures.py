@@ -123,7 +123,7 @@ def test_what_is_done_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     lines = printed.out.splitlines()
     assert lines[0].startswith("figure 9: borne out. ")
     assert lines[1:] == [f"wrote index.html and 1 figure to {out}"]
-    assert printed.err.startswith("relmap: figure 17 is left out: it needs the Victoria Park data")
+    assert printed.err.startswith("relmap: figure 17 is skipped: it needs the Victoria Park data")
 
 
 def test_same_figures_same_bytes(made: Path, tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_a_figure_that_fails_does_not_take_the_others_along(
     assert main(["figures", "9", "10", "-o", str(out), "--quick"]) == 0
     assert names(out) == ["figure09.csv", "figure09.png", "index.html", "verdicts.csv"]
     printed = capsys.readouterr()
-    assert printed.err == "relmap: figure 10 is left out: it failed: nothing was mapped\n"
+    assert printed.err == "relmap: figure 10 is skipped: it failed: nothing was mapped\n"
     assert "failed: nothing was mapped" in (out / "index.html").read_text()
     assert main(["figures", "10", "-o", str(tmp_path / "none"), "--quick"]) == 2
     assert capsys.readouterr().err.splitlines()[1:] == ["relmap: error: no figure could be made"]

@@ -67,7 +67,7 @@ def test_a_corrected_path_is_told_once(
     (tmp_path / "a.log").write_text("".join(lines))
     assert main(["map", "a.log", "-o", "out", "--variant", "planes"]) == 0
     told_by_default = capsys.readouterr().err
-    assert "a.log: mapped without odometry: the pose in the place of odometry is" in told_by_default
+    assert "a.log: mapped without odometry: its odometry field contains" in told_by_default
     assert main(["map", "a.log", "-o", "out", "--variant", "planes", "--odometry", "none"]) == 0
     assert "odometry" not in capsys.readouterr().err
 
@@ -87,6 +87,6 @@ def test_the_closing_line_says_what_rests_on_odometry(
     assert main([*simulate, "--density", "3", "--odometry", "0.01:0.1"]) == 0
     capsys.readouterr()
     assert main(["map", str(eight), "-o", out]) == 0
-    assert "scans are tied by odometry alone" in capsys.readouterr().out
+    assert "scans are linked by odometry alone" in capsys.readouterr().out
     assert main(["map", str(eight), "-o", out, "--odometry", "none"]) == 0
     assert "odometry alone" not in capsys.readouterr().out

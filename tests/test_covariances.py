@@ -253,8 +253,8 @@ def test_the_command_line_weighs_observations(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--range-sigma", "0.1"], "go together"),
-        (["--bearing-sigma", "0.1"], "go together"),
+        (["--range-sigma", "0.1"], "must be given together"),
+        (["--bearing-sigma", "0.1"], "must be given together"),
         (["--range-sigma", "0", "--bearing-sigma", "0.1"], "above 0"),
         (["--range-sigma", "nan", "--bearing-sigma", "0.1"], "above 0"),
         (["--range-sigma", "1", "--bearing-sigma", "1", "--elevation-sigma", "1"], "planar"),

@@ -156,7 +156,7 @@ def test_a_range_below_zero_is_no_return(
     whole = points_of(open_scans(put(tmp_path, text, "whole")))
     path = put(tmp_path, text.replace(old, new, 1), "errors")
     assert points_of(open_scans(path)) == whole
-    assert caplog.messages == [f"{path}: 1 ranges below 0 are taken for no return"]
+    assert caplog.messages == [f"{path}: 1 ranges below 0 are treated as no return"]
 
 
 @pytest.mark.parametrize(("text", "cut"), [(CORRECTED, "FLASER"), (GRAPH, "VERTEX2"), (LASER, "1")])

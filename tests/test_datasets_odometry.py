@@ -167,7 +167,7 @@ def test_two_files_beside_a_log_are_one_too_many(tmp_path: Path) -> None:
     path = put(tmp_path, FLAT)
     put(tmp_path, MOTIONS, "odometry.csv")
     put(tmp_path, "3 0 0 0 0 0 0 1\n", "odometry.tum")
-    assert "odometry.csv and odometry.tum lie beside it, expected one" in failure(path)
+    assert "odometry.csv and odometry.tum exist beside it, expected one" in failure(path)
 
 
 def test_motions_between_iterations_that_are_kept_are_composed() -> None:

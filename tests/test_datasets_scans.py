@@ -201,7 +201,7 @@ def test_a_part_of_a_log(tmp_path: Path) -> None:
     assert part.poses is not None
     assert part.poses.shape == (1, 4, 4)
     assert points_of(part.between(0, 2)) == points_of(part)
-    with pytest.raises(RelmapError, match="scans 2:5 hold nothing: the log covers 0:2"):
+    with pytest.raises(RelmapError, match="scans 2:5 are empty: the log covers 0:2"):
         log.between(2, 5)
 
 

@@ -249,7 +249,7 @@ def test_ctrl_c_writes_what_was_mapped_so_far(
     assert summary["interrupted"]
     assert n == 131
     assert said.startswith(f"stopped after {n} of 400: wrote ")
-    assert f"'relmap resume {journal}' goes on with it" in said
+    assert f"'relmap resume {journal}' continues it" in said
     assert len(table(out / "landmarks.csv")) > 0
     part, whole = tmp_path / "part", tmp_path / "whole"
     assert main(["map", str(log), "-o", str(part), "--scans", f"0:{n}"]) == 0

@@ -93,7 +93,7 @@ def test_everything_is_named_in_the_legend() -> None:
         "path of the robot",
         "start",
         "end",
-        "group, from its middle to its members",
+        "group, from its centre to its members",
     }
 
 
@@ -105,7 +105,7 @@ def test_title() -> None:
 def test_of_very_many_groups_a_part_is_shown() -> None:
     result = make_result(100)
     figure = plot_run(result, [np.arange(100)] * 600)
-    assert "group, from its middle to its members (one of 10 shown)" in labels(figure)
+    assert "group, from its centre to its members (one of 10 shown)" in labels(figure)
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 7400])

@@ -202,8 +202,8 @@ def test_simulate_writes_faults(fault: str, tmp_path: Path) -> None:
         (["--odometry", "0.01"], "'0.01' must be WAY:TURN, two numbers"),
         (["--odometry", "0.01:inf"], "must be WAY:TURN, two numbers"),
         (["--odometry", "-1:0"], "way of wheels is -1.0; it must lie in"),
-        (["--odometry-bias", "0:1"], "go with --odometry"),
-        (["--odometry-fault", "slip"], "go with --odometry"),
+        (["--odometry-bias", "0:1"], "require --odometry"),
+        (["--odometry-fault", "slip"], "require --odometry"),
     ],
 )
 def test_simulate_refuses_wheels(

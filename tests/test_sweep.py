@@ -101,7 +101,7 @@ def test_goes_on_after_an_interruption(
     before = finished_cells(out)
     assert run.returncode == 130, complained
     assert 3 <= len(before) < N
-    assert "the same command goes on with the others" in complained
+    assert "the same command continues with the others" in complained
     assert "Traceback" not in complained
     assert not (out / "sweep.csv").exists()
     run = sweep(spec, out, child_env, "--workers", "2")
