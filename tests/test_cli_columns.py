@@ -61,8 +61,14 @@ def test_a_run_with_columns_is_gone_on_with(here: Path) -> None:
         (["--columns", "x=a,x=b"], "it must be pairs like x=px"),
         (["--columns", "w=a"], "columns: 'w', expected some of iteration"),
         (["--columns", "x=far"], "no column 'far', expected one; there are 'frame'"),
-        (["--columns", NAMES, "--variant", "planes"], "--columns applies only to tables of landmarks"),
-        (["--columns", NAMES, "--format", "own-table"], "--columns applies only to tables of landmarks"),
+        (
+            ["--columns", NAMES, "--variant", "planes"],
+            "--columns applies only to tables of landmarks",
+        ),
+        (
+            ["--columns", NAMES, "--format", "own-table"],
+            "--columns applies only to tables of landmarks",
+        ),
     ],
 )
 def test_wrong_columns_are_refused(

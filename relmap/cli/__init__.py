@@ -34,7 +34,7 @@ _UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 BAD_INPUT = 2
 UNHEARD = 1
 
-_HELP = """Make maps from what a moving robot sees, without odometry.
+_HELP = """Make maps from landmark detections or laser scans; odometry is optional.
 
 Start with 'relmap demo', or go step by step:
 

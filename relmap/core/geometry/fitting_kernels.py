@@ -76,7 +76,8 @@ def fit_rows(
 def swings(points: Floats, rows: Bools) -> Floats:
     """Return the variance (n,) of points (n, d) placed by a fit to some rows of them.
 
-    In units of that of one of these.  They leave those far from their line free to swing.
+    In units of the variance of one of these rows. It is large far from the line of the rows, where
+    the rotation is poorly determined.
     """
     means, swing = np.empty((2, 3)), np.zeros(len(points))
     means[0, 0], means[0, 1], means[0, 2], _ = centre_of(points, rows)
