@@ -96,7 +96,7 @@ def test_static_tracks_are_pure_among_moving_landmarks() -> None:
 
 
 @pytest.mark.parametrize("dynamic", [0.4, 0.65])
-def test_moving_landmarks_are_told_from_static_ones(dynamic: float) -> None:
+def test_moving_landmarks_are_detected(dynamic: float) -> None:
     world = simulate_figure_eight(density=100, dynamic=dynamic, seed=0)
     mapper = map_log(world.log)
     table = mapper.landmarks
@@ -137,7 +137,7 @@ def test_victoria_park_is_mapped_without_ids(
     assert aligned_rmse(mapper.map.positions[known][:, :2], there[:, :2]) <= most_m
 
 
-def test_the_whole_of_victoria_park_falls_into_submaps_that_are_reported(shared_data: Path) -> None:
+def test_the_whole_of_victoria_park_reports_its_submaps(shared_data: Path) -> None:
     log = open_log(shared_data / "victoria-park")
     mapper, landmarks = map_without_ids(log)
     assert log.ids is not None

@@ -67,7 +67,7 @@ def test_a_point_without_weight_does_not_count() -> None:
         (np.zeros((3, 3)), np.zeros((3, 3)), np.ones(2)),
     ],
 )
-def test_refuses_what_cannot_be_fitted(
+def test_invalid_input_is_refused(
     source: np.ndarray, target: np.ndarray, weights: np.ndarray | None
 ) -> None:
     with pytest.raises(RelmapError, match="rigid fit"):
@@ -85,5 +85,5 @@ def test_refuses_what_cannot_be_fitted(
         ([[0, 0, 0], [1, 1, 1]], False),
     ],
 )
-def test_knows_what_fixes_a_rotation(points: list[list[float]], fixed: bool) -> None:
+def test_which_points_determine_a_rotation(points: list[list[float]], fixed: bool) -> None:
     assert fixes_rotation(np.array(points, dtype=float)) is fixed

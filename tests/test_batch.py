@@ -106,7 +106,7 @@ def test_batch_keeps_the_frame_of_its_start(seed: int, d: int) -> None:
 
 
 @both_dimensions
-def test_batch_settles_where_no_small_change_is_better(d: int) -> None:
+def test_batch_converges_to_a_minimum(d: int) -> None:
     batch, world, _ = observations(d, 7, 0.1)
     found, rng = batch_least_squares(batch, world), np.random.default_rng(0)
     least = cost(batch, found)
@@ -150,7 +150,7 @@ def test_batch_names_a_pose_that_is_not_fixed() -> None:
 
 
 @both_dimensions
-def test_batch_of_one_pose_is_what_it_saw(d: int) -> None:
+def test_batch_of_one_pose_returns_its_observations(d: int) -> None:
     batch, world, _ = observations(d, 0, 0.1, poses=1)
     found = batch_least_squares(batch, world)
     assert aligned_rmse(found, batch.points_robot) < 1e-12
@@ -162,7 +162,7 @@ def test_batch_of_one_pose_is_what_it_saw(d: int) -> None:
     np.testing.assert_allclose(batch_least_squares(twice, world), found)
 
 
-def test_batch_says_what_it_cannot_solve() -> None:
+def test_batch_reports_unsolvable_problems() -> None:
     batch, world, _ = observations(2, 0, 0.1)
     with pytest.raises(RelmapError, match="landmark 9 is not seen"):
         batch_least_squares(batch, np.vstack([world, [[0.0, 0.0]]]))
@@ -177,7 +177,7 @@ def test_batch_says_what_it_cannot_solve() -> None:
         batch_least_squares(apart, worlds)
 
 
-def test_batch_says_where_it_does_not_settle() -> None:
+def test_batch_reports_that_it_did_not_converge() -> None:
     batch, world, _ = observations(2, 0, 0.1)
     with pytest.raises(RelmapError, match="did not converge in 1 iterations"):
         batch_least_squares(batch, world, iterations=1)
@@ -239,7 +239,7 @@ def test_frame_to_map_is_exact_without_noise(seed: int, d: int) -> None:
     assert (found.positions[:, d:] == 0).all()
 
 
-def test_frame_to_map_leaves_out_what_it_cannot_place() -> None:
+def test_frame_to_map_leaves_out_undetermined_scans() -> None:
     baseline = FrameToMap(2)
     baseline.update(np.empty((0, 2)), np.empty(0, dtype=np.int64))
     assert len(baseline.map.landmark_ids) == 0

@@ -36,7 +36,7 @@ def tables_of(
     return tables
 
 
-def test_speed_stands_beside_frame_to_map(repo_root: Path, child_env: dict[str, str]) -> None:
+def test_speed_is_compared_with_frame_to_map(repo_root: Path, child_env: dict[str, str]) -> None:
     tables = tables_of(repo_root, child_env, "speed.py", "--quick")
     times = tables["Time of an iteration, median (mean), ms"]
     ratios = tables["Ratios"]
@@ -47,7 +47,7 @@ def test_speed_stands_beside_frame_to_map(repo_root: Path, child_env: dict[str, 
     assert float(ratios[0]["ratio of medians"]) == pytest.approx(nearest / plain, rel=0.1)
 
 
-def test_endurance_tells_time_and_memory(repo_root: Path, child_env: dict[str, str]) -> None:
+def test_endurance_reports_time_and_memory(repo_root: Path, child_env: dict[str, str]) -> None:
     tables = tables_of(repo_root, child_env, "endurance.py", "--iterations", "100")
     memory = tables["Memory, association known"]
     assert [int(row["iterations"]) for row in memory] == list(range(10, 101, 10))
@@ -58,7 +58,7 @@ def test_endurance_tells_time_and_memory(repo_root: Path, child_env: dict[str, s
     assert int(times[0]["landmarks"]) == int(memory[-1]["landmarks seen"])
 
 
-def test_drift_is_told_of_both_runs(repo_root: Path, child_env: dict[str, str]) -> None:
+def test_drift_is_reported_for_both_runs(repo_root: Path, child_env: dict[str, str]) -> None:
     (rows,) = tables_of(repo_root, child_env, "drift.py", "--iterations", "300").values()
     assert [row["iterations"] for row in rows] == ["30", "300"] * 2
     assert all(float(row["RMSE [m]"]) < 1e-9 for row in rows)
@@ -79,7 +79,7 @@ BENCHMARKS = sorted((Path(__file__).parents[1] / "benchmarks").glob("*.py"))
 
 
 @pytest.mark.parametrize("script", BENCHMARKS, ids=lambda script: script.stem)
-def test_every_benchmark_tells_what_it_does(script: Path, child_env: dict[str, str]) -> None:
+def test_every_benchmark_has_a_help_text(script: Path, child_env: dict[str, str]) -> None:
     done = subprocess.run(
         [sys.executable, str(script), "--help"],
         env=child_env,

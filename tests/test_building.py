@@ -123,7 +123,7 @@ def test_without_noise_points_lie_on_their_walls(exact: Building) -> None:
         np.testing.assert_array_equal(scan.wall, scan.seen.wall[scan.stretch])
 
 
-def test_ends_are_sampled_exactly_where_asked_for(exact: Building) -> None:
+def test_ends_are_sampled_exactly_on_request(exact: Building) -> None:
     for scan in exact.scans:
         for number, ends in enumerate(scan.seen.ends):
             on = scan.points[scan.stretch == number, :2]
@@ -166,7 +166,7 @@ def test_points_are_uniform_on_the_surface() -> None:
             )
 
 
-def test_noise_has_the_standard_deviation_asked_for() -> None:
+def test_noise_has_the_given_standard_deviation() -> None:
     clean = building_scene(1, points=20_000, sigma=0.0).points
     for noise in ("gaussian", "uniform"):
         error = building_scene(1, points=20_000, sigma=0.2, noise=noise).points - clean

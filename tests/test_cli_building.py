@@ -50,7 +50,7 @@ def test_it_writes_scans_and_truth(world: Path) -> None:
     np.testing.assert_allclose(poses, run.trajectory, atol=1e-12)
 
 
-def test_what_it_writes_is_a_log_of_point_scans(world: Path) -> None:
+def test_output_is_a_log_of_point_scans(world: Path) -> None:
     run = simulate_building(points=200, iterations=40, seed=3)
     log = open_scans(world)
     for scan, true in zip(log.scans(), run.scans, strict=True):
@@ -74,7 +74,7 @@ def test_a_laser_writes_planar_scans(tmp_path: Path) -> None:
     assert 0 < min(len(scan.points_robot) for scan in log.scans()) < 200
 
 
-def test_a_laser_has_beams_view_and_steps_as_asked_for(tmp_path: Path) -> None:
+def test_a_laser_has_the_given_beams_view_and_steps(tmp_path: Path) -> None:
     options = ["--beams", "90", "--view", "270", "--range", "5", "--step", "0.5"]
     simulate(tmp_path, *OPTIONS, *options, "--people", "3", "--clutter", "0.1")
     log = open_scans(tmp_path)
@@ -88,7 +88,7 @@ def test_a_laser_has_beams_view_and_steps_as_asked_for(tmp_path: Path) -> None:
     np.testing.assert_allclose(beam[far], np.rint(beam[far]), atol=1e-6)
 
 
-def test_the_truth_tells_from_where_to_where_walls_were_seen(world: Path) -> None:
+def test_the_truth_contains_the_observed_extent_of_walls(world: Path) -> None:
     run = simulate_building(points=200, iterations=40, seed=3)
     rows = table(world / "truth" / "planes.csv")
     told = [[float(row[name] or "nan") for name in ("seen0", "seen1")] for row in rows]
@@ -96,7 +96,7 @@ def test_the_truth_tells_from_where_to_where_walls_were_seen(world: Path) -> Non
     assert 0 < np.isfinite(told).all(axis=1).sum() < len(rows)
 
 
-def test_bad_options_leave_everything_as_it_was(refused: Check) -> None:
+def test_bad_options_change_nothing(refused: Check) -> None:
     for option, value, expected in (
         ("--points", "0", "points"),
         ("--sigma", "-1", "sigma"),

@@ -106,7 +106,7 @@ def test_page_needs_nothing_else(made: Path, page: Page) -> None:
     assert embedded == [(made / f"figure{int(n):02d}.png").read_bytes() for n in MADE]
 
 
-def test_page_says_claim_finding_and_verdict(page: Page) -> None:
+def test_page_shows_claim_finding_and_verdict(page: Page) -> None:
     for figure in chosen_figures([*MADE, "17"]):
         assert figure.claim in page.text
         assert figure.criterion in page.text
@@ -116,7 +116,9 @@ def test_page_says_claim_finding_and_verdict(page: Page) -> None:
     assert "partly borne out" in page.text  # of figure 6
 
 
-def test_what_is_done_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_and_verdicts_are_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     assert main(["figures", "17", "9", "-o", str(out), "--quick"]) == 0
     printed = capsys.readouterr()
@@ -145,7 +147,7 @@ def test_what_cannot_be_drawn_is_refused(arguments: list[str], said: str, refuse
     assert said in refused("figures", *arguments, "-o", "out", "--quick")
 
 
-def test_figures_that_cannot_be_written_leave_all_as_it_was(
+def test_figures_that_cannot_be_written_change_nothing(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (place / "out" / "index.html").mkdir()

@@ -48,7 +48,9 @@ def test_odometry_of_the_log_is_used_or_not(
 
 
 @pytest.mark.parametrize(("odometry", "motions"), [("auto", [0.1] * 7), ("none", [None] * 7)])
-def test_resume_goes_on_with_it(here: Path, odometry: str, motions: list[float | None]) -> None:
+def test_resume_uses_the_odometry_of_the_journal(
+    here: Path, odometry: str, motions: list[float | None]
+) -> None:
     whole = ["map", "observations.csv", "-o", "out", "--odometry", odometry]
     assert main([*whole, "--journal", "run", "--scans", "0:4"]) == 0
     assert main(["resume", "run"]) == 0
@@ -57,7 +59,7 @@ def test_resume_goes_on_with_it(here: Path, odometry: str, motions: list[float |
     assert told(here / "whole") == [None, *motions]
 
 
-def test_a_corrected_path_is_told_once(
+def test_a_corrected_path_is_reported_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -79,7 +81,7 @@ def test_a_damaged_file_is_refused(here: Path, capsys: pytest.CaptureFixture[str
     assert not (here / "out").exists()
 
 
-def test_the_closing_line_says_what_rests_on_odometry(
+def test_the_closing_line_reports_the_use_of_odometry(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     eight, out = tmp_path / "eight", str(tmp_path / "out")

@@ -30,12 +30,14 @@ def wait_for(said: Callable[[], str]) -> None:
         time.sleep(0.01)
 
 
-def test_long_work_says_what_it_does(said: Callable[[], str]) -> None:
+def test_long_work_shows_progress(said: Callable[[], str]) -> None:
     with busy("counting sheep"):
         wait_for(said)
 
 
-def test_short_work_says_nothing(said: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_work_shows_no_progress(
+    said: Callable[[], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(console, "PATIENCE_S", PATIENCE_S)
     with busy("counting sheep"):
         pass
@@ -64,7 +66,7 @@ def test_off_a_terminal_loops_tell_lines(
     ]
 
 
-def test_off_a_terminal_long_work_tells_lines(
+def test_off_a_terminal_progress_is_printed_as_lines(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(console, "EVERY_S", 0.01)
@@ -76,7 +78,7 @@ def test_off_a_terminal_long_work_tells_lines(
 @pytest.mark.parametrize(
     ("seconds", "told"), [(0.24, "0.2 s"), (44.4, "44 s"), (119.0, "119 s"), (600.0, "10 min")]
 )
-def test_times_are_told_as_a_person_reads_them(seconds: float, told: str) -> None:
+def test_times_are_printed_in_readable_form(seconds: float, told: str) -> None:
     assert lasting(seconds) == told
 
 

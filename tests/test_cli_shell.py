@@ -93,7 +93,7 @@ def test_help_of_map_names_every_format(capsys: pytest.CaptureFixture[str]) -> N
     assert [name for name in FORMATS if name not in text] == []
 
 
-def test_nobody_reads_the_output(tmp_path: Path, child_env: dict[str, str]) -> None:
+def test_the_reader_of_the_output_is_gone(tmp_path: Path, child_env: dict[str, str]) -> None:
     child = subprocess.Popen(
         [*RELMAP, "--help"],
         stdout=subprocess.PIPE,

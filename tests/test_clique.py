@@ -27,7 +27,7 @@ def test_no_clique_is_larger(seed: int, n: int, density: float) -> None:
     assert not any(all(agree[i, j] for i, j in combinations(nodes, 2)) for nodes in larger)
 
 
-def test_where_steps_run_out_what_was_found_is_a_clique() -> None:
+def test_if_steps_run_out_the_result_is_still_a_clique() -> None:
     edges = np.triu(np.random.default_rng(0).random((150, 150)) < 0.6, 1)
     agree = edges | edges.T
     few, many = (largest_clique(agree, steps) for steps in (0, 300))

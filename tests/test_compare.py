@@ -76,7 +76,7 @@ def test_csv_holds_every_figure_in_full(compared: Path) -> None:
             assert float(row[name]) > 0
 
 
-def test_printed_table_says_what_the_csv_says(compared: Path) -> None:
+def test_printed_table_agrees_with_the_csv(compared: Path) -> None:
     lines = (compared / "printed").read_text().splitlines()
     assert lines[0] == (
         "figure eight, density 25, gaussian noise 0.05 m, 60 iterations, seed 0; association known"
@@ -135,7 +135,7 @@ def test_refused_in_one_line(refused: Check, arguments: list[str], said: str) ->
     assert said in refused("compare", *arguments, "-o", "c")
 
 
-def test_what_is_missing_is_said(
+def test_missing_methods_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     missing = "gtsam is not installed: pip install 'relmap[peers]'"
@@ -154,7 +154,7 @@ def test_what_is_missing_is_said(
     assert not (tmp_path / "none").exists()
 
 
-def test_what_goes_wrong_in_one_method_is_told_of_it() -> None:
+def test_failures_of_one_method_are_reported_for_it() -> None:
     """Three landmarks in two iterations: batch least squares has nothing to go on."""
     source = EightSource(density=0.3, iterations=3)
     rows = list(compare(source, [find_method("batch"), find_method("frame-to-frame")], "known"))

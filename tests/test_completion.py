@@ -145,7 +145,7 @@ def test_amplified_is_the_variance_that_the_fit_leads_to(d: int, members: int) -
 
 
 @both_dimensions
-def test_amplified_knows_of_iterations_with_few_members(d: int) -> None:
+def test_amplified_accounts_for_iterations_with_few_members(d: int) -> None:
     rng = np.random.default_rng(d)
     outside = np.zeros((1, d))
     outside[0, 0] = 15.0
@@ -195,7 +195,7 @@ def test_iterations_that_the_reference_does_not_fix_are_left_out() -> None:
 
 
 @both_dimensions
-def test_a_reference_that_fixes_nothing_gives_an_empty_map(d: int) -> None:
+def test_an_insufficient_reference_gives_an_empty_map(d: int) -> None:
     places = np.zeros((5, d))
     places[:, 0] = np.arange(5.0) if d == 3 else 0.0  # a line, or one spot
     places[4, -1] = 2.0

@@ -108,7 +108,7 @@ def test_iterations_that_share_too_little_make_segments_of_their_own() -> None:
     assert np.isfinite(rows.points).all()
 
 
-def test_nothing_seen_condenses_to_nothing() -> None:
+def test_empty_iterations_condense_to_nothing() -> None:
     none: Scans = [(np.empty(0, dtype=np.int64), np.empty((0, 3)))] * 20
     rows = condensed(none)
     assert rows.n_segments == 0

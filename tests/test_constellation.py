@@ -180,7 +180,7 @@ def test_a_scan_that_cannot_be_tied_begins_new_tracks_and_ends_none(d: int) -> N
 
 
 @both_dimensions
-def test_where_the_tracks_end_those_of_the_last_scan_go_on(d: int) -> None:
+def test_after_the_end_of_tracks_the_last_scan_continues(d: int) -> None:
     rng = np.random.default_rng(d)
     registration, _ = settled(scattered(12, d, rng), 0.02, rng)
     for k in range(MISSED + 1):
@@ -192,7 +192,7 @@ def test_where_the_tracks_end_those_of_the_last_scan_go_on(d: int) -> None:
 
 @settings(max_examples=40)
 @given(seeds, dimensions)
-def test_scans_of_any_size_get_labels_of_their_own(seed: int, d: int) -> None:
+def test_scans_of_any_size_get_labels(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     world = scattered(6, d, rng)
     first, second = Constellation(2), Constellation(2)

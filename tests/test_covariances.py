@@ -99,7 +99,7 @@ def test_the_map_is_that_of_weighted_least_squares() -> None:
     assert aligned_rmse(plain.positions[:, :2], expected[plain.landmark_ids]) > 0.01
 
 
-def test_what_the_map_says_of_its_errors_is_right() -> None:
+def test_covariances_of_the_map_agree_with_its_errors() -> None:
     truth = world("bearing")
     mapper = mapped(replace(truth.log, covariances=truth.covariances))
     assert len(mapper.refined) == 1

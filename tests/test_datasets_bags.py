@@ -135,7 +135,7 @@ def test_a_bag_without_types_is_of_humble(tmp_path: Path) -> None:
     assert_allclose(log.points_robot, [*PLACES.values()])
 
 
-def test_what_is_no_pose_is_refused(tmp_path: Path) -> None:
+def test_invalid_poses_are_refused(tmp_path: Path) -> None:
     types = Types("mcap")
     odometry = types.odometry(1.0, np.eye(4))
     odometry.pose.pose.orientation.w = np.nan
@@ -245,7 +245,7 @@ def test_several_odometries_are_none_until_one_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("packed", [*KINDS, "ros1-BZ2", "ros1-LZ4"])
 @pytest.mark.parametrize("share", [0.5, 0.98])
-def test_what_is_left_of_a_cut_bag_is_read(
+def test_a_truncated_bag_is_read_up_to_the_damage(
     packed: str, share: float, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     kind, _, packing = packed.partition("-")

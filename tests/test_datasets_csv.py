@@ -143,7 +143,7 @@ def test_order_of_rows_does_not_matter(tmp_path: Path, seed: int) -> None:
         (b"iteration,x,y\n0,1,2\n" + b"1" * 200_000, ["line 3", "a line of more than"]),
     ],
 )
-def test_bad_content_is_told_with_its_place(
+def test_bad_content_is_reported_with_its_location(
     tmp_path: Path, content: str | bytes, parts: list[str]
 ) -> None:
     data = content.encode() if isinstance(content, str) else content

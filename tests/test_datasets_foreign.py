@@ -79,9 +79,7 @@ def test_a_file_of_another_format_is_named(
 
 
 @pytest.mark.parametrize(("name", "data", "found"), BAGS)
-def test_a_bag_of_which_nothing_can_be_read_is_named(
-    tmp_path: Path, name: str, data: bytes, found: str
-) -> None:
+def test_an_unreadable_bag_is_named(tmp_path: Path, name: str, data: bytes, found: str) -> None:
     pytest.importorskip("rosbags")
     path = put(tmp_path, data, name)
     for failure in (logs.failure, scanlogs.failure):

@@ -104,7 +104,7 @@ def test_cut_gzip(tmp_path: Path) -> None:
     assert "damaged gzip" in failure(tmp_path / "a.log.gz", "carmen-log")
 
 
-def test_a_clock_that_stands_still_counts_scans(
+def test_with_a_constant_clock_scans_are_numbered(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = put(tmp_path, CORRECTED.replace("5.5 host", "4.5 host"), "a.log")

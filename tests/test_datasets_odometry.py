@@ -82,7 +82,7 @@ def test_motions_beside_scans_in_space(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("flat", [True, False])
-def test_what_is_written_is_read_again(tmp_path: Path, flat: bool) -> None:
+def test_written_odometry_is_read_back(tmp_path: Path, flat: bool) -> None:
     log = put(
         tmp_path,
         "iteration,x,y"
@@ -117,7 +117,7 @@ def test_a_trajectory_beside_a_log_is_taken_at_its_iterations(tmp_path: Path) ->
     assert np.isnan(found[29]).all()
 
 
-def test_a_gap_in_a_trajectory_is_not_known(tmp_path: Path) -> None:
+def test_motion_over_a_gap_is_unknown(tmp_path: Path) -> None:
     put(tmp_path, "iteration,x,y\n0,1,1\n30,1,1\n")
     stamps = np.array([*range(6), *range(18, 31)], dtype=float)
     put(tmp_path, tum(stamps, walk(31)[stamps.astype(int)]), "odometry.tum")

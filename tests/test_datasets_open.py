@@ -86,7 +86,7 @@ def test_unknown_text(tmp_path: Path, content: str) -> None:
     assert "iteration,x,y[,z][,id]" in message
 
 
-def test_what_is_no_file(tmp_path: Path) -> None:
+def test_non_files_are_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     assert "is a device or pipe" in failure(tmp_path / "pipe")
     assert "cannot be read: embedded null byte" in failure("a\0b")

@@ -52,7 +52,7 @@ def check(log: ObservationLog) -> None:
         "# a comment\n\n" + OWN.replace("\n", "\r\n") + "\n\n",
     ],
 )
-def test_columns_are_told_by_name(
+def test_columns_are_given_by_name(
     tmp_path: Path, content: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     for path in (put(tmp_path, content, "a.csv"), put(tmp_path, gzip.compress(content.encode()))):

@@ -140,7 +140,7 @@ def test_dlr_circles(shared_data: Path) -> None:
     assert np.linalg.norm(log.points_robot, axis=1).max() < 4.4
 
 
-def test_dlr_circles_move_as_the_odometry_tells(shared_data: Path) -> None:
+def test_dlr_circles_agree_with_the_odometry(shared_data: Path) -> None:
     """The header puts -Y ahead and X to the right: the steps are (-dY, -dX), turned by -dPhi."""
     folder = shared_data / "dlr-circles"
     text = gzip.decompress((folder / "map.circles.gz").read_bytes()).decode()

@@ -36,7 +36,7 @@ def test_formats_are_named() -> None:
     columns=st.sampled_from([2, 3]),
     seed=st.integers(0, 99),
 )
-def test_what_is_written_reads_back_bit_by_bit(
+def test_written_values_are_read_back_exactly(
     folder: Path, counts: list[int], columns: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)

@@ -108,7 +108,7 @@ def distances_to_the_scan_before(
         ("mrpt-sim-laser2d/simul.scans.csv.gz", 0.07),
     ],
 )
-def test_scans_lie_on_one_another_where_the_poses_put_them(
+def test_scans_coincide_at_the_reference_poses(
     shared_data: Path, name: str, median_m: float
 ) -> None:
     """Mirrored scans, or poses that belong to other scans, do not.

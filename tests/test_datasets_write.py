@@ -36,9 +36,7 @@ def logs(draw: st.DrawFn) -> ObservationLog:
 
 
 @given(log=logs(), name=st.sampled_from(["log.csv", "log.csv.gz"]))
-def test_what_is_written_reads_back_bit_by_bit(
-    folder: Path, log: ObservationLog, name: str
-) -> None:
+def test_written_values_are_read_back_exactly(folder: Path, log: ObservationLog, name: str) -> None:
     write_observation_csv(folder / name, log)
     back = open_log(folder / name)
     assert back.points_robot.tobytes() == log.points_robot.tobytes()

@@ -110,7 +110,7 @@ def test_comparisons_are_never_more_than_n_log_n_as_in_figure_12(
 
 @both_dimensions
 @pytest.mark.parametrize("allowed", [0, 1, 30, 100])
-def test_comparisons_are_never_more_than_what_is_allowed(d: int, allowed: int) -> None:
+def test_comparisons_never_exceed_the_budget(d: int, allowed: int) -> None:
     for dynamic in (0.1, 0.5, 0.9):
         block, _ = mixed(40, dynamic, d, 0)
         assert Binning(block, SIGMA).sort(np.zeros(40), allowed).n_comparisons <= allowed
@@ -134,7 +134,7 @@ def test_few_comparisons_are_needed_where_most_is_static(d: int) -> None:
 
 
 @both_dimensions
-def test_what_moves_together_is_a_bin_of_its_own(d: int) -> None:
+def test_landmarks_that_move_together_form_a_bin(d: int) -> None:
     rng = np.random.default_rng(d)
     world = at_rest(40, 40, d, rng)
     world[18:32] += departing(1, 40, d, rng)  # a bus
@@ -170,7 +170,7 @@ def test_gaps_do_not_matter(d: int) -> None:
 
 
 @both_dimensions
-def test_what_was_hardly_seen_together_is_not_called_static(d: int) -> None:
+def test_landmarks_hardly_seen_together_are_not_static(d: int) -> None:
     block, _ = mixed(12, 0.0, d, 0, i=20)
     block[:6, 10 + FEWEST - 1 :] = np.nan
     block[6:, :10] = np.nan

@@ -59,7 +59,7 @@ def test_the_limit_is_on_the_variance_in_units_of_the_noise() -> None:
     assert remembered.table.dynamic.tolist() == [True, False, False]
 
 
-def test_nothing_is_said_of_what_was_hardly_seen() -> None:
+def test_landmarks_hardly_seen_are_not_classified() -> None:
     remembered = status(1)
     for end in (20, 30, 40):
         hardly = relative_map([0], [MOVED], end, FEWEST - 1)

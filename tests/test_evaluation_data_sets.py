@@ -92,7 +92,7 @@ def test_reference_is_exact_without_noise() -> None:
     assert aligned_rmse(found.positions, world.landmarks_map[found.landmark_ids]) < 1e-9
 
 
-def test_reference_leaves_out_what_fixes_no_pose() -> None:
+def test_reference_leaves_out_undetermined_poses() -> None:
     log = planar_log(sigma=0.1)
     assert log.ids is not None
     only_one = replace(log, ids=np.where((log.iteration == 7) & (log.ids != 2), -1, log.ids))

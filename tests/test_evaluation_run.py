@@ -18,7 +18,7 @@ from relmap.simulation import simulate_figure_eight
 from tests.judged import K, make_log
 
 
-def test_run_tells_what_happened() -> None:
+def test_run_reports_its_counts() -> None:
     log = simulate_figure_eight(density=10, iterations=40).log
     seen: list[int] = []
 
@@ -98,7 +98,7 @@ class Told(PointMapper):
         return super().update(*arguments, **more)  # type: ignore[arg-type]
 
 
-def test_odometry_is_handed_over_where_it_is_asked_for() -> None:
+def test_odometry_is_passed_on_request() -> None:
     log = simulate_figure_eight(density=10, iterations=12).log
     odometry = np.tile(np.eye(4), (12, 1, 1))
     odometry[:, 0, 3] = np.arange(12)
@@ -115,7 +115,7 @@ def test_odometry_is_handed_over_where_it_is_asked_for() -> None:
     assert without.told == [None] * 12
 
 
-def test_a_run_that_is_gone_on_with_knows_how_the_robot_moved_on() -> None:
+def test_a_continued_run_has_the_motion_since_the_last_scan() -> None:
     log = simulate_figure_eight(density=10, iterations=12).log
     log = replace(log, odometry=np.tile(np.eye(4), (12, 1, 1)))
     mapper = Told()

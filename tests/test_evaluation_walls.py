@@ -81,7 +81,7 @@ def test_what_lies_on_a_wall(mapped: tuple[float, float, float, float], found: b
     assert precision == (1.0 if found else 0.0)
 
 
-def test_only_what_was_seen_of_walls_over_half_a_metre_is_asked_for() -> None:
+def test_only_the_observed_part_of_walls_over_half_a_metre_is_required() -> None:
     true = segments((0, 0, 4, 0), (9, 0, 9, 0.4), (20, 0, 24, 0), (30, 0, 34, 0))
     seen_m = np.array([[0.0, 1.0], [0.0, 0.4], [np.nan, np.nan], [1.0, 1.3]])
     assert judged(segments((0, 0, 1, 0)), true, seen_m) == (1.0, 1.0)
@@ -103,7 +103,7 @@ def test_maps_are_aligned_first_and_moving_walls_left_out() -> None:
     assert none == {"wall_recall": 0.0, "wall_precision": None, "doubled_length": None}
 
 
-def test_without_a_truth_of_walls_only_doubles_are_told() -> None:
+def test_without_a_truth_of_walls_only_doubles_are_reported() -> None:
     assert judge_walls(table(ROOM), Truth(), POSES, POSES) == {"doubled_length": 0.0}
     unseen = judge_walls(table(ROOM), Truth(ends=ROOM), POSES, POSES)
     assert unseen["wall_recall"] is None
@@ -120,7 +120,7 @@ def test_without_a_truth_of_walls_only_doubles_are_told() -> None:
         ((0, 0.15, 4, 0.15), 0.0),
     ],
 )
-def test_what_stands_twice(second: tuple[float, float, float, float], doubled: float) -> None:
+def test_doubled_walls(second: tuple[float, float, float, float], doubled: float) -> None:
     assert doubled_length(segments((0, 0, 4, 0), second)) == pytest.approx(doubled, abs=0.01)
     assert doubled_length(segments(second)) == 0.0
     assert doubled_length(segments()) is None

@@ -43,7 +43,7 @@ def evo(program: str | None, folder: Path, truth: Path, found: Path, *more: str)
         return float(json.loads(archive.read("stats.json"))["rmse"])
 
 
-def test_agrees_on_a_result_as_it_stands(tmp_path: Path) -> None:
+def test_agrees_on_an_unmodified_result(tmp_path: Path) -> None:
     """Files of `relmap simulate` and `relmap map`, figures of `relmap evaluate`."""
     eight, out = str(tmp_path / "eight"), str(tmp_path / "out")
     assert main(["simulate", "figure-eight", "--iterations", "80", "-o", eight]) == 0

@@ -99,7 +99,7 @@ def served(folder: Path, content: MapContent, lines: Any, resolution_m: float = 
     return serve(folder / "map.yaml")
 
 
-def test_walls_stand_where_they_are_and_what_beams_passed_is_free(tmp_path: Path) -> None:
+def test_walls_are_occupied_and_cells_crossed_by_beams_are_free(tmp_path: Path) -> None:
     beams = np.array([[[1.05, 0.05]] * 2, [[4.0, 0.55], [1.05, -1.0]]])
     grid = served(tmp_path, an_l(), beams)
     assert grid.at(0.02, -1.0) == grid.at(3.9, -1.0) == OCCUPIED
@@ -124,7 +124,7 @@ def test_a_picture_shows_the_world_as_seen_from_above(tmp_path: Path) -> None:
     assert set(np.unique(pixels)) == {0, 205}
 
 
-def test_what_most_beams_pass_is_free_and_where_many_end_is_not(tmp_path: Path) -> None:
+def test_cells_passed_by_most_beams_are_free(tmp_path: Path) -> None:
     ends = np.array([[3.05, 0.05]] * 10)
     for stopped, cell in ((1, FREE), (2, FREE), (3, OCCUPIED), (10, OCCUPIED)):
         there = ends.copy()
@@ -194,7 +194,7 @@ def test_grid_of_walls_agrees_with_the_log(
     assert (kept.cells == FREE).mean() > 0.1
 
 
-def test_without_beams_all_but_the_walls_is_unknown_and_that_is_said(
+def test_without_beams_all_but_the_walls_is_unknown(
     mapped: Mapped, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bare = tmp_path / "bare"
@@ -222,7 +222,7 @@ def test_grid_of_planar_points(mapped: Mapped, logs: Path, tmp_path: Path, given
             assert grid.at(*halfway) == FREE
 
 
-def test_dxf_is_clean_and_says_what_is_where(mapped: Mapped, tmp_path: Path) -> None:
+def test_dxf_is_valid_and_has_the_right_positions(mapped: Mapped, tmp_path: Path) -> None:
     ezdxf = pytest.importorskip("ezdxf")
     for source in ("npz", "csv/observations.csv"):
         export(mapped(source), "dxf", tmp_path / "plan.dxf")
@@ -262,7 +262,7 @@ def test_svg_shows_y_upwards_and_names_are_text() -> None:
     assert top < -1.0 < 1.0 < top + tall
 
 
-def test_geojson_tells_what_the_tables_tell(mapped: Mapped, tmp_path: Path) -> None:
+def test_geojson_agrees_with_the_tables(mapped: Mapped, tmp_path: Path) -> None:
     result = mapped("npz")
     export(result, "geojson", tmp_path / "walls.geojson")
     read = json.loads((tmp_path / "walls.geojson").read_text())
@@ -407,13 +407,13 @@ def test_a_folder_or_a_file_and_the_same_bytes_again(
         ("out --to dxf -o log.csv/a.dxf", "cannot write"),
     ],
 )
-def test_what_cannot_be_exported_is_told_in_one_line(
+def test_what_cannot_be_exported_is_reported_in_one_line(
     place: Path, refused: Any, arguments: str, said: str
 ) -> None:
     assert said in refused("export", *arguments.split())
 
 
-def test_a_log_that_was_not_mapped_is_told(place: Path, refused: Any) -> None:
+def test_a_log_that_was_not_mapped_is_refused(place: Path, refused: Any) -> None:
     lines = (place / "log.csv").read_text().splitlines()
     (place / "short.csv").write_text("\n".join(lines[:-20]) + "\n")
     said = refused("export", "out", "--to", "g2o", "-o", "a.g2o", "--log", "short.csv")

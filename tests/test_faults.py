@@ -173,7 +173,7 @@ def test_gross_outliers_under_right_ids() -> None:
 
 @settings(max_examples=300)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]), st.sampled_from([0.0, 0.05]))
-def test_what_is_rigid_is_believed(seed: int, d: int, sigma: float) -> None:
+def test_rigid_scans_are_accepted(seed: int, d: int, sigma: float) -> None:
     rng = np.random.default_rng(seed)
     world, rigidity = rng.uniform(-20, 20, (30, d)), Rigidity()
     R, t = np.eye(d), np.zeros(d)
@@ -185,7 +185,7 @@ def test_what_is_rigid_is_believed(seed: int, d: int, sigma: float) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
-def test_what_is_not_rigid_is_not_believed(seed: int, d: int) -> None:
+def test_scans_that_are_not_rigid_are_rejected(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     world, ids, rigidity = rng.uniform(-20, 20, (30, d)), np.arange(30), Rigidity()
 
@@ -207,7 +207,7 @@ def test_what_is_not_rigid_is_not_believed(seed: int, d: int) -> None:
 
 
 @pytest.mark.parametrize("new", [6, 30])
-def test_among_wrong_ids_a_new_id_is_that_of_who_is_expected_there(new: int) -> None:
+def test_among_wrong_ids_a_new_id_is_replaced_by_the_expected_one(new: int) -> None:
     rng = np.random.default_rng(0)
     world, ids, rigidity = rng.uniform(-20, 20, (31, 3)), np.arange(31), Rigidity()
     for _ in range(5):
@@ -296,7 +296,7 @@ def test_the_result_names_overruled_observations(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tracks.rejected_id[overruled], log.ids[first : first + 2])
 
 
-def test_gross_outliers_that_nobody_holds_back_end_in_no_traceback(
+def test_unfiltered_gross_outliers_give_no_traceback(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def believed(_: Rigidity, ids: NDArray[np.int64], __: object) -> NDArray[np.int64]:

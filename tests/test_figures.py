@@ -66,7 +66,7 @@ def test_figures_come_in_the_papers_order_each_once() -> None:
     ("name", "said"),
     [("8", "is a sketch"), ("18", "no figure '18'"), ("-4", "no figure '-4'"), ("", "no figure")],
 )
-def test_what_is_no_figure_is_refused(name: str, said: str) -> None:
+def test_unknown_figures_are_refused(name: str, said: str) -> None:
     with pytest.raises(RelmapError, match=said):
         chosen_figures(["4", name])
 
@@ -74,7 +74,7 @@ def test_what_is_no_figure_is_refused(name: str, said: str) -> None:
 # Figure 5.
 
 
-def test_bench_tells_the_true_walls_and_keeps_an_animation(
+def test_bench_shows_the_true_walls_and_an_animation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(figure05, "QUICK_ITERATIONS", 12)

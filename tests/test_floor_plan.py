@@ -157,7 +157,7 @@ def test_short_walls_that_meet_no_longer_one_are_clutter() -> None:
         assert status(mapper, number) == expected
 
 
-def test_what_does_not_keep_to_a_line_moved() -> None:
+def test_tracks_that_leave_their_line_moved() -> None:
     mapper = PlaneMapper()
     last = -1
     for k in range(SCANS):
@@ -258,7 +258,9 @@ def test_beams_that_cannot_be_are_refused(points: np.ndarray) -> None:
         ([2.0, 1.5], [0, 0], [0, 0]),  # past its end
     ],
 )
-def test_what_a_beam_says_of_a_wall(end: list[float], hits: list[int], against: list[int]) -> None:
+def test_evidence_of_a_beam_for_a_wall(
+    end: list[float], hits: list[int], against: list[int]
+) -> None:
     """One metre of wall at x = 2 in two bins, seen from its front."""
     grid = np.array([-1.0, -1.0]), 1.0, np.array([8, 8]), np.arange(65), np.zeros(64, np.int64)
     lines = np.array([[2.0, 0.0]]), np.array([[-1.0, 0.0]]), np.array([0.0]), np.array([1.0])

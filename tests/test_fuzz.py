@@ -130,7 +130,7 @@ def test_matrices_are_read_as_scipy_does(tmp_path: Path, kind: str, compress: bo
         np.testing.assert_array_equal(read_matrix(path, "name"), loadmat(path)["name"])
 
 
-def test_unsorted_stamps_are_told_in_one_line(
+def test_unsorted_stamps_are_reported_in_one_line(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     later, earlier = CORRECTED.splitlines()[-1], CORRECTED.splitlines()[3]

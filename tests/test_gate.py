@@ -40,7 +40,7 @@ def test_direction_and_tolerance(gate: ModuleType, value: float, better: str, wo
     assert gate.is_worse(value, 1.0, better, 0.1) == worse
 
 
-def test_baseline_knows_every_metric(gate: ModuleType) -> None:
+def test_baseline_has_every_metric(gate: ModuleType) -> None:
     baseline = json.loads(gate.BASELINE.read_text())
     assert list(baseline) == [metric.name for metric in gate.METRICS]
     for metric in gate.METRICS:

@@ -42,7 +42,7 @@ def odds(run: Hypotheses, scan: int, motion: NDArray[np.float64]) -> float:
     return run.verdict(scan).odds(motion)
 
 
-def test_what_two_scans_cannot_tell_the_one_before_does() -> None:
+def test_ambiguous_motions_are_resolved_by_the_previous_scan() -> None:
     """Two motions fit the last scan alike; from the scan before it only one of them does."""
     told = []
     for judge in (None, tells_for(2 * STEP), tells_for(STEP + FARTHER)):
@@ -54,7 +54,7 @@ def test_what_two_scans_cannot_tell_the_one_before_does() -> None:
     assert told[2] < -1
 
 
-def test_a_motion_that_a_later_scan_contradicts_is_not_believed() -> None:
+def test_a_motion_contradicted_by_a_later_scan_is_rejected() -> None:
     run = Hypotheses(STEP)
     run.go_on(candidates(STEP, FARTHER), STEP, None)
     alone = odds(run, 1, STEP)

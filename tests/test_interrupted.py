@@ -73,7 +73,7 @@ def interrupted(work: Callable[[], object], at: int) -> int:
 
 
 @pytest.mark.parametrize(("kind", "scans"), KINDS)
-def test_an_interrupted_update_was_not_or_was_or_is_told(
+def test_an_interrupted_update_is_undone_or_complete_or_reported(
     kind: Kind, scans: Sequence[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "INTERVAL_S", 0.0)
@@ -101,7 +101,7 @@ def test_an_interrupted_update_was_not_or_was_or_is_told(
     assert was_told
 
 
-def test_whatever_cuts_an_update_off_is_told_and_a_refusal_is_not(
+def test_interrupted_updates_are_reported_but_refused_ones_are_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     mapper = go_on(PointMapper(), POINTS[:20])

@@ -69,7 +69,7 @@ def test_a_resumed_run_is_the_same_to_the_last_bit(
     assert finished(PointMapper.resume(path)) == whole
 
 
-def test_what_was_asked_on_the_way_is_asked_again(tmp_path: Path) -> None:
+def test_calls_are_repeated_on_resume(tmp_path: Path) -> None:
     scans, path = scans_of(3, False), tmp_path / "run.journal"
     plain, kept = PointMapper(), PointMapper(journal=path)
     for mapper in (plain, kept):
@@ -123,7 +123,7 @@ def test_any_tool_reads_it(tmp_path: Path) -> None:
     mapper.close()
 
 
-def test_what_was_flushed_is_there_and_the_rest_at_most_a_second_later(
+def test_flushed_scans_are_on_disk_and_others_within_a_second(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def held(path: Path) -> int:
@@ -162,7 +162,7 @@ def connected(
         return PointMapper(journal=path), opened[-1]
 
 
-def test_a_full_disk_is_said_before_a_scan_is_taken_in_and_nothing_is_lost(
+def test_a_full_disk_is_reported_before_a_scan_is_processed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scans, path = scans_of(3, False), tmp_path / "run.journal"
@@ -203,7 +203,7 @@ def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
         PointMapper(journal=tmp_path / "missing" / "run.journal")
 
 
-def test_what_a_killed_run_left_beside_its_journal_is_not_taken_for_the_next_one_s(
+def test_files_of_a_killed_run_are_not_used_by_the_next(
     tmp_path: Path,
 ) -> None:
     path, wal = tmp_path / "run.journal", tmp_path / "run.journal-wal"
@@ -217,7 +217,7 @@ def test_what_a_killed_run_left_beside_its_journal_is_not_taken_for_the_next_one
     assert PointMapper.resume(path).n_iterations == 10
 
 
-def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
+def test_two_runs_that_continue_one_journal_do_not_mix(tmp_path: Path) -> None:
     path, scans = tmp_path / "run.journal", scans_of(3, False)
     begun(path)
     one, other = PointMapper.resume(path), PointMapper.resume(path)
@@ -265,9 +265,7 @@ def test_two_that_go_on_with_one_journal_do_not_mix(tmp_path: Path) -> None:
         ("INSERT INTO calls VALUES (90, 'finish')", "60: it should end there"),
     ],
 )
-def test_a_journal_that_is_not_what_it_should_be(
-    tmp_path: Path, statement: str, message: str
-) -> None:
+def test_an_invalid_journal_is_refused(tmp_path: Path, statement: str, message: str) -> None:
     begun(tmp_path / "run.journal")
     changed(tmp_path / "run.journal", statement)
     if not message:
@@ -307,9 +305,7 @@ def kept_with_covariances(path: Path) -> PointMapper:
         ("UPDATE calls SET call = 'finish'", "at iteration 12: it should end there"),
     ],
 )
-def test_what_stands_beside_the_observations_is_checked_too(
-    tmp_path: Path, statement: str, message: str
-) -> None:
+def test_other_tables_are_checked_too(tmp_path: Path, statement: str, message: str) -> None:
     path = tmp_path / "run.journal"
     kept_with_covariances(path).close()
     assert PointMapper.resume(path).n_iterations == 12
@@ -319,7 +315,7 @@ def test_what_stands_beside_the_observations_is_checked_too(
         PointMapper.resume(tmp_path / "again")
 
 
-def test_what_could_not_be_noted_was_not_asked(
+def test_calls_that_cannot_be_recorded_are_not_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scans, path = scans_of(3, False), tmp_path / "run.journal"
@@ -347,7 +343,7 @@ def test_other_files_and_other_variants(tmp_path: Path) -> None:
         PlaneMapper.resume(path)
 
 
-def test_mapping_again_must_give_what_was_noted(tmp_path: Path) -> None:
+def test_mapping_again_must_give_the_recorded_landmarks(tmp_path: Path) -> None:
     path = tmp_path / "run.journal"
     begun(path)
     # As if another version had found other landmarks: all checksums are right.
@@ -364,7 +360,7 @@ def test_mapping_again_must_give_what_was_noted(tmp_path: Path) -> None:
         PointMapper.resume(path)
 
 
-def test_salvage_recovers_what_is_before_the_damage(tmp_path: Path) -> None:
+def test_salvage_recovers_the_scans_before_the_damage(tmp_path: Path) -> None:
     scans, path = scans_of(3, False), tmp_path / "run.journal"
     whole = finished(run(PointMapper(), scans))
     begun(path, 120)
@@ -406,9 +402,7 @@ def test_of_a_journal_with_another_configuration_nothing_is_salvaged(tmp_path: P
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_a_journal_cut_short_gives_what_is_left_or_says_that_nothing_is(
-    tmp_path: Path, share: float
-) -> None:
+def test_a_truncated_journal_is_recovered_or_refused(tmp_path: Path, share: float) -> None:
     path = tmp_path / "run.journal"
     begun(path, 120)
     data = path.read_bytes()
@@ -421,7 +415,7 @@ def test_a_journal_cut_short_gives_what_is_left_or_says_that_nothing_is(
         assert PointMapper.resume(path).n_iterations == n
 
 
-def test_whatever_is_overwritten_the_journal_says_so_or_is_whole(tmp_path: Path) -> None:
+def test_any_overwritten_byte_is_detected_or_harmless(tmp_path: Path) -> None:
     path = tmp_path / "run.journal"
     begun(path, 60)
     data, rng = path.read_bytes(), np.random.default_rng(0)

@@ -149,7 +149,7 @@ def test_the_animation_of_a_resumed_run_is_whole(
     assert len(shown[0]) > 12 * 100
 
 
-def test_relmap_resume_says_what_is_wrong(
+def test_relmap_resume_reports_errors(
     eight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, journal = tmp_path / "log.csv", tmp_path / "run.journal"

@@ -204,7 +204,7 @@ def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
         ("lab-a", "gone", "gone is not a result folder"),
     ],
 )
-def test_what_nothing_ties_is_refused(
+def test_maps_without_an_alignment_are_refused(
     halves: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -228,7 +228,7 @@ def test_what_nothing_ties_is_refused(
     assert not out.exists()
 
 
-def test_a_place_that_stands_twice_is_refused(
+def test_an_ambiguous_alignment_is_refused(
     halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A map that shows the same walls in two places: those of the other fit into both."""

@@ -130,7 +130,7 @@ def test_index_finds_all_that_is_near(seed: int, d: int) -> None:
         assert set(near.tolist()) <= set(index.near(position).tolist())
 
 
-def test_who_is_merged_away_takes_in_nobody() -> None:
+def test_merged_landmarks_absorb_no_others() -> None:
     shift = np.array([0.4, 0.0])
     first, others = np.array([0.0, 0.0]), np.array([[3.0, 1.0], [-2.0, 4.0], [1.0, -5.0]])
     # 1 lies where 0 has drifted to, and 2 where 1 has: a chain; the rest are plain pairs.

@@ -68,7 +68,9 @@ def test_every_figure_is_there(method: MethodInfo, runs: dict[str, MethodRun]) -
 
 
 @pytest.mark.parametrize("name", ["relmap-points", "ekf", "isam2", "gtsam-batch"])
-def test_who_uses_everything_comes_near_batch(name: str, runs: dict[str, MethodRun]) -> None:
+def test_methods_that_use_all_observations_are_close_to_batch(
+    name: str, runs: dict[str, MethodRun]
+) -> None:
     """Four programs, three of them by others, and one limit."""
     installed(find_method(name))
     limit = runs["batch"].figures["landmark_rmse_m"]
@@ -116,14 +118,14 @@ def test_frame_to_frame_is_exact_without_noise_and_bridges_a_gap() -> None:
     assert np.allclose(method.trajectory[5][:3, 3], [0.5, 0, 0])
 
 
-def test_setup_knows_noise_and_reach(eight: Landmarks) -> None:
+def test_setup_contains_noise_and_range(eight: Landmarks) -> None:
     assert setup_for(eight, 0.2).sigma_m == 0.2
     told = setup_for(eight)
     assert told.sigma_m == pytest.approx(0.05, rel=0.2)
     assert told.range_m == pytest.approx(80.0, abs=1.0)
 
 
-def test_unidentified_observations_count_for_nobody(eight: Landmarks) -> None:
+def test_unidentified_observations_are_ignored(eight: Landmarks) -> None:
     assert eight.log.ids is not None
     ids = eight.log.ids.copy()
     ids[::7] = -1
@@ -152,7 +154,7 @@ def test_peers_are_behind_one_extra() -> None:
     assert {m.needs for m in METHODS if m.needs and not m.missing} == set(present)
 
 
-def test_who_can_be_given_what() -> None:
+def test_which_methods_accept_which_logs() -> None:
     with pytest.raises(RelmapError, match="did you mean frame-to-map"):
         find_method("frame-to-mop")
     with pytest.raises(RelmapError, match="cannot map a log of point scans"):

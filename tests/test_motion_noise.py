@@ -46,7 +46,7 @@ def test_constant_errors_and_noise_are_found(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_steps_in_which_wheels_slip_are_told_and_spoil_nothing(seed: int) -> None:
+def test_slipping_steps_are_detected_and_harmless(seed: int) -> None:
     rng = np.random.default_rng(seed)
     true = drive(rng)
     odometry = odometry_of(true, rng, way=0.01, yaw=0.002)
@@ -65,7 +65,7 @@ def reversed_sign(odometry: Array) -> Array:
 
 
 @pytest.mark.parametrize("spoil", [reversed_sign, lambda odometry: odometry[::-1]])
-def test_odometry_of_another_robot_is_told(spoil: Callable[[Array], Array]) -> None:
+def test_odometry_of_another_robot_is_detected(spoil: Callable[[Array], Array]) -> None:
     rng = np.random.default_rng(0)
     true = drive(rng)
     true[::2, :2, 3] *= 0.05  # so that another step is another motion
@@ -74,7 +74,7 @@ def test_odometry_of_another_robot_is_told(spoil: Callable[[Array], Array]) -> N
     assert found.is_wrong
 
 
-def test_without_odometry_and_of_few_steps_nothing_is_told() -> None:
+def test_without_enough_odometry_there_is_no_estimate() -> None:
     true = drive(np.random.default_rng(0))
     assert motion_noise(np.full_like(true, np.nan), true) is None
     assert motion_noise(true[:7], true[:7]) is None

@@ -75,7 +75,7 @@ def test_a_bin_keeps_its_number_while_some_of_it_stay_together() -> None:
     assert (status.table.moving_bin[[1, 5]] == before[[1, 5]]).all()
 
 
-def test_one_that_goes_its_own_way_leaves_its_bin() -> None:
+def test_a_landmark_that_moves_differently_leaves_its_bin() -> None:
     status = remembered(8)
     status.go_together(bins_of([1, 2, 3]), NOBODY)
     status.go_together(bins_of([2, 3]), np.array([1]))

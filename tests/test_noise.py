@@ -53,7 +53,7 @@ def test_estimate_holds_for_uniform_noise(d: int) -> None:
 
 
 @both_dimensions
-def test_estimate_of_perfect_observations_is_nothing(d: int) -> None:
+def test_estimate_of_perfect_observations_is_zero(d: int) -> None:
     rng = np.random.default_rng(d)
     block = seen_block(8, 10, d, rng)
     still = np.repeat(block[:, :1], 10, axis=1)
@@ -105,7 +105,7 @@ def test_guess_copes_with_gaps(d: int) -> None:
         assert SIGMA / 2 < guess_noise(block) < 2 * SIGMA
 
 
-def test_nothing_can_be_guessed_of_what_was_not_seen_together_twice() -> None:
+def test_no_estimate_without_repeated_observations() -> None:
     assert np.isnan(guess_noise(np.zeros((1, 5, 2))))
     assert np.isnan(guess_noise(np.zeros((4, 1, 2))))
     apart = np.full((2, 4, 2), np.nan)

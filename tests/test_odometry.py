@@ -42,7 +42,7 @@ def test_an_unknown_motion_is_nan() -> None:
         ("ahead", "odometry must be"),
     ],
 )
-def test_what_is_no_motion_is_refused(odometry: object, message: str) -> None:
+def test_invalid_motions_are_refused(odometry: object, message: str) -> None:
     with pytest.raises(RelmapError, match=message):
         PointMapper().update(np.zeros((0, 2)), odometry=odometry)  # type: ignore[arg-type]
 

@@ -73,7 +73,7 @@ def test_sparse_landmarks_with_ids_are_one_map_with_odometry_and_several_without
     assert without.odometry is None
 
 
-def test_sparse_landmarks_without_ids_are_told_apart_with_odometry() -> None:
+def test_sparse_landmarks_without_ids_are_distinguished_with_odometry() -> None:
     run = world(SPARSE, 400)
     mapper, labels = mapped(run, odometry_of(run, 0), known=False)
     now, true = mapper.landmarks_of(labels), run.log.ids
@@ -88,7 +88,7 @@ def test_sparse_landmarks_without_ids_are_told_apart_with_odometry() -> None:
     assert rmse_m(run, mapper.map.positions, of) < 0.3
 
 
-def test_where_landmarks_tie_every_scan_odometry_changes_nothing() -> None:
+def test_if_landmarks_link_every_scan_odometry_changes_nothing() -> None:
     run = world(DENSE, 120)
     with_it, labels = mapped(run, odometry_of(run, 0), known=False)
     without, same = mapped(run, None, known=False)

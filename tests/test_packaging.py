@@ -154,7 +154,7 @@ def test_sdist_holds_exactly_the_package(built: Built, repo_root: Path) -> None:
     assert set(names) == built.package() | BESIDE_THE_PACKAGE
 
 
-def test_wheel_says_what_pyproject_says(built: Built, repo_root: Path) -> None:
+def test_wheel_metadata_agrees_with_pyproject(built: Built, repo_root: Path) -> None:
     table = project(repo_root)
     info = f"relmap-{table['version']}.dist-info"
     with zipfile.ZipFile(built.wheel) as archive:

@@ -222,7 +222,7 @@ def test_the_same_scans_give_the_same_map() -> None:
         ([[[1.0, -1.0], [1.0, 1.0]]], [["corner"]], "end_type has shape"),
     ],
 )
-def test_walls_that_cannot_be_meant_are_refused(ends: Any, kind: Any, message: str) -> None:
+def test_impossible_walls_are_refused(ends: Any, kind: Any, message: str) -> None:
     mapper = PlaneMapper()
     with pytest.raises(RelmapError, match=message):
         mapper.update(SimpleNamespace(ends=np.array(ends), end_type=np.array(kind)))

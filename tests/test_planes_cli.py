@@ -65,7 +65,7 @@ def test_one_submap_with_all_the_corners_that_are_mapped(building: Path) -> None
     assert submap["landmarks"] == len(mapped) > 5
 
 
-def test_wrong_corners_are_told(building: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_corners_are_reported(building: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run_relmap("evaluate", building / "result", "--truth", building / "world")
     counts = json.loads((building / "result" / "evaluation.json").read_text())["counts"]
     told = " ".join(capsys.readouterr().out.split())

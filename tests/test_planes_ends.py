@@ -41,28 +41,28 @@ def compared(moving: NDArray[np.float64], kind: NDArray[np.int8]) -> Any:
     return compared_ends(*rows, np.zeros(3 * n), np.tile(kind, (n, 1)))
 
 
-def test_ends_of_unknown_type_are_told_by_the_lowest_deviation() -> None:
+def test_ends_of_unknown_type_are_classified_by_the_lowest_deviation() -> None:
     moving = np.array([[0.05, 0.0], [0.0, -0.08], [0.03, -0.04]])
     found = compared(moving, np.full((3, 2), UNKNOWN, dtype=np.int8))
     np.testing.assert_array_equal(found.static, moving == 0)
     assert not found.moving.any()
 
 
-def test_an_end_that_the_view_cuts_is_not_asked() -> None:
+def test_an_end_cut_by_the_view_is_not_tested() -> None:
     kind = np.full((3, 2), UNKNOWN, dtype=np.int8)
     kind[0, 1] = CUT
     found = compared(np.zeros((3, 2)), kind)
     np.testing.assert_array_equal(found.static, kind == UNKNOWN)
 
 
-def test_a_corner_that_moves_against_the_others_is_told() -> None:
+def test_a_corner_that_moves_relative_to_others_is_detected() -> None:
     moving = np.zeros((3, 2))
     moving[1, 1] = -0.12
     found = compared(moving, np.full((3, 2), CORNER, dtype=np.int8))
     np.testing.assert_array_equal(found.moving, moving != 0)
 
 
-def test_a_robot_that_stands_still_tells_nothing() -> None:
+def test_a_standing_robot_gives_no_evidence() -> None:
     still = np.tile(WALLS, (12, 1, 1, 1)).reshape(-1, 2, 2)
     rows = np.repeat(np.arange(12), 3), np.tile(np.arange(3), 12), still
     found = compared_ends(*rows, np.zeros(36), np.full((36, 2), UNKNOWN, dtype=np.int8))

@@ -72,7 +72,7 @@ def tracks_of_a_room() -> tuple[PlaneTracks, np.ndarray]:
     return tracks, room
 
 
-def test_a_speck_of_a_wall_does_not_swing_the_scan() -> None:
+def test_a_tiny_wall_does_not_rotate_the_scan() -> None:
     """A false long wall that a short and noisy track takes for its own pulls at next to nothing."""
     speck = np.array([[4.0, 1.0], [4.0, 1.1]])
     tracks, room = tracks_of_a_room()

@@ -80,7 +80,7 @@ def test_residuals_are_what_the_noise_explains(
         assert not np.isin(refined.merges.track, refined.landmarks).any()
 
 
-def test_nothing_is_told_of_what_is_not_refined(
+def test_unrefined_maps_have_no_residuals(
     runs: list[tuple[Building, PlaneMapper]],
 ) -> None:
     mapper = runs[0][1]

@@ -69,7 +69,7 @@ def test_a_long_bridge_ends_the_submap() -> None:
     assert second.span == (50, 65)
 
 
-def test_a_jump_that_no_robot_makes_is_not_believed() -> None:
+def test_an_implausible_jump_is_rejected() -> None:
     """Walls 2.5 m further look alike; a robot that goes 0.1 m a scan did not go there."""
     row = np.array([[[3.0, 0.2 + 2.5 * k], [3.0, 1.7 + 2.5 * k]] for k in range(-6, 7)])
 
@@ -235,7 +235,7 @@ def test_corners_are_counted_alike_everywhere(broken: Path, tmp_path: Path) -> N
     assert f"{mapped.sum()} walls, {at_ends} corners" in title
 
 
-def test_the_summary_tells_where_the_largest_submap_is_weak(broken: Path, tmp_path: Path) -> None:
+def test_the_summary_lists_weak_links_of_the_largest_submap(broken: Path, tmp_path: Path) -> None:
     out = tmp_path / "result"
     assert main(["map", str(broken), "-o", str(out), "--variant", "planes"]) == 0
     summary = json.loads((out / "summary.json").read_text())

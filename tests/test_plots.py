@@ -102,7 +102,7 @@ def test_title() -> None:
     assert plot_run(make_result(3), title="mine").axes[0].get_title() == "mine"
 
 
-def test_of_very_many_groups_a_part_is_shown() -> None:
+def test_only_a_part_of_very_many_groups_is_shown() -> None:
     result = make_result(100)
     figure = plot_run(result, [np.arange(100)] * 600)
     assert "group, from its centre to its members (one of 10 shown)" in labels(figure)
@@ -215,7 +215,7 @@ def test_a_floor_plan_shows_points_start_end_and_weak_links() -> None:
     assert "weak link" not in [line.get_label() for line in without.get_lines()]
 
 
-def test_each_submap_has_a_panel_of_its_own() -> None:
+def test_each_submap_has_its_own_panel() -> None:
     figure = plot_submaps([drawn_submap([]), drawn_submap([2])], 3)
     assert [axes.get_title().partition(":")[0] for axes in figure.axes] == ["map", "submap 1"]
     assert figure.get_suptitle() == "3 separate submaps, 1 of a few scans not drawn"
@@ -291,7 +291,7 @@ def test_a_sweep_without_numbers_is_a_comparison_of_medians() -> None:
 
 
 @pytest.mark.parametrize("figures", [{}, {"ate_m": None}])
-def test_a_sweep_of_which_nothing_came_is_still_a_picture(
+def test_an_empty_sweep_is_still_a_picture(
     tmp_path: Path, figures: dict[str, float | None]
 ) -> None:
     write_sweep_png(tmp_path / "a.png", [SweepRow("relmap", 0.1, figures)], "noise [m]")

@@ -191,7 +191,7 @@ def test_errors_at_the_end_of_a_corridor_are_what_is_said(d: int) -> None:
     assert 0.6 < np.mean(squares) < 1.6
 
 
-def test_what_is_not_fixed_stays_and_is_not_sure() -> None:
+def test_undetermined_landmarks_stay_without_covariance() -> None:
     """Seven landmarks may turn about the one that they share with the others."""
     rng = np.random.default_rng(0)
     world = rng.uniform(-5, 5, (15, 3))
@@ -271,7 +271,7 @@ def test_refining_twice_or_on_the_way_changes_nothing() -> None:
 
 
 @both_dimensions
-def test_mapper_tells_how_sure_the_map_is(d: int) -> None:
+def test_mapper_provides_covariances_of_the_map(d: int) -> None:
     world = walk(d, 8, sigma=0.05)
     mapper = mapped(world.scans)
     before = mapper.map.covariances
@@ -298,7 +298,7 @@ def test_the_frame_is_that_of_the_first_iteration(d: int) -> None:
     np.testing.assert_allclose(mapper.trajectory[0], np.eye(4), atol=1e-3)
 
 
-def test_what_no_noise_explains_counts_less() -> None:
+def test_outliers_are_down_weighted() -> None:
     """One in a hundred observations is metres off: the batch solution is spoilt, the map is not."""
     errors, spoilt = [], []
     for seed in (40, 41, 42):

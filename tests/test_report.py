@@ -57,7 +57,7 @@ def numbers(text: str, kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("source", ["npz", "clouds", "csv/observations.csv", "flat"])
-def test_a_page_asks_nobody_for_anything(mapped: Mapped, source: str) -> None:
+def test_a_page_makes_no_requests(mapped: Mapped, source: str) -> None:
     page = (mapped(source) / "report.html").read_text()
     parsed = Parsed(page)
     assert not {name for name, _ in parsed.attributes} & {"src", "href", "srcset", "action"}
@@ -192,7 +192,7 @@ def test_a_page_opens_without_requests_and_errors(
     assert (350 if phone else 1000) < wide < (390 if phone else 1200)
 
 
-def test_what_is_drawn_is_what_is_mapped(mapped: Mapped, page: Page, tmp_path: Path) -> None:
+def test_the_drawing_agrees_with_the_map(mapped: Mapped, page: Page, tmp_path: Path) -> None:
     """Blue is where the walls are: in the picture, by its scale bar, as in the table."""
     page.open(mapped("npz") / "report.html")
     page.run("window.scrollTo(0, 0)")

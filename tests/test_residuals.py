@@ -74,7 +74,7 @@ def test_a_wrong_merge_stands_out() -> None:
     assert apart[m + 1] > 10
 
 
-def test_the_summary_tells_of_weak_places() -> None:
+def test_the_summary_lists_weak_places() -> None:
     log = simulate_figure_eight(iterations=300).log
     told = run_mapper(PointMapper(), log, "nearest", refine=True).result.summary["refinement"]
     assert told["noise_m"] == pytest.approx(0.05, rel=0.1)

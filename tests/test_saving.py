@@ -45,7 +45,7 @@ def ended(mapper: Any) -> tuple[bytes, ...]:
         (MapperConfig(registration="nearest-previous"), 3, False),
     ],
 )
-def test_a_run_goes_on_as_if_it_had_not_been_saved(
+def test_a_loaded_run_continues_identically(
     tmp_path: Path, settings: MapperConfig, dimension: int, with_ids: bool
 ) -> None:
     scans = walk(dimension, 3, 0.02).scans
@@ -109,7 +109,7 @@ def test_the_same_state_gives_the_same_bytes(tmp_path: Path) -> None:
     assert path.read_bytes() == again
 
 
-def test_what_is_no_saved_map_of_this_kind(tmp_path: Path) -> None:
+def test_saved_maps_of_another_kind_are_refused(tmp_path: Path) -> None:
     path = saved_map(tmp_path)
     with pytest.raises(RelmapError, match="holds a PointMapper, not a PlaneMapper"):
         PlaneMapper.load(path)
@@ -169,7 +169,7 @@ def shifted(name: str, by: float = 1.0) -> Any:
         lambda a, h: a.update(checksum=a["checksum"][:4]),
     ],
 )
-def test_a_change_is_told(tmp_path: Path, change: Any) -> None:
+def test_a_changed_file_is_reported(tmp_path: Path, change: Any) -> None:
     path = saved_map(tmp_path)
     rewritten(path, change, honest=True)
     with pytest.raises(
@@ -228,7 +228,7 @@ def test_a_file_that_was_made_up(tmp_path: Path, change: Any, message: str) -> N
     assert "\n" not in str(caught.value)
 
 
-def test_damage_is_told_and_bombs_are_refused(tmp_path: Path) -> None:
+def test_damage_is_reported_and_bombs_are_refused(tmp_path: Path) -> None:
     path = saved_map(tmp_path)
     data, rng = path.read_bytes(), np.random.default_rng(0)
     whole = told(PointMapper.load(path))
@@ -352,7 +352,7 @@ def test_localise_in_the_plane_and_of_what_is_nowhere() -> None:
         (["--onto", "nowhere"], "there is no saved map"),
     ],
 )
-def test_what_does_not_go_with_onto(
+def test_options_incompatible_with_onto(
     tour: Path,
     arguments: list[str],
     message: str,

@@ -67,7 +67,7 @@ def test_lower_levels_come_first_and_then_those_seen_longest() -> None:
 
 
 @given(st.lists(st.sets(st.integers(0, 4)), min_size=1, max_size=40), st.integers(0, 3))
-def test_who_is_in_view_and_who_has_left(scans: list[set[int]], missed: int) -> None:
+def test_landmarks_in_view_and_landmarks_that_left(scans: list[set[int]], missed: int) -> None:
     schedule, table = begun(missed=missed)
     last: dict[int, int] = {}
     in_view: set[int] = set()

@@ -34,7 +34,7 @@ def walls(mapped: Mapped) -> PlaneMapper:
     return PlaneMapper.load(mapped("npz") / "mapper.npz")
 
 
-def test_mappers_and_tables_tell_what_is_in_them(points: PointMapper, walls: PlaneMapper) -> None:
+def test_mappers_and_tables_print_their_content(points: PointMapper, walls: PlaneMapper) -> None:
     assert repr(points).startswith("PointMapper(30 iterations, 12 landmarks mapped, ")
     assert repr(PointMapper()) == "PointMapper(0 iterations, 0 landmarks mapped)"
     assert repr(walls).startswith("PlaneMapper(16 iterations, ")

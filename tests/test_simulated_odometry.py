@@ -41,7 +41,7 @@ def errors(odometry: Poses, poses: Poses) -> tuple[NDArray[np.float64], NDArray[
     return odometry[1:, :3, 3] - true[:, :3, 3], turn.as_rotvec()
 
 
-def test_noise_is_as_large_as_is_said() -> None:
+def test_noise_has_the_given_size() -> None:
     poses, wheels = circle(), Wheels(way=0.02, turn_deg=0.1, turn_deg_per_m=0.4)
     step, turn = errors(wheel_odometry(poses, wheels, np.random.default_rng(1)), poses)
     assert_allclose(step[:, :2].std(axis=0), 0.02 * 0.5, rtol=0.05)

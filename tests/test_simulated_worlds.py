@@ -37,7 +37,7 @@ def test_without_noise_every_world_is_seen_as_it_is(kind: str) -> None:
 
 
 @pytest.mark.parametrize("noise", SENSORS)
-def test_noise_is_as_its_covariances_tell(noise: str) -> None:
+def test_noise_agrees_with_its_covariances(noise: str) -> None:
     world = simulate_world(replace(SMALL, space=True, noise=noise, sigma=0.02))
     errors = world.log.points_robot - true_points(world)
     whitened = np.linalg.solve(np.linalg.cholesky(world.covariances), errors[:, :, None])[:, :, 0]
@@ -58,7 +58,7 @@ def test_detections_are_missed_and_made_up() -> None:
     assert np.linalg.norm(world.log.points_robot, axis=1).max() < REACH_M + 1
 
 
-def test_wrong_ids_are_told_and_come_once_in_a_scan() -> None:
+def test_wrong_ids_occur_once_in_a_scan() -> None:
     world = simulate_world(replace(SMALL, wrong_ids=0.1))
     assert world.log.ids is not None
     assert np.mean(world.log.ids != world.true_ids) == pytest.approx(0.1, abs=0.03)

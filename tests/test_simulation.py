@@ -37,7 +37,7 @@ def test_density_is_landmarks_per_hundred_units(density: float) -> None:
     assert len(world.log.points_robot) / 50 == pytest.approx(0.8 * density, rel=0.4)
 
 
-def test_noise_has_the_standard_deviation_asked_for() -> None:
+def test_noise_has_the_given_standard_deviation() -> None:
     gaussian = errors(simulate_figure_eight(sigma=0.3, noise="gaussian"))
     uniform = errors(simulate_figure_eight(sigma=0.3, noise="uniform"))
     for drawn in (gaussian, uniform):

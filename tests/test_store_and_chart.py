@@ -27,7 +27,7 @@ def filled_store(visible: list[list[bool]]) -> tuple[ObservationStore, np.ndarra
 
 
 @given(visibility, st.data())
-def test_chart_shows_who_was_visible_with_the_seed(
+def test_chart_shows_landmarks_visible_with_the_seed(
     visible: list[list[bool]], data: st.DataObject
 ) -> None:
     store, table = filled_store(visible)

@@ -258,7 +258,7 @@ def walls(**changed: Any) -> SimpleNamespace:
         ("points", "points"),
     ],
 )
-def test_walls_that_cannot_be_meant_change_nothing(planes: Any, named: str, tmp_path: Path) -> None:
+def test_impossible_walls_change_nothing(planes: Any, named: str, tmp_path: Path) -> None:
     mapper = PlaneMapper()
     mapper.update(walls())
     before = state(mapper, tmp_path)

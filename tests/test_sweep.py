@@ -156,7 +156,7 @@ def test_a_missing_extra_is_tried_again(tmp_path: Path) -> None:
     assert names(tmp_path / "cells") == []
 
 
-def test_what_goes_wrong_stands_in_the_table() -> None:
+def test_failures_are_listed_in_the_table() -> None:
     finished = run_cell(Cell(density=0.3, iterations=3, method="batch"))
     assert finished.note.startswith("failed: ")
     assert set(finished.figures.values()) == {None}

@@ -41,7 +41,7 @@ def moved(points: Points, rng: np.random.Generator, sigma: float = 0.0) -> Point
 
 @settings(max_examples=20)
 @given(seeds, dimensions, st.sampled_from([0.0, 0.02]))
-def test_what_overlaps_is_laid_on_one_another(seed: int, d: int, sigma: float) -> None:
+def test_overlapping_submaps_are_joined(seed: int, d: int, sigma: float) -> None:
     rng = np.random.default_rng(seed)
     world = rng.uniform(0, 20, (120, d))
     # They share what lies in the middle, more than half of the smaller submap.
@@ -76,7 +76,7 @@ def test_different_places_stay_apart(seed: int, d: int) -> None:
     assert len(np.unique(global_map.table.submap)) == 4
 
 
-def test_few_landmarks_that_lie_alike_by_chance_tie_nothing() -> None:
+def test_few_landmarks_in_a_chance_arrangement_join_nothing() -> None:
     """Half of so few are found somewhere in any world, if the noise is large."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_few_landmarks_that_lie_alike_by_chance_tie_nothing() -> None:
 
 
 @both_dimensions
-def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
+def test_an_ambiguous_place_joins_nothing(d: int) -> None:
     rng = np.random.default_rng(0)
     motif = rng.uniform(0, 8, (14, d))
     street = np.vstack([motif + np.eye(d)[0] * 12 * k for k in range(5)])
@@ -93,14 +93,14 @@ def test_a_place_that_is_there_more_than_once_ties_nothing(d: int) -> None:
     assert list(tie_submaps(global_map, 0.01)) == []
 
 
-def test_landmarks_on_a_grid_tie_nothing() -> None:
+def test_landmarks_on_a_grid_join_nothing() -> None:
     grid = np.stack(np.meshgrid(np.arange(12.0), np.arange(12.0)), axis=-1).reshape(-1, 2)
     rng = np.random.default_rng(1)
     first, second = (part + 0.01 * rng.standard_normal(part.shape) for part in (grid, grid[:60]))
     assert list(tie_submaps(in_submaps(first, second), 0.01)) == []
 
 
-def test_nothing_mapped_and_single_submaps_tie_nothing() -> None:
+def test_empty_maps_and_single_submaps_join_nothing() -> None:
     assert list(tie_submaps(GlobalMap(LandmarkState()), 0.01)) == []
     alone = in_submaps(np.random.default_rng(0).uniform(0, 9, (30, 3)))
     assert list(tie_submaps(alone, 0.01)) == []
@@ -140,7 +140,7 @@ def test_a_second_visit_from_nowhere_is_the_same_place(d: int, sigma: float) -> 
 
 @both_dimensions
 @pytest.mark.parametrize("seed", range(20))
-def test_nobody_stays_double_after_a_brief_second_visit(d: int, seed: int) -> None:
+def test_no_duplicates_remain_after_a_brief_second_visit(d: int, seed: int) -> None:
     place, scans = two_visits(d, seed)
     mapper, labels = PointMapper(), []
     for _, points in scans:
@@ -161,7 +161,7 @@ def test_nobody_stays_double_after_a_brief_second_visit(d: int, seed: int) -> No
 
 
 @given(seeds)
-def test_later_is_who_was_never_seen_meanwhile(seed: int) -> None:
+def test_later_landmarks_were_never_seen_meanwhile(seed: int) -> None:
     rng = np.random.default_rng(seed)
     table, seen = LandmarkState(), {k: {0} for k in range(6)}
     order = rng.permutation(6)

@@ -132,7 +132,7 @@ def test_settings_of_a_file(
 
 
 @pytest.mark.parametrize("run", RUNS)
-def test_the_summary_tells_of_settings_in_use(mapped: Callable[[str, str], int], run: str) -> None:
+def test_the_summary_lists_settings_in_use(mapped: Callable[[str, str], int], run: str) -> None:
     assert mapped(run, "") == 0
     assert load(Path("out") / "summary.json")["configuration"] == USED[run]
 
@@ -168,7 +168,7 @@ def test_a_gate_without_its_registration_in_python() -> None:
         MapperConfig(gate_m=0.5)
 
 
-def test_a_resumed_run_tells_of_the_same_settings(mapped: Callable[[str, str], int]) -> None:
+def test_a_resumed_run_lists_the_same_settings(mapped: Callable[[str, str], int]) -> None:
     assert mapped("known", "--journal run.journal") == 0
     assert main(["resume", "run.journal", "-o", "again"]) == 0
     assert load(Path("again") / "summary.json")["configuration"] == USED["known"]

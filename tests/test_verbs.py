@@ -124,7 +124,7 @@ def test_evaluate_and_compare(
     np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9)
 
 
-def test_compare_knows_where_the_laser_is(logs: Path) -> None:
+def test_compare_uses_the_pose_of_the_laser(logs: Path) -> None:
     """The case above is one in which it matters."""
     view = open_scans(logs / "laser").sensor
     assert view.x_m == LASER_AHEAD_M
@@ -167,7 +167,7 @@ def test_a_map_that_is_too_wrong_gets_figures_and_a_word(
     assert f"{found['counts']['false_corners']} of {found['counts']['false_corners']}" in printed
 
 
-def test_a_path_without_common_times_is_told(
+def test_a_path_without_common_times_is_reported(
     mapped: Mapped, logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for source, truth in (("npz", "npz"), ("csv/observations.csv", "csv")):

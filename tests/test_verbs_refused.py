@@ -81,7 +81,7 @@ def test_a_wrong_kind_of_input_is_refused_in_one_line(
         ("localise csv --map empty -o out", "expected one that 'relmap map' wrote"),
     ],
 )
-def test_what_would_be_right_is_said(
+def test_errors_say_what_would_be_right(
     wrong: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -73,7 +73,7 @@ def test_what_is_not_seen(wall: tuple[float, float, float, float]) -> None:
     assert look(wall).ends.shape == (0, 2, 2)
 
 
-def test_nothing_is_seen_of_nothing() -> None:
+def test_an_empty_world_shows_nothing() -> None:
     assert len(look().wall) == 0
 
 

@@ -126,7 +126,7 @@ def test_a_map_that_least_squares_would_ruin_is_kept(monkeypatch: pytest.MonkeyP
     assert not mapper.refined[0].converged
 
 
-def test_the_command_line_says_that_refinement_did_not_converge(
+def test_the_command_line_reports_that_refinement_did_not_converge(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     log, run = tmp_path / "e", CliRunner()
