@@ -1,4 +1,4 @@
-"""Whatever is wrong: exit code 2, one line on stderr, and an earlier result as it was."""
+"""Bad input: exit code 2, one line on stderr, and an unchanged earlier result."""
 
 from __future__ import annotations
 

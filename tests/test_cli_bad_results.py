@@ -1,4 +1,4 @@
-"""Evaluating a damaged result, or against what is no truth: refused in one line."""
+"""Evaluating a damaged result, or against an invalid truth: one line of error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``--odometry`` of ``relmap map``, and what a journal keeps of it."""
+"""``--odometry`` of ``relmap map``, and its storage in a journal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``relmap compare``: the table, the files, and one line for what goes wrong."""
+"""``relmap compare``: the table, the files, and one line per error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is compiled, where it is kept, and what a person is told of it."""
+"""Compilation: what is compiled, where it is cached, and the message about it."""
 
 from __future__ import annotations
 

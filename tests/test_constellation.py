@@ -1,4 +1,4 @@
-"""Registration by constellation: every track is one landmark, and none is made up."""
+"""Registration by constellation: every track is one landmark, and none is false."""
 
 from __future__ import annotations
 

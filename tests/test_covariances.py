@@ -1,4 +1,4 @@
-"""Covariances of observations: what is refused, what they are good for, and that they are kept."""
+"""Covariances of observations: validation, effect on the map, and storage."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which poses of CARMEN logs are taken for odometry, and which for the corrected path."""
+"""Which poses of CARMEN logs are used as odometry, and which as the corrected path."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of formats that are not read are called by their names."""
+"""Files of unsupported formats are named in messages."""
 
 from __future__ import annotations
 

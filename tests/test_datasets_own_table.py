@@ -1,4 +1,4 @@
-"""Tables of anybody's own: names of columns, times, texts for ids, separators, frames, Parquet."""
+"""Tables with arbitrary columns: names of columns, times, texts for ids, separators, frames, Parquet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves: sorted out by binning (Fig. 12), and kept apart in the mapper."""
+"""Moving landmarks: detected by binning (Fig. 12), and kept out of the map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The test of a relative map for motion, and what is remembered of it."""
+"""The test of a relative map for motion, and the stored status."""
 
 from __future__ import annotations
 

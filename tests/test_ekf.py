@@ -1,4 +1,4 @@
-"""The EKF: its derivatives, its covariance, and MRPT's own filter beside it."""
+"""The EKF: its derivatives, its covariance, and comparison with MRPT's filter."""
 
 from __future__ import annotations
 

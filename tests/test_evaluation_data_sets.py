@@ -1,4 +1,4 @@
-"""What the data sets tell about their landmarks, as a truth, and the least-squares reference."""
+"""The truth given by the data sets, and the least-squares reference."""
 
 from __future__ import annotations
 

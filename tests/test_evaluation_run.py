@@ -1,4 +1,4 @@
-"""A run of a mapper over a log, and what its summary tells."""
+"""A run of a mapper over a log, and its summary."""
 
 from __future__ import annotations
 

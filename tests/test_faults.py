@@ -1,4 +1,4 @@
-"""Faults in the world and in the sensor: what each does to a log, and what a map makes of it."""
+"""Faults in the world and in the sensor: their effect on a log and on the map."""
 
 from __future__ import annotations
 

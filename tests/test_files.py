@@ -1,4 +1,4 @@
-"""Files are whole or not there, and numbers come back as they went."""
+"""Files are written atomically, and numbers are read back exactly."""
 
 from __future__ import annotations
 

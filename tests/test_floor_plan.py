@@ -1,4 +1,4 @@
-"""The floor plan: which of the refined walls are drawn, as one, and how far they go."""
+"""The floor plan: which of the refined walls are drawn, joined, and their extent."""
 
 from __future__ import annotations
 

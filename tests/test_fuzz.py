@@ -1,4 +1,4 @@
-"""Hostile files: nothing but a RelmapError of one line comes back; see `tests.fuzz`."""
+"""Hostile files: the only result is a RelmapError of one line; see `tests.fuzz`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays that grow: values stay as they were put in, and little is reserved before it is needed."""
+"""Arrays that grow: values are preserved, and little is reserved in advance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Motions of consecutive scans that are judged together."""
+"""Joint evaluation of the motions of consecutive scans."""
 
 from __future__ import annotations
 

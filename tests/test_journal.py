@@ -1,4 +1,4 @@
-"""The journal: what it holds, and that a run goes on from it as if nothing had happened."""
+"""The journal: its content, and runs that continue from it."""
 
 from __future__ import annotations
 

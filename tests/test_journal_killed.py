@@ -1,4 +1,4 @@
-"""Runs that are killed, run out of disk or are stopped by Ctrl-C, and how they go on."""
+"""Runs that are killed, run out of disk or are stopped by Ctrl-C, and how they continue."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The methods that can be compared: what each makes of a world, and who agrees."""
+"""The methods that can be compared: their results on simulated worlds, and which agree."""
 
 from __future__ import annotations
 

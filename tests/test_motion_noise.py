@@ -1,4 +1,4 @@
-"""What is found of odometry's errors, against odometry whose errors are known."""
+"""The estimated errors of odometry, against known errors."""
 
 from __future__ import annotations
 

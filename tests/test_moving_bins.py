@@ -1,4 +1,4 @@
-"""What moves together, as the parts of a vehicle do, is told apart from what moves alone."""
+"""Landmarks that move together, as parts of a vehicle, are distinguished from single ones."""
 
 from __future__ import annotations
 

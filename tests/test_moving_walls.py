@@ -1,4 +1,4 @@
-"""Doors that swing and panels that slide: simulated, and what the plane mapper makes of them."""
+"""Doors that swing and panels that slide: simulated, and mapped by the plane mapper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Odometry: what is accepted as a motion, and that journals and saved states keep it."""
+"""Odometry: accepted motions, and storage in journals and saved states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops of walls: what is seen again after the map has drifted, and what only looks like it."""
+"""Loop closure with walls: re-observed after drift, and perceptual aliasing."""
 
 from __future__ import annotations
 

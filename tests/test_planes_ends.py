@@ -1,4 +1,4 @@
-"""Which ends of walls are static, told by the four midpoint pairs of Fig. 4 over an interval."""
+"""Static ends of walls, by the four midpoint pairs of Fig. 4 over an interval."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the groups mean to a map of walls: without them there is none, and what they found stays."""
+"""The role of groups in a map of walls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a plane mapper tells of its groups, of its refinement and of labels."""
+"""Groups, refinement residuals and labels of a plane mapper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses that a refined map has far from where the motion leads."""
+"""Poses of a refined map that deviate from the motions."""
 
 from __future__ import annotations
 

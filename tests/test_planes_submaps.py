@@ -1,4 +1,4 @@
-"""What is invented or incredible is a break: submaps of a run of walls, and what tells of them."""
+"""Unsupported or implausible motions break a run of walls into submaps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How laser scans are tied to those before: motions from walls, judged by beams."""
+"""Links between laser scans: motions from walls, verified by beams."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who is due for grouping, and when."""
+"""Which landmarks are due for grouping, and when."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What mappers and tables show: texts, frames, pictures, folders."""
+"""How mappers and tables are displayed: texts, frames, pictures, folders."""
 
 from __future__ import annotations
 

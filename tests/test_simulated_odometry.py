@@ -1,4 +1,4 @@
-"""Simulated odometry: its noise, its biases, its faults, and the file that tells of it."""
+"""Simulated odometry: its noise, its biases, its faults, and its file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What sensors give, and what cannot be meant: a rejected update changes nothing."""
+"""Valid and impossible input: a rejected update changes nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``relmap sweep``: the grid, the same table whatever runs it, and going on after an end."""
+"""``relmap sweep``: the grid, reproducible tables, and continuation after an interruption."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Submaps of the map that show the same place become one without ids, and others do not."""
+"""Submaps that show the same place are joined without ids, others are not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a refined map contradicts is undone; what belongs together is found again."""
+"""Merges that a refined map contradicts are undone; right ones are found again."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each verb on what people give it by mistake: one line with advice, and exit code 2."""
+"""Common mistakes with each verb: one line with advice, and exit code 2."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Odometry among walls: it bridges, narrows the search, ties poses, and is left out where wrong."""
+"""Odometry among walls: it bridges, narrows the search, connects poses, and is rejected where wrong."""
 
 from __future__ import annotations
 
