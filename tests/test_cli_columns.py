@@ -1,4 +1,4 @@
-"""``relmap map --columns``: tables with arbitrary column names, from the command line to the result."""
+"""``relmap map --columns``: tables with arbitrary column names, up to the result."""
 
 from __future__ import annotations
 

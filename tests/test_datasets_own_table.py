@@ -1,4 +1,4 @@
-"""Tables with arbitrary columns: names of columns, times, texts for ids, separators, frames, Parquet."""
+"""Arbitrary tables: names of columns, times, texts for ids, separators, frames, Parquet."""
 
 from __future__ import annotations
 

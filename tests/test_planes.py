@@ -1,4 +1,4 @@
-"""The plane mapper against the truth of simulated worlds: association, positions, and moving walls."""
+"""The plane mapper in simulated worlds: association, positions, and moving walls."""
 
 from __future__ import annotations
 

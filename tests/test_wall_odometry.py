@@ -1,4 +1,4 @@
-"""Odometry among walls: it bridges, narrows the search, connects poses, and is rejected where wrong."""
+"""Odometry among walls: it bridges, narrows the search, connects poses, and may be rejected."""
 
 from __future__ import annotations
 
