@@ -65,7 +65,7 @@ def test_no_log(place: Path, refused: Check) -> None:
         (["map", "log.csv", "extra", "-o", "out"], "unexpected extra argument"),
         (["map", "log.csv", "-o", "out", "--fast"], "No such option: --fast"),
         (["map", "log.csv", "-o", "out", "--association", "guess"], "'nearest', 'known'"),
-        (["map", "log.csv", "-o", "out", "--association", "known"], "has no ids"),
+        (["map", "log.csv", "-o", "out", "--association", "known"], "needs ids"),
         (["map", "log.csv", "-o", "out", "--variant", "planes"], "point scans"),
         (["map", "log.csv", "-o", "out", "--variant", "lines"], "'points', 'planes'"),
         (["map", "log.csv", "-o", "out", "--config", "none.toml"], "does not exist"),

@@ -153,7 +153,7 @@ def test_figures_that_cannot_be_written_change_nothing(
     (place / "out" / "index.html").mkdir()
     before = snapshot(place)
     assert main(["figures", "9", "-o", "out", "--quick"]) == 2
-    assert "a folder of that name is there" in capsys.readouterr().err
+    assert "a folder of that name exists" in capsys.readouterr().err
     assert snapshot(place) == before
 
 

@@ -199,7 +199,7 @@ def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
     ("one", "other", "said"),
     [
         ("lab-a", "eight-a", "lab-a is a map of walls and "),
-        ("eight-a", "twin", "no place of one is in the other"),
+        ("eight-a", "twin", "no place of one is found in the other"),
         ("lab-a", "corridor", "no unique alignment"),
         ("lab-a", "gone", "gone is not a result folder"),
     ],

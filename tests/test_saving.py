@@ -345,7 +345,7 @@ def test_localise_in_the_plane_and_of_what_is_nowhere() -> None:
     [
         (
             ["--onto", "part", "--journal", "run.journal"],
-            "--journal keeps a run from its beginning",
+            "--journal records a run from its beginning",
         ),
         (["--onto", "part", "--variant", "planes"], "--onto applies only to maps of points"),
         (["--onto", "part", "--registration", "constellation"], "give no others"),

@@ -219,7 +219,7 @@ def test_refused_in_one_line(refused: Check, place: Path) -> None:
     (place / "good.toml").write_text(SPEC)
     assert "--workers is 0" in refused("sweep", "good.toml", "-o", "s", "--workers", "0")
     both = ["--workers", "2", "--dask", "tcp://127.0.0.1:1"]
-    assert "--workers is for this machine" in refused("sweep", "good.toml", "-o", "s", *both)
+    assert "--workers applies to this machine" in refused("sweep", "good.toml", "-o", "s", *both)
 
 
 def test_parquet_holds_the_same_table(tmp_path: Path) -> None:

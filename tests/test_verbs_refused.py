@@ -71,9 +71,9 @@ def test_a_wrong_kind_of_input_is_refused_in_one_line(
     ("command", "said"),
     [
         ("evaluate of-walls --truth npz --log npz", "--log is for a map of points"),
-        ("evaluate of-walls --truth csv", "csv: holds no truth/planes.csv"),
-        ("evaluate of-walls --truth of-walls", "is a result folder without a truth"),
-        ("compare npz --truth of-walls -o out", "is a result folder without a truth"),
+        ("evaluate of-walls --truth csv", "csv: contains no truth/planes.csv"),
+        ("evaluate of-walls --truth of-walls", "is a result folder without truth"),
+        ("compare npz --truth of-walls -o out", "is a result folder without truth"),
         ("compare empty -o out", "neither a landmark log nor a log of point scans"),
         ("compare csv --format cassette -o out", "observation-csv, mrpt-landmarks"),
         ("compare csv --format cassette -o out", "scans-npz, carmen-log"),
