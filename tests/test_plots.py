@@ -306,7 +306,7 @@ def test_scans_that_were_found_are_drawn_in_the_map(planar: bool) -> None:
     figure = plot_localised(landmarks, planar, scan, result.poses[: len(scan)], 20)
     assert len(figure.axes) == (1 if planar else 2)
     assert figure.axes[0].get_title() == "8 of 20 scans localised in a map of 20 landmarks"
-    (path,) = (line for line in figure.axes[0].get_lines() if "found" in str(line.get_label()))
+    (path,) = (line for line in figure.axes[0].get_lines() if "localised" in str(line.get_label()))
     assert np.flatnonzero(np.isnan(np.asarray(path.get_xdata()))).tolist() == [4]
     plot_localised(landmarks, planar, scan[:0], result.poses[:0], 20).draw_without_rendering()
 
