@@ -16,11 +16,11 @@ from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
 from relmap.core.odometry import OdometryUse, checked_odometry
 from relmap.core.refinement.joint import Refined
 from relmap.core.scan import checked_labels
-from relmap.mapper import Mapper
 from relmap.planes.assembly import WallNumbers
 from relmap.planes.beams import PlacedBeams, ToldBeams
 from relmap.planes.grouped_map import GroupedMap
 from relmap.planes.history import PlaneHistory
+from relmap.planes.locating import LocatingMapper
 from relmap.planes.model import WallModel
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
 from relmap.planes.refining import odometry_left_out, on_odometry, refined_submaps
@@ -48,7 +48,7 @@ class Segmenter(Protocol):
         ...
 
 
-class PlaneMapper(Mapper):
+class PlaneMapper(LocatingMapper):
     """Maps walls in 2½-D: vertical planes, for a robot that moves in the plane.
 
     Parameters
@@ -136,27 +136,27 @@ class PlaneMapper(Mapper):
         """
         if ids is not None:
             raise RelmapError("ids were given; a plane mapper associates walls itself")
-        if not hasattr(points, "ends"):
-            beams = points if beams is None else beams
-            points = self._segmented(points)
+        seen = self._checked(points, beams)
         with self._guard.change():
             motion = None if odometry is None else checked_odometry(odometry)
-            return self._take_in(checked_planes(points, beams), motion)
+            return self._take_in(seen, motion)
 
     def _take_in(
         self, seen: PlaneObservation, motion: NDArray[np.float64] | None
     ) -> NDArray[np.int64]:
         if self._journal is not None:
             self._journal.ready()
-        self._refined_walls = None
+        self._refined_walls = self._finder = None
         self._moved = np.empty(0, dtype=np.int64)
         walls = self.engine.update(seen, None, odometry=motion)
         if self._journal is not None:
             beams = seen.beams.to_bytes()
             self._journal.append(journaled(seen), None, walls, beams=beams, odometry=motion)
+        self._attach(seen, walls)
         return walls
 
     def _finish(self) -> None:
+        self._finder = self._onto = None
         cut = self._planes.tie()
         super()._finish()
         self._planes.links.cut(cut)
@@ -189,7 +189,7 @@ class PlaneMapper(Mapper):
         self._moved = np.empty(0, dtype=np.int64)
         found = refined_submaps(self._grouped, self._moving, self._planes.links)
         self._refined_walls, self._moved = (found.submaps, found.numbers), found.moved
-        self._spread = None
+        self._spread = self._finder = None
         return found.submaps
 
     def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:

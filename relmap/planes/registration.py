@@ -134,6 +134,16 @@ class PlaneRegistration:
         self.links.append(seen, motion, is_tied, found, goes_on)
         return walls
 
+    def begin_run(self) -> None:
+        """Let another run begin with the next scan: nothing ties it to the last one."""
+        self._tracks = None
+        self.links.begin_run()
+
+    def attach(self, motion: NDArray[np.float64], scan: int, walls: NDArray[np.int64]) -> None:
+        """Tie the submap of the last scan to that of another one; see `ScanLinks.attach`."""
+        name = self.links.attach(motion, scan, walls)
+        self._submap_of.values[:] = name[self.submap_of]
+
     def tie(self) -> NDArray[np.int64]:
         """Re-evaluate the doubtful links; return the scans (c,) whose links are now rejected."""
         name, cut = self.links.tie()

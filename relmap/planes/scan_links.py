@@ -70,12 +70,13 @@ class ScanLinks:
 
     STATE = (
         "_motions _submaps _n_submaps submap _unsure_m _unsure_each_m _evidence _measured _bridged "
-        "beams same_walls"
+        "beams same_walls _begun"
     )
 
     def __init__(self, bridge_m: float) -> None:
         self._bridge_m = bridge_m
         self._n_submaps, self.submap = 0, -1
+        self._begun: GrowingArray[np.int64] = GrowingArray(np.int64)
         self.same_walls = np.empty((0, 2), dtype=np.int64)
         self._unsure_m, self._unsure_each_m = 0.0, 0.0
         self._motions: GrowingArray[np.float64] = GrowingArray(np.float64, (3,))
@@ -136,6 +137,39 @@ class ScanLinks:
         """Begin a submap with the next scan."""
         self.submap = self._n_submaps
         self._n_submaps += 1
+
+    def begin_run(self) -> None:
+        """Let another run begin with the next scan: nothing ties it to the last one."""
+        self._begun.extend(np.array([len(self)]))
+
+    def attach(
+        self, motion: NDArray[np.float64], scan: int, walls: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Tie the submap of the last scan to that of another one, in whose map it was found.
+
+        Parameters
+        ----------
+        motion : (3,) float64
+            Into the last scan from the one before the first of its submap.
+        scan : int
+        walls : (k, 2) int64
+            Numbers of walls that are one wall each.
+
+        Returns
+        -------
+        (s,) int64
+            Which submap each one is now.
+        """
+        old, new = int(self.submaps[-1]), int(self.submaps[scan])
+        first = int(np.flatnonzero(self.submaps == old)[0])
+        back = inverse(motion_over(self.motions[first + 1 :]))
+        self.motions[first] = after(motion, back[None])[0]
+        self._evidence.values[first], self.measured[first] = np.inf, True
+        self.same_walls = np.concatenate([self.same_walls, walls])
+        name = np.arange(self._n_submaps)
+        name[old] = self.submap = new
+        self._submaps.values[self.submaps == old] = new
+        return name
 
     def append(
         self,
@@ -249,6 +283,8 @@ class ScanLinks:
             beams = self.beams.of(i, self.store.column("location")[rows])
             if len(beams):
                 found.append(View(beams, motion))
+            if i in self._begun.values:
+                break  # the scans before are of another run
             motion = after(self.motions[i], motion[None])[0]
         return found
 
@@ -311,7 +347,7 @@ class ScanLinks:
         expected = partial(
             self.wheels.expected, motions=self.motions, measured=self.measured.copy()
         )
-        links = self.motions, self.measured, expected
+        links = self.motions, self.measured, expected, self._begun.values
         return Scans(seen, wall, first_row, self.beams, *links)
 
     def _known(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -56,6 +56,8 @@ class Scans:
         Which of these are determined in all directions.
     expected : callable
         Returns the motion between two scans expected from odometry, or None.
+    begun : (b,) int64
+        First scans of further runs.
     """
 
     walls: PlaneObservation
@@ -65,6 +67,11 @@ class Scans:
     motions: NDArray[np.float64]
     measured: NDArray[np.bool_]
     expected: Callable[[int, int], Expected | None]
+    begun: NDArray[np.int64]
+
+    def of_one_run(self, earlier: int, later: int) -> bool:
+        """Tell whether two scans are of one run."""
+        return not ((self.begun > earlier) & (self.begun <= later)).any()
 
     def rows(self, scan: int) -> slice:
         """Return the rows of the walls of a scan."""
@@ -154,8 +161,8 @@ def judged_links(
         Scans into which no motion is accepted any more.
     """
     links, cut = list[Link](), list[int]()
-    for run in _runs(in_doubt):
-        fixed = is_tied[run[0]] and not in_doubt[run[0]]
+    for run in _runs(in_doubt, scans.begun):
+        fixed = is_tied[run[0]] and not in_doubt[run[0]] and run[0] not in scans.begun
         for judged in _judged(scans, run, fixed):
             if not is_tied[judged.later]:
                 links += [link for link in judged.believed if scans.holds(link)]
@@ -191,6 +198,8 @@ def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
     for begin, end in product(breaks.tolist(), range(1, SKIPPED + 1)):
         earlier, later = begin - 1, begin + end
         if earlier < last or later >= len(is_tied) or is_tied[later]:
+            continue
+        if not scans.of_one_run(earlier - EARLIER, later + LATER):
             continue
         before = range(max(earlier - EARLIER, 0), begin)
         after = range(later, min(later + LATER + 1, len(is_tied)))
@@ -234,13 +243,18 @@ def _believed(
     return [Link(earlier, later, motion, np.column_stack(walls), measured)]
 
 
-def _runs(in_doubt: NDArray[np.bool_]) -> list[range]:
-    """Return runs of scans around doubtful ones, each from one scan before the first."""
+def _runs(in_doubt: NDArray[np.bool_], begun: NDArray[np.int64]) -> list[range]:
+    """Return runs of scans around doubtful ones, each from one scan before the first.
+
+    None crosses the beginning of another log.
+    """
     near = np.zeros(len(in_doubt), dtype=np.bool_)
     for scan in np.flatnonzero(in_doubt).tolist():
         near[max(scan - EARLIER, 0) : scan + LATER + 1] = True
     edges = np.flatnonzero(np.diff(near, prepend=False, append=False))
-    return [range(a, b) for a, b in edges.reshape(-1, 2).tolist()]
+    cuts = begun[near[begun] & near[begun - 1]]
+    bounds = np.sort(np.concatenate([edges, cuts, cuts])).reshape(-1, 2)
+    return [range(a, b) for a, b in bounds.tolist()]
 
 
 def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
@@ -254,7 +268,8 @@ def _judged(scans: Scans, run: Sequence[int], fixed: bool) -> list[_Judged]:
             guess = planar(scans.motions[run[k]])
             found.append(search.candidates([guess]) if search else NONE)
             before = run[k - 2] if k > 1 else max(run[0] - 1, 0)
-            two_back = scans.search(before, run[k], STILL)
+            same = scans.of_one_run(before, run[k])
+            two_back = scans.search(before, run[k], STILL) if same else None
             expected = scans.expected(run[k - 1], run[k])
             judge = two_back.judged if two_back else None
             hypotheses.go_on(found[-1], usual, judge, expected)

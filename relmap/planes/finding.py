@@ -1,0 +1,108 @@
+"""Where a scan of walls was taken, found from nothing but the map.
+
+The walls of the scan are laid on those of the map in every way that brings many onto one another
+(`relmap.planes.wall_tie`); the points of the scan then judge each of these places.  A place counts
+only if it explains the scan and no other comes near.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.planes.observation import PlaneObservation
+from relmap.planes.wall_tie import ACROSS, WallTie, wall_ties
+
+PLACES = 12
+"""Places that are judged, those with most wall on walls first."""
+BEAMS = 400
+"""About so many beams of a scan judge a place."""
+NEAR_M = 0.1
+"""A beam ends on a wall that is no farther off."""
+BEYOND_M, RIM_M = 0.3, 0.1
+"""A beam that goes on so far behind a wall, away from its ends, went through it."""
+LEAST_M, SHARE = 3.0, 0.5
+"""Length of wall, and share of the walls of the scan, that must lie on walls of the map."""
+EXPLAINED = 0.7
+"""Least share of the beams that end on walls, less those that go through one."""
+RIVAL = 0.6
+"""Share of the worth of the best place that another may have."""
+
+
+class Place(NamedTuple):
+    """Where a scan may have been taken.
+
+    Attributes
+    ----------
+    T_map_robot : (4, 4) float64
+        NaN where the scan fits nowhere, or in several places.
+    n_places : int
+        In how many places it fits: 0, 1, or 2 for several.
+    """
+
+    T_map_robot: Floats
+    n_places: int
+
+
+class WallFinder:
+    """Finds scans among the walls of a map.
+
+    Parameters
+    ----------
+    ends : (w, 2, 2) float64, map frame, metres
+        Right and left end of each wall, as seen from its front.
+    """
+
+    def __init__(self, ends: Floats) -> None:
+        self._ends = np.ascontiguousarray(ends)
+
+    def find(self, seen: PlaneObservation) -> Place:
+        """Return where a scan was taken, if that is clear.
+
+        Parameters
+        ----------
+        seen : PlaneObservation
+            With its beams; without them no place is believed.
+        """
+        nowhere = np.full((4, 4), np.nan)
+        ties = wall_ties(seen.ends, self._ends)[:PLACES]
+        if not (ties and len(seen.beams.points)):
+            return Place(nowhere, 0)
+        length_m = float(seen.size.sum())
+        explained = np.array([self._explained(tie, seen) for tie in ties])
+        worth = explained + [tie.length_m / length_m for tie in ties]
+        best = int(np.argmax(worth))
+        tie = ties[best]
+        fits = explained[best] >= EXPLAINED and tie.length_m >= max(LEAST_M, SHARE * length_m)
+        if not fits:
+            return Place(nowhere, 0)
+        slides = tie.across < ACROSS
+        if slides or np.delete(worth, best).max(initial=0.0) > RIVAL * worth[best]:
+            return Place(nowhere, 2)
+        T_map_robot = np.eye(4)
+        T_map_robot[:2, :2], T_map_robot[:2, 3] = tie.R, tie.t
+        return Place(T_map_robot, 1)
+
+    def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
+        """Return the share of the beams that end on walls, less that of those that go through."""
+        from relmap.planes.beam_kernels import on_walls
+
+        every = 1 + len(seen.beams.points) // BEAMS
+        points = seen.beams.points[::every].astype(np.float64) @ tie.R.T + tie.t
+        on = on_walls(points, self._ends, NEAR_M)
+        return float(on.mean() - self._through(tie.R @ seen.beams.origin + tie.t, points).mean())
+
+    def _through(self, origin: Floats, points: Floats) -> Floats:
+        """Tell which beams from the origin (2,) to points (n, 2) go through a wall."""
+        beam, wall = points - origin, self._ends[:, 1] - self._ends[:, 0]
+        length, size = np.hypot(*beam.T), np.hypot(*wall.T)
+        to_wall = self._ends[:, 0] - origin
+        crossing = beam[:, :1] * wall[:, 1] - beam[:, 1:] * wall[:, 0]
+        crossing[crossing == 0.0] = np.nan
+        along_beam = (to_wall[:, 0] * wall[:, 1] - to_wall[:, 1] * wall[:, 0]) / crossing
+        along_wall = to_wall[:, 0] * beam[:, 1:] - to_wall[:, 1] * beam[:, :1]
+        at_m = along_wall / crossing * size
+        met = (along_beam > 0) & (along_beam * length[:, None] < length[:, None] - BEYOND_M)
+        return np.asarray((met & (at_m > RIM_M) & (at_m < size - RIM_M)).any(axis=1))

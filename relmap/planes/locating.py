@@ -1,0 +1,193 @@
+"""A plane mapper that finds scans in its map, and adds another log to the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.mapper import Mapper
+from relmap.planes.finding import Place, WallFinder
+from relmap.planes.motions import from_matrices, matrices
+from relmap.planes.observation import SHORTEST_M, PlaneObservation, checked_planes
+from relmap.planes.placement import STILL, settled
+from relmap.planes.registration import PlaneRegistration
+from relmap.planes.submaps import WallSubmap
+from relmap.planes.table import PlaneTable
+from relmap.planes.tracks import PlaneTracks
+
+AROUND = 1.2
+"""How far from the robot walls are expected, in units of how far the scan reaches."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapOfBefore:
+    """The map that scans are looked for in, as it was when that began.
+
+    Attributes
+    ----------
+    table : PlaneTable
+    finder : WallFinder
+    scan : int
+        The last scan of the map; -1 where there is none.
+    pose : (4, 4) float64
+        ``T_map_robot`` of it.
+    """
+
+    table: PlaneTable
+    finder: WallFinder
+    scan: int
+    pose: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, table: PlaneTable, submaps: list[WallSubmap]) -> MapOfBefore:
+        """Return the map of the first submap; where there is none, one without walls."""
+        if not submaps:
+            return cls(table, WallFinder(np.empty((0, 2, 2))), -1, np.eye(4))
+        own = submaps[0]
+        known = int(np.flatnonzero(np.isfinite(own.poses[:, 0, 3]))[-1])
+        finder = WallFinder(table.ends[table.status == "static"])
+        return cls(table, finder, own.first_iteration + known, own.poses[known])
+
+    def carried_on(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pose (4, 4) of the last of some scans, by the motions (i, 3) into each."""
+        pose = self.pose
+        for step in matrices(motions[self.scan + 1 :]):
+            pose = pose @ np.linalg.inv(step)
+        return np.asarray(pose)
+
+    def expected(self, T_map_robot: NDArray[np.float64], reach_m: float) -> PlaneTracks:
+        """Return the walls that a scan taken at a pose may show, in the robot's frame."""
+        rows = np.flatnonzero(self.table.status == "static")
+        ends = (self.table.ends[rows] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
+        way = ends[:, 1] - ends[:, 0]
+        size = np.hypot(*way.T)
+        along = way / np.maximum(size, SHORTEST_M)[:, None]
+        nearest_m = np.clip(-(ends[:, 0] * along).sum(axis=1), 0.0, size)
+        near = np.linalg.norm(ends[:, 0] + nearest_m[:, None] * along, axis=1) <= AROUND * reach_m
+        front = way[:, 1] * ends[:, 0, 0] - way[:, 0] * ends[:, 0, 1] > 0
+        chosen = front & near & (size > SHORTEST_M)
+        return self._tracks(rows[chosen], ends[chosen])
+
+    def _tracks(self, rows: NDArray[np.int64], ends: NDArray[np.float64]) -> PlaneTracks:
+        """Return some walls, by their ends (k, 2, 2) in the robot's frame, as tracks."""
+        n, corner = len(rows), self.table.corner[rows]
+        z_extent = self.table.z_extent[rows]
+        walls = PlaneObservation.of(ends, np.zeros((n, 2), np.int8), np.zeros(n), z_extent)
+        tracks = PlaneTracks.begun(self.table.plane[rows], walls)
+        tracks.corner_at = np.where((corner >= 0)[..., None], ends, np.nan)
+        return tracks
+
+
+class LocatingMapper(Mapper):
+    """What `PlaneMapper` does with scans that were taken somewhere in its map."""
+
+    _planes: PlaneRegistration
+    _finder: WallFinder | None = None
+    _onto: MapOfBefore | None = None
+    _found: NDArray[np.float64] | None = None
+
+    @property
+    def planes(self) -> PlaneTable:
+        """Every wall ever seen; mapped are those of the first submap."""
+        raise NotImplementedError
+
+    @property
+    def submaps(self) -> list[WallSubmap]:
+        """The parts of the run that nothing ties to one another, those of most scans first."""
+        raise NotImplementedError
+
+    def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
+        """Tell where a scan was taken, found from the map alone; the mapper stays as it is.
+
+        Parameters
+        ----------
+        points, beams
+            As `update` takes them; planes without beams are found nowhere.
+
+        Returns
+        -------
+        Place
+            The pose ``T_map_robot`` (4, 4), and in how many places the scan fits.  The pose is NaN
+            unless that is one: at least half of its walls, and 3 m, must lie on mapped walls that
+            are not all parallel, 70 % of its beams must end there, and no other place may come
+            near.
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid.
+        """
+        if self._finder is None:
+            self._finder = MapOfBefore.of(self.planes, self.submaps).finder
+        return self._finder.find(self._checked(points, beams))
+
+    def localise(self, points: Any, beams: ArrayLike | None = None) -> NDArray[np.float64]:
+        """Return the pose ``T_map_robot`` (4, 4) of a scan; NaN where it is not clear.
+
+        See `locate`.
+        """
+        return self.locate(points, beams).T_map_robot
+
+    def take_up(self, points: Any, beams: ArrayLike | None = None) -> bool:
+        """Look for the next scan of another log in the map, to go on from there.
+
+        The first call begins that log: nothing ties it to the last scan of the log before.  Until
+        a scan is found its scans are submaps of their own; the one that the scan found belongs to
+        becomes part of the map then.
+
+        Parameters
+        ----------
+        points, beams
+            The scan that the next update is given, as `update` takes it.
+
+        Returns
+        -------
+        bool
+            Whether the scan was found, see `locate`, in the map as it was with the first call.
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid, or a journal is kept, which could not record it.
+        """
+        if self._journal is not None:
+            raise RelmapError("a run that keeps a journal begins with an empty map")
+        seen = self._checked(points, beams)
+        if self._onto is None:
+            self._onto = MapOfBefore.of(self.planes, self.submaps)
+            with self._guard.change():
+                self._planes.begin_run()
+        place = self._onto.finder.find(seen)
+        self._found = place.T_map_robot if place.n_places == 1 else None
+        return self._found is not None
+
+    def _attach(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> None:
+        """Tie the last scan, whose walls have these numbers, to where it was found in the map."""
+        if self._found is None or self._onto is None:
+            return
+        T_map_robot, onto, links = self._found, self._onto, self._planes.links
+        reach_m = float(np.linalg.norm(seen.beams.points, axis=1).max())
+        tracks = onto.expected(T_map_robot, reach_m)
+        motion, match = settled(tracks, seen, STILL)
+        same = np.column_stack([tracks.plane[match.tracks], walls[match.walls]])
+        step = matrices(np.array([[motion.yaw, *motion.t]]))[0]
+        first = int(np.flatnonzero(links.submaps == links.submaps[-1])[0])
+        before = onto.carried_on(links.motions[:first])
+        into = from_matrices((step @ np.linalg.inv(T_map_robot) @ before)[None])[0]
+        self._planes.attach(into, onto.scan, same)
+        self._found = self._onto = None
+
+    def _segmented(self, points: Any) -> Any:
+        """Return the planes of a scan."""
+        raise NotImplementedError
+
+    def _checked(self, points: Any, beams: Any) -> PlaneObservation:
+        """Return the walls of a scan, which may be given by its points."""
+        if not hasattr(points, "ends"):
+            beams = points if beams is None else beams
+            points = self._segmented(points)
+        return checked_planes(points, beams)
