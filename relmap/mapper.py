@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +27,23 @@ from relmap.shown import Shown
 
 if TYPE_CHECKING:
     from relmap.io.journal import Journal, JournalReader, RecordedScan
+
+M = TypeVar("M", bound="Mapper")
+
+
+class Place(NamedTuple):
+    """Where a scan was taken, as far as a map tells.
+
+    Attributes
+    ----------
+    T_map_robot : (4, 4) float64
+        NaN unless the scan fits in one place.
+    n_places : int
+        In how many places it fits: 0, 1, or 2 for several.
+    """
+
+    T_map_robot: NDArray[np.float64]
+    n_places: int
 
 
 class Mapper(Shown, ABC):
@@ -254,7 +271,7 @@ class Mapper(Shown, ABC):
 
     @classmethod
     def load(cls, path: PathLike[str] | str) -> Self:
-        """Load a mapper that `save` saved.
+        """Load a mapper that `save` saved; by `Mapper` of whatever variant it is.
 
         No code in the file is executed, but its values are not verified: load only trusted files.
 
@@ -273,10 +290,11 @@ class Mapper(Shown, ABC):
         made: list[Self] = []
 
         def begin(header: dict[str, Any]) -> list[Any]:
-            if header["mapper"] != cls.__name__:
-                kind = f"{header['mapper']!s:.20}"
-                raise RelmapError(f"{path} holds a {kind}, not a {cls.__name__}")
-            made.append(cls(MapperConfig.from_mapping(header["configuration"])))
+            name = header["mapper"]
+            kind = next((kind for kind in _kinds(cls) if kind.__name__ == name), None)
+            if kind is None:
+                raise RelmapError(f"{path} holds a {name!s:.20}, not a {cls.__name__}")
+            made.append(kind(MapperConfig.from_mapping(header["configuration"])))
             return made[0]._parts
 
         load_state(Path(path), begin)
@@ -339,6 +357,11 @@ class Mapper(Shown, ABC):
     @abstractmethod
     def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
         """Map one scan of the journal."""
+
+
+def _kinds(mapper: type[M]) -> list[type[M]]:
+    """Return a class of mappers and all that are derived from it."""
+    return [mapper, *(kind for each in mapper.__subclasses__() for kind in _kinds(each))]
 
 
 def _versions() -> dict[str, str]:

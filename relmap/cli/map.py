@@ -230,10 +230,7 @@ def map_command(
         return
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
     if onto is not None:
-        args.refuse(planes, "--onto applies only to maps of points, not walls")
-        args.refuse(
-            journal, "--journal records a run from its beginning, so it cannot be used with --onto"
-        )
+        args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
         args.refuse(
             config or registration,
             "--onto uses the settings of the earlier run: give no others",

@@ -99,9 +99,10 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         afterwards.callback(mapper.close)
         if bench is not None:
             bench.mapper = cast("PlaneMapper", mapper)
+            bench.skip(mapper.n_iterations if job.onto else 0)
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
-            followed = _taken_up(job, mapper, job.scans(scans, len(log)), about)
+            followed = _taken_up(job, mapper, log, job.scans(scans, len(log)), about)
             yield from bench.watch(followed) if bench else followed
             afterwards.enter_context(busy("refining and writing"))
 
@@ -128,15 +129,19 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 
 
 def _taken_up(
-    job: Job, mapper: AnyMapper, scans: Iterable[Any], about: dict[str, Any]
+    job: Job, mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
-    """Yield scans; with an existing map, localise them in it until one is found."""
-    from relmap.points import PointMapper
+    """Yield scans; those that go on with a map are looked for in it until one is found."""
+    from relmap.evaluation.feeding import preparation
 
+    prepare = preparation(mapper, log)
     tied = job.onto is None or job.association == "known"
     for scan in scans:
-        if not tied and isinstance(mapper, PointMapper) and mapper.take_up(scan.points_robot):
-            about["tied_at"], tied = scan.iteration, True
+        if not tied:
+            points = scan.points_robot
+            more = {"beams": points} if job.variant == "planes" else {}
+            tied = mapper.take_up(prepare(points), **more)
+            about["tied_at"] = scan.iteration if tied else None
         yield scan
 
 
@@ -152,8 +157,8 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
         "variant": job.variant,
         "seed": 0 if job.variant == "planes" else None,
     }
+    about |= {"onto": None if job.onto is None else str(job.onto), "tied_at": None}
     if job.variant == "points":
-        about |= {"onto": None if job.onto is None else str(job.onto), "tied_at": None}
         weighed = getattr(log, "covariances", None) is not None
         about |= {"weighed": weighed, "sigmas": job.sigmas}
     return about

@@ -122,7 +122,7 @@ def feed(
     first = log.first_iteration
     if n_seen < len(log):
         scans = log.between(first + n_seen, first + len(log)).scans()
-    prepare = _preparation(method, log, segmenter)
+    prepare = preparation(method, log, segmenter)
     labels, durations_s = [], []
     for scan in progress(scans) if progress else scans:
         began = clock()
@@ -153,8 +153,8 @@ def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
     return more
 
 
-def _preparation(
-    method: Method, log: Log, segmenter: PlaneSegmenter | None
+def preparation(
+    method: Method, log: Log, segmenter: PlaneSegmenter | None = None
 ) -> Callable[[NDArray[np.float64]], Any]:
     """Return the conversion from the points of a scan to the input of the method."""
     if not (isinstance(method, PlaneMapper) and isinstance(log, ScanLog)):

@@ -153,8 +153,9 @@ def result_of(
     )
     if not isinstance(method, PlaneMapper):
         return result
+    every_s = np.concatenate([np.full(first - offset, np.nan), stamps_s])
     drawn = tuple(
-        _drawn(method, number, stamps_s[slice(*submap.span)], offset)
+        _drawn(method, number, every_s[slice(*submap.span)], offset)
         for number, submap in enumerate(method.submaps)
         if number == 0 or submap.n_scans >= FEWEST_DRAWN
     )

@@ -48,6 +48,7 @@ class DrawnSubmap:
     iterations : (k,) int64
         Iteration numbers of the log.
     stamps_s : (k,) float64
+        NaN of scans of earlier logs.
     poses : (k, 4, 4) float64
         ``T_submap_robot``.
     planes : PlaneTable
@@ -123,13 +124,17 @@ def write_submaps(
 ) -> None:
     """Write times (k,) and poses (k, 4, 4) of all submaps except the first: ``submap-K.tum``.
 
+    Scans of earlier logs, whose times are NaN, are left out.
+
     Raises
     ------
     RelmapError
         If a file cannot be written.
     """
     for number, (stamps_s, poses) in enumerate(submaps[1:], start=1):
-        write_tum(folder / f"submap-{number}.tum", stamps_s, poses)
+        own = np.isfinite(stamps_s)
+        if own.any():
+            write_tum(folder / f"submap-{number}.tum", stamps_s[own], poses[own])
 
 
 def submap_files(folder: Path) -> list[str]:

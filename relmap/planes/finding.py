@@ -7,11 +7,10 @@ only if it explains the scan and no other comes near.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from relmap.core.arrays import Floats
+from relmap.mapper import Place
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.wall_tie import ACROSS, WallTie, wall_ties
 
@@ -29,21 +28,6 @@ EXPLAINED = 0.7
 """Least share of the beams that end on walls, less those that go through one."""
 RIVAL = 0.6
 """Share of the worth of the best place that another may have."""
-
-
-class Place(NamedTuple):
-    """Where a scan may have been taken.
-
-    Attributes
-    ----------
-    T_map_robot : (4, 4) float64
-        NaN where the scan fits nowhere, or in several places.
-    n_places : int
-        In how many places it fits: 0, 1, or 2 for several.
-    """
-
-    T_map_robot: Floats
-    n_places: int
 
 
 class WallFinder:

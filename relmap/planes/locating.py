@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.mapper import Mapper
-from relmap.planes.finding import Place, WallFinder
+from relmap.mapper import Mapper, Place
+from relmap.planes.finding import WallFinder
 from relmap.planes.motions import from_matrices, matrices
 from relmap.planes.observation import SHORTEST_M, PlaneObservation, checked_planes
 from relmap.planes.placement import STILL, settled

@@ -121,6 +121,10 @@ class BenchRecorder:
         self._scan: PointScan | None = None
         self.frames: list[BenchFrame] = []
 
+    def skip(self, n_scans: int) -> None:
+        """Count scans of earlier logs, whose times are not known."""
+        self._stamps_s += [math.nan] * n_scans
+
     def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
         """Yield the scans of a run; record a frame at intervals, after the scan was mapped."""
         for scan in scans:

@@ -109,11 +109,12 @@ def _path(
     """Return positions and headings of the robot, their times, and where the path jumps."""
     position = poses[:, :axes, 3]
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
+    timed = np.isfinite(stamps_s).all() and not np.array_equal(stamps_s, iterations)
     return {
         "path": _packed(position, "<f4"),
         "yaw": _packed(yaw, "<f4"),
         "iterations": _packed(iterations, "<i4"),
-        "stamps": None if np.array_equal(stamps_s, iterations) else _packed(stamps_s, "<f8"),
+        "stamps": _packed(stamps_s, "<f8") if timed else None,
         "leaps": (1 + np.flatnonzero(jumps(position))).tolist(),
     }
 

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from relmap.core import afterwards
 from relmap.core.association.placement import Placement
-from relmap.core.association.recognition import PlaceFinder
+from relmap.core.association.recognition import PlaceFinder, is_clear
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.gaps import bridge_gaps
 from relmap.core.odometry import checked_odometry
 from relmap.core.readout import positions_in_largest_submap
 from relmap.core.scan import checked_covariances, checked_ids, checked_points
-from relmap.mapper import Mapper
+from relmap.mapper import Mapper, Place
 from relmap.points.model import PointModel
 
 if TYPE_CHECKING:
@@ -192,13 +192,27 @@ class PointMapper(Mapper):
         RelmapError
             If the scan is invalid.
         """
-        placement = self._placed(checked_points(points, self.engine.store.dimension))
+        return self.locate(points).T_map_robot
+
+    def locate(self, points: ArrayLike) -> Place:
+        """Tell where a scan was taken, as `localise` does, and in how many places it fits.
+
+        Parameters
+        ----------
+        points : (n, 2) or (n, 3) array, robot frame, metres
+
+        Raises
+        ------
+        RelmapError
+            If the scan is invalid.
+        """
+        placement, n_places = self._placed(checked_points(points, self.engine.store.dimension))
         T_map_robot = np.full((4, 4), np.nan)
         if placement is not None:
             d = len(placement.t)
             T_map_robot[:] = np.eye(4)
             T_map_robot[:d, :d], T_map_robot[:d, 3] = placement.R, placement.t
-        return T_map_robot
+        return Place(T_map_robot, n_places)
 
     def take_up(self, points: ArrayLike) -> bool:
         """Localise a scan in the map so that the next update, of this scan, continues there.
@@ -223,7 +237,7 @@ class PointMapper(Mapper):
         if self._journal is not None:
             raise RelmapError("a run with a journal must start with an empty map")
         seen = checked_points(points, self.engine.store.dimension)
-        placement = self._placed(seen)
+        placement = self._placed(seen)[0]
         registration = self.engine.association.registration
         if placement is None or registration is None:
             return False
@@ -235,12 +249,16 @@ class PointMapper(Mapper):
             registration.expect(landmarks[near], around[near])
         return True
 
-    def _placed(self, points_robot: NDArray[np.float64]) -> Placement | None:
+    def _placed(self, points_robot: NDArray[np.float64]) -> tuple[Placement | None, int]:
+        """Return the placement of a scan in the map, if one fits alone, and how many fit."""
         if self._finder is None:
             positions = positions_in_largest_submap(self.engine.table)
             mapped = positions[np.isfinite(positions).all(axis=1)]
             self._finder = PlaceFinder(mapped, np.nan_to_num(self.noise_m))
-        return self._finder.find(points_robot)
+        places = self._finder.places(points_robot)
+        if places and is_clear(points_robot, places):
+            return places[0], 1
+        return None, min(len(places), 2)
 
     def _model(self) -> PointModel:
         return PointModel()
