@@ -15,7 +15,7 @@ VERBS = [
     (["map", "{}", "-o", "out", "--variant", "planes"], ["npz"]),
     (["map", "csv", "-o", "out", "--onto", "{}"], ["of-points"]),
     (["localise", "{}", "--map", "of-points", "-o", "out"], ["csv", "csv/observations.csv"]),
-    (["localise", "csv", "--map", "{}", "-o", "out"], ["of-points"]),
+    (["localise", "csv", "--map", "{}", "-o", "out"], ["of-points", "of-walls"]),
     (["evaluate", "{}", "--truth", "csv"], ["of-points", "of-walls"]),
     (["evaluate", "of-points", "--truth", "{}"], ["csv", "csv/truth"]),
     (["evaluate", "of-points", "--truth", "csv", "--log", "{}"], ["csv", "csv/observations.csv"]),
@@ -79,6 +79,8 @@ def test_a_wrong_kind_of_input_is_refused_in_one_line(
         ("compare csv --format cassette -o out", "scans-npz, carmen-log"),
         ("compare carmen/a.log.gz --format mrpt-laser2d -o out", "a.log.gz"),
         ("localise csv --map empty -o out", "expected one that 'relmap map' wrote"),
+        ("localise csv --map of-walls -o out", "is a landmark log"),
+        ("map npz --variant planes --onto of-points -o out", "holds a PointMapper"),
     ],
 )
 def test_errors_say_what_would_be_right(

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from relmap.cli.arguments import Format, Log, Out, Scans
+from relmap.cli.arguments import Format, Out, Scans, Variant
+from relmap.cli.arguments import Log as LogPath
 from relmap.cli.console import tracked
+
+if TYPE_CHECKING:
+    from relmap.evaluation.feeding import AnyMapper, Log
+    from relmap.mapper import Place
 
 HELP = """Find where scans were taken in an existing map.
 
@@ -28,7 +33,7 @@ Example:
 
 
 def localise_command(
-    source: Log,
+    source: LogPath,
     result: Annotated[
         Path, typer.Option("--map", metavar="RESULT", help="The result folder with the map.")
     ],
@@ -37,35 +42,56 @@ def localise_command(
     log_format: Format = None,
 ) -> None:
     """Localise scans; the help text explains the arguments."""
-    import numpy as np
-
-    from relmap.evaluation.feeding import preparation
-    from relmap.evaluation.run import stamps_of
     from relmap.evaluation.sources import read_log
-    from relmap.io.files import staged_folder, write_tum
-    from relmap.io.results import MAP_PNG, MAPPER, TRAJECTORY
+    from relmap.io.files import staged_folder
+    from relmap.io.results import MAPPER
     from relmap.mapper import Mapper
     from relmap.planes import PlaneMapper
-    from relmap.plots.localised import write_localised_png
     from relmap.points import PointMapper
 
     mapper = Mapper.load(result / MAPPER)
     assert isinstance(mapper, PointMapper | PlaneMapper)
-    walls = isinstance(mapper, PlaneMapper)
-    log = read_log(source, "planes" if walls else "points", log_format, scans)
-    prepare = preparation(mapper, log)
-    each: Iterable[Any] = tracked(log.scans(), len(log), "localising")
+    variant: Variant = "planes" if isinstance(mapper, PlaneMapper) else "points"
+    log = read_log(source, variant, log_format, scans)
     with staged_folder(out) as staging:
-        places = []
-        for scan in each:
-            seen, beams = prepare(scan.points_robot), {"beams": scan.points_robot} if walls else {}
-            places.append(mapper.locate(seen, **beams))
-        poses = np.array([place.T_map_robot for place in places])
-        found = np.isfinite(poses[:, 0, 0])
-        write_tum(staging / TRAJECTORY, stamps_of(log)[found], poses[found])
-        drawn = np.flatnonzero(found), poses[found], len(log)
-        write_localised_png(staging / MAP_PNG, mapper, *drawn)
-    told = f"found {found.sum()} of {len(log)} scans in the map"
+        places = _places(mapper, log)
+        _write(staging, mapper, log, places)
+    told = f"found {sum(p.n_places == 1 for p in places)} of {len(log)} scans in the map"
     if several := sum(place.n_places > 1 for place in places):
         told += f"; {several} fit in more than one place and were left out"
     typer.echo(f"{told}; wrote 2 files to {out}")
+
+
+def _places(mapper: AnyMapper, log: Log) -> list[Place]:
+    """Return where each scan was taken."""
+    from relmap.evaluation.feeding import preparation
+    from relmap.planes import PlaneMapper
+
+    prepare = preparation(mapper, log)
+    walls, found = isinstance(mapper, PlaneMapper), list["Place"]()
+    scans: Iterable[Any] = tracked(log.scans(), len(log), "localising")
+    for scan in scans:
+        more = {"beams": scan.points_robot} if walls else {}
+        found.append(mapper.locate(prepare(scan.points_robot), **more))
+    return found
+
+
+def _write(folder: Path, mapper: AnyMapper, log: Log, places: list[Place]) -> None:
+    """Write the poses that were found, and a picture of them in the map."""
+    import numpy as np
+
+    from relmap.evaluation.run import stamps_of
+    from relmap.io.files import write_tum
+    from relmap.io.results import MAP_PNG, TRAJECTORY
+    from relmap.planes import PlaneMapper
+    from relmap.plots.localised import write_localised_png
+
+    poses = np.array([place.T_map_robot for place in places]).reshape(-1, 4, 4)
+    found = np.isfinite(poses[:, 0, 0])
+    write_tum(folder / TRAJECTORY, stamps_of(log)[found], poses[found])
+    planar, ends = mapper.engine.store.dimension == 2, None
+    if isinstance(mapper, PlaneMapper):
+        table = mapper.planes
+        planar, ends = True, table.ends[table.status == "static"]
+    drawn = np.flatnonzero(found), poses[found], len(log)
+    write_localised_png(folder / MAP_PNG, mapper.map, planar, *drawn, ends)

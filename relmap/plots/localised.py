@@ -8,44 +8,47 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from relmap.evaluation.feeding import AnyMapper
-from relmap.planes import PlaneMapper
+from relmap.core.landmarks import LandmarkMap
 from relmap.plots.path import broken_at_gaps
 from relmap.plots.planes import draw_walls
 from relmap.plots.sheet import BLUE, INK, Sheet, to_png
 
 
 def plot_localised(
-    mapper: AnyMapper, scan: NDArray[np.int64], poses: NDArray[np.float64], n_scans: int
+    landmarks: LandmarkMap,
+    planar: bool,
+    scan: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    n_scans: int,
+    ends: NDArray[np.float64] | None = None,
 ) -> Figure:
     """Draw a map and the localised scans; the path is interrupted at scans not found.
 
     Parameters
     ----------
-    mapper : PointMapper or PlaneMapper
+    landmarks : LandmarkMap
+    planar : bool
+        Whether the view from above is enough.
     scan : (k,) int64, ascending
         The localised scans of the log.
     poses : (k, 4, 4) float64
         ``T_map_robot`` of these.
     n_scans : int
-        Number of scans of the log.
+        How many scans the log has.
+    ends : (w, 2, 2) float64, optional
+        Of the walls of the map, which are drawn in place of the landmarks.
 
     Returns
     -------
     matplotlib.figure.Figure
     """
-    at = poses[:, :3, 3]
-    if isinstance(mapper, PlaneMapper):
-        table = mapper.planes
-        ends = table.ends[table.status == "static"]
-        places = np.column_stack([ends.reshape(-1, 2), np.zeros(2 * len(ends))])
-        planar, what = True, f"{len(ends)} walls"
-    else:
-        ends, places = np.empty((0, 2, 2)), mapper.map.positions
-        planar, what = mapper.engine.store.dimension == 2, f"{len(places)} landmarks"
+    at, places, what = poses[:, :3, 3], landmarks.positions, f"{len(landmarks)} landmarks"
+    if ends is not None:
+        places, what = np.zeros((2 * len(ends), 3)), f"{len(ends)} walls"
+        places[:, :2] = ends.reshape(-1, 2)
     sheet = Sheet(places, at, planar)
     for axes, pair in sheet.views:
-        if len(ends):
+        if ends is not None:
             draw_walls(axes, ends, colour=INK, width=0.8)
         else:
             axes.plot(*places[:, pair].T, ".", color=INK, markersize=4, label="landmark")

@@ -1,0 +1,232 @@
+"""Scans found in a map of walls, and another log added to it: where it is clear, and only there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PlaneMapper, RelmapError
+from relmap.cli import main
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.datasets import open_scans, write_scans_npz
+from relmap.datasets.scans import ScanLog, SensorView, stored_scans
+from relmap.evaluation.feeding import feed, preparation
+from relmap.mapper import Mapper, Place
+from relmap.planes.finding import WallFinder
+from relmap.planes.observation import checked_planes
+from relmap.points import PointMapper
+from relmap.simulation import Building, simulate_building
+from relmap.simulation.visibility import seen_walls
+from tests.commands import load
+from tests.everyformat import Mapped
+
+Floats = NDArray[np.float64]
+OUTLINE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [2.0, 2.0], [2.0, 4.5], [0.0, 4.5]])
+ROOM = np.stack([OUTLINE, np.roll(OUTLINE, -1, axis=0)], axis=1)
+"""A room from inside, each wall from right to left."""
+HALL = np.array([[[-30.0, 0.0], [30.0, 0.0]], [[30.0, 2.0], [-30.0, 2.0]]])
+
+
+def place_in(walls: Floats, seen_of: Floats, x: float, y: float, yaw: float) -> Place:
+    """Look for a scan of some walls, taken at a pose, among walls."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    ends = (seen_of - [x, y]) @ np.array([[c, -s], [s, c]])
+    seen = seen_walls(ends, 8.0, 3.0)
+    step = np.linspace(0.0, 1.0, 60)[:, None]
+    beams = np.concatenate([a + step * (b - a) for a, b in seen.ends])
+    return WallFinder(walls).find(checked_planes(seen, beams))
+
+
+def test_a_scan_is_found_where_it_fits_in_one_place_alone() -> None:
+    one = place_in(ROOM, ROOM, 1.5, 1.0, 0.4)
+    assert one.n_places == 1
+    np.testing.assert_allclose(one.T_map_robot[:2, 3], [1.5, 1.0], atol=0.02)
+    assert np.arctan2(one.T_map_robot[1, 0], one.T_map_robot[0, 0]) == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("walls", "n_places"),
+    [
+        (np.concatenate([ROOM, np.add(ROOM, [20.0, 3.0])]), 2),
+        (np.concatenate([ROOM, ROOM @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + [20.0, 3.0]]), 2),
+        (HALL, 0),
+        (np.empty((0, 2, 2)), 0),
+    ],
+    ids=["twins", "turned twins", "elsewhere", "nothing"],
+)
+def test_a_scan_that_fits_in_two_places_or_none_is_refused(walls: Floats, n_places: int) -> None:
+    place = place_in(walls, ROOM, 1.5, 1.0, 0.4)
+    assert place.n_places == n_places
+    assert np.isnan(place.T_map_robot).all()
+
+
+def test_along_a_bare_corridor_a_scan_may_be_anywhere() -> None:
+    assert place_in(HALL, HALL, 1.0, 1.0, 0.1).n_places == 2
+
+
+def log_of(building: Building) -> ScanLog:
+    points = [scan.points[:, :2] for scan in building.scans]
+    offsets = np.cumsum([0, *map(len, points)])
+    view = SensorView(building.sensor.view_rad, building.sensor.range_m)
+    return stored_scans(np.concatenate(points), offsets, building.stamps_s, sensor=view)
+
+
+@pytest.fixture(scope="module")
+def oblique() -> Building:
+    """A building without right angles: few of its places look alike."""
+    return simulate_building(181, 0.01, sampling="laser", world="oblique")
+
+
+@pytest.fixture(scope="module")
+def twins() -> Building:
+    return simulate_building(181, 0.01, sampling="laser", world="twin-rooms", iterations=250)
+
+
+def places(mapper: PlaneMapper, log: ScanLog, every: int) -> list[tuple[int, Place]]:
+    prepare = preparation(mapper, log)
+    scans = [scan for scan in log.scans() if scan.iteration % every == 0]
+    found = [mapper.locate(prepare(s.points_robot), s.points_robot) for s in scans]
+    return [(s.iteration, place) for s, place in zip(scans, found, strict=True)]
+
+
+def test_scans_of_a_building_are_found_where_they_were_taken(oblique: Building) -> None:
+    mapper, log = PlaneMapper(), log_of(oblique)
+    feed(mapper, log, "nearest", refine=True)
+    path = mapper.trajectory
+    tried = places(mapper, log, 12)
+    found = [k for k, place in tried if place.n_places == 1]
+    assert len(found) >= len(tried) / 2
+    for k, place in tried:
+        if place.n_places == 1:
+            assert np.abs(place.T_map_robot - path[k])[:2].max() < 0.1
+    assert len(mapper.submaps) == 1
+    np.testing.assert_array_equal(mapper.trajectory, path)
+
+
+def test_rooms_that_are_the_same_are_not_told_apart(twins: Building) -> None:
+    mapper, log = PlaneMapper(), log_of(twins)
+    feed(mapper, log, "nearest", refine=True)
+    assert {place.n_places for _, place in places(mapper, log, 25)} == {2}
+
+
+@pytest.fixture(scope="module")
+def part(oblique: Building, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with scans, and the map of the first part of them."""
+    folder = tmp_path_factory.mktemp("walls")
+    points = [scan.points[:, :2] for scan in oblique.scans]
+    view = SensorView(oblique.sensor.view_rad, oblique.sensor.range_m)
+    write_scans_npz(folder / "scans.npz", points, oblique.stamps_s, view)
+    asked = ["map", str(folder / "scans.npz"), "-o", str(folder / "part"), "--variant", "planes"]
+    assert main([*asked, "--scans", "0:150"]) == 0
+    return folder
+
+
+def test_a_log_is_added_to_a_map_of_walls(
+    part: Path, oblique: Building, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, more = str(part / "scans.npz"), part / "more"
+    asked = ["map", log, "-o", str(more), "--variant", "planes", "--scans", "110:200"]
+    assert main([*asked, "--onto", str(part / "part")]) == 0
+    assert "no scan was found" not in capsys.readouterr().out
+    summary = load(more / "summary.json")
+    assert summary["tied_at"] is not None
+    assert [submap["scans"] for submap in summary["submaps"]] == [240]
+    first, both = (np.loadtxt(folder / "trajectory.tum") for folder in (part / "part", more))
+    true = oblique.trajectory[:, :2, 3]
+    R, t = fit_rigid(true[:150], first[:, 1:3])
+    assert len(both) == 90
+    off_m = np.hypot(*(both[:, 1:3] - (true[110:200] @ R.T + t)).T)
+    assert np.median(off_m) < 0.15
+    assert off_m.max() < 0.4
+    counts = [load(folder / "summary.json")["counts"] for folder in (part / "part", more)]
+    new, old = counts[1]["planes_static"], counts[0]["planes_static"]
+    assert old < new < 1.6 * old  # those in both are one
+
+
+def test_a_log_of_elsewhere_is_a_submap_of_its_own(
+    part: Path, capsys: pytest.CaptureFixture[str], mapped: Mapped, logs: Path
+) -> None:
+    out = part / "apart"
+    asked = ["map", str(logs / "npz"), "-o", str(out), "--variant", "planes"]
+    assert main([*asked, "--onto", str(part / "part")]) == 0
+    assert "no scan was found" in capsys.readouterr().out
+    summary = load(out / "summary.json")
+    assert summary["tied_at"] is None
+    assert sorted(submap["scans"] for submap in summary["submaps"]) == [16, 150]
+    assert len(np.loadtxt(out / "submap-1.tum")) == 16
+
+
+def test_scans_are_localised_and_drawn_in_a_map_of_walls(
+    part: Path, oblique: Building, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (part / "part" / "mapper.npz").read_bytes()
+    asked = ["localise", str(part / "scans.npz"), "--map", str(part / "part")]
+    assert main([*asked, "-o", str(part / "where"), "--scans", "100:160"]) == 0
+    assert (part / "part" / "mapper.npz").read_bytes() == before
+    printed = capsys.readouterr().out
+    assert printed.startswith("found ")
+    found, mapped = (np.loadtxt(part / name / "trajectory.tum") for name in ("where", "part"))
+    assert len(found) >= 5
+    own = found[np.isin(found[:, 0], mapped[:, 0])]
+    off = own[:, 1:3] - mapped[np.searchsorted(mapped[:, 0], own[:, 0]), 1:3]
+    assert np.abs(off).max() < 0.1
+    assert (part / "where" / "map.png").stat().st_size > 10_000
+
+
+def test_scans_that_fit_in_several_places_are_counted(
+    twins: Building, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = [scan.points[:, :2] for scan in twins.scans]
+    view = SensorView(twins.sensor.view_rad, twins.sensor.range_m)
+    log = str(tmp_path / "scans.npz")
+    write_scans_npz(tmp_path / "scans.npz", points, twins.stamps_s, view)
+    assert main(["map", log, "-o", str(tmp_path / "map"), "--variant", "planes"]) == 0
+    capsys.readouterr()
+    asked = ["localise", log, "--map", str(tmp_path / "map"), "-o", str(tmp_path / "where")]
+    assert main([*asked, "--scans", "200:210"]) == 0
+    assert "10 fit in more than one place and were left out" in capsys.readouterr().out
+
+
+def test_what_was_saved_is_loaded_whatever_its_variant(mapped: Mapped) -> None:
+    points, walls = mapped("csv/observations.csv"), mapped("npz")
+    assert type(Mapper.load(points / "mapper.npz")) is PointMapper
+    assert type(Mapper.load(walls / "mapper.npz")) is PlaneMapper
+    with pytest.raises(RelmapError, match="holds a PlaneMapper, not a PointMapper"):
+        PointMapper.load(walls / "mapper.npz")
+
+
+def test_an_empty_map_has_no_places() -> None:
+    room = seen_walls(ROOM - [1.5, 1.0], 8.0, 3.0)
+    mapper = PlaneMapper()
+    assert mapper.locate(room, np.zeros((1, 2))).n_places == 0
+    assert not mapper.take_up(room, np.zeros((1, 2)))
+
+
+def test_a_journal_is_kept_from_the_beginning(tmp_path: Path) -> None:
+    mapper = PlaneMapper(journal=tmp_path / "run.journal")
+    with pytest.raises(RelmapError, match="begins with an empty map"):
+        mapper.take_up(seen_walls(ROOM - [1.5, 1.0], 8.0, 3.0))
+    mapper.close()
+
+
+def test_real_scans_are_found_where_the_robot_comes_again(shared_data: Path) -> None:
+    """Freiburg 079, judged by the poses in the log: none may be wrong."""
+    log = open_scans(shared_data / "carmen-laser2d" / "freiburg-079-corrected.log.gz")
+    assert log.poses is not None
+    mapper = PlaneMapper()
+    feed(mapper, log.between(0, 300), "nearest", refine=True)
+    R, t = fit_rigid(log.poses[:300, :2, 3], mapper.trajectory[:, :2, 3])
+    again = {*range(2134, 2170, 4), *range(3539, 3580, 4), *range(4655, 4728, 6)}
+    found = 0
+    prepare = preparation(mapper, log)
+    for k in sorted(again | {*range(600, 4700, 150)}):
+        (scan,) = log.between(k, k + 1).scans()
+        place = mapper.locate(prepare(scan.points_robot), scan.points_robot)
+        if place.n_places == 1:
+            found += 1
+            off = place.T_map_robot[:2, 3] - (R @ log.poses[k, :2, 3] + t)
+            assert np.hypot(*off) < 0.4, k
+    assert found >= 5
