@@ -36,10 +36,12 @@ ROOMS = ("datasets", "evaluation", "exports", "io", "merging", "plots", "simulat
 
 
 def __getattr__(name: str) -> Any:
+    if name == "map_log":
+        return import_module("relmap.evaluation.run").map_log
     if name in ROOMS:
         return import_module(f"relmap.{name}")
     raise AttributeError(f"module 'relmap' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *ROOMS})
+    return sorted({*globals(), *ROOMS, "map_log"})

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from relmap import MapperConfig, PointMapper, RelmapError
+import relmap
+from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
 from relmap.datasets.base import Scan
 from relmap.evaluation.run import run_mapper, stamps_of
+from relmap.evaluation.sources import BuildingSource
 from relmap.evaluation.summary import timing_of
 from relmap.simulation import simulate_figure_eight
 from tests.judged import K, make_log
@@ -122,3 +124,18 @@ def test_a_continued_run_has_the_motion_since_the_last_scan() -> None:
     seen = [mapper.update(scan.points_robot) for scan in log.between(0, 5).scans()]
     run_mapper(mapper, log, seen=seen, odometry=True)
     assert [T is None for T in mapper.told] == [True] * 5 + [False] * 7
+
+
+def test_a_callback_is_told_how_far_a_run_is() -> None:
+    """It maps as `run_mapper` does, whatever the kind of the log."""
+    world = simulate_figure_eight(iterations=12, seed=0)
+    told = list[tuple[int, ...]]()
+    run = relmap.map_log(world.log, progress=lambda *now: told.append(now))
+    assert told == [(done, 12) for done in range(1, 13)]
+    alone = run_mapper(PointMapper(), world.log, refine=True)
+    np.testing.assert_array_equal(run.result.landmarks.position, alone.result.landmarks.position)
+    building = BuildingSource(iterations=3).load().log
+    mapper = PlaneMapper()
+    relmap.map_log(building, mapper, refine=False, progress=lambda *now: told.append(now))
+    assert told[-1] == (3, 3)
+    assert mapper.n_iterations == 3

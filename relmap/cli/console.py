@@ -6,9 +6,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Event, Thread, Timer
 from time import monotonic
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 T = TypeVar("T")
 
@@ -24,59 +27,73 @@ WIDEST = 1000
 """Maximum width of a table: it is as wide as needed, independent of the terminal."""
 
 
-def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
-    """Yield the items; show progress on stderr if it takes long, see `with_bar`."""
-    began = monotonic()
-    source = iter(items)
-    done = 0
-    for item in source:
-        yield item
-        done += 1
-        if monotonic() - began > PATIENCE_S:
-            break
-    yield from with_bar(source, total, what, done, began)
+class Counter:
+    """Shows on stderr how far work is, where it takes long: a bar, or lines off a terminal.
 
-
-def with_bar(
-    items: Iterable[T], total: int, what: str, done: int = 0, began: float | None = None
-) -> Iterator[T]:
-    """Yield the items; show progress on stderr, as lines if it is not a terminal.
+    It is a callback as `relmap.map_log` takes one: called with how much is done, and of how much.
 
     Parameters
     ----------
-    items : iterable
-        The remaining items.
-    total : int
     what : str
-    done : int
-        Number of items already done.
-    began : float, optional
-        Start time, by `time.monotonic`; now if not given.
+    patience_s : float, optional
+        Work that is done sooner shows nothing; `PATIENCE_S` if not given.
     """
-    from rich.console import Console
-    from rich.progress import Progress
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield from _reported(items, total, what, done, monotonic() if began is None else began)
-        return
-    with Progress(console=console, transient=True, speed_estimate_period=STEADY_S) as progress:
-        task = progress.add_task(what, total=total, completed=done)
-        for item in items:
-            yield item
-            progress.advance(task)
+    def __init__(self, what: str, patience_s: float | None = None) -> None:
+        self._what = what
+        self._patience_s = PATIENCE_S if patience_s is None else patience_s
+        self._began = self._told = monotonic()
+        self._before: int | None = None
+        self._bar: Progress | None = None
+        self._is_terminal: bool | None = None
 
-
-def _reported(items: Iterable[T], total: int, what: str, done: int, began: float) -> Iterator[T]:
-    """Yield the items; print a line on stderr at intervals."""
-    told = began
-    for number, item in enumerate(items, done + 1):
-        yield item
+    def __call__(self, done: int, total: int) -> None:
+        """Show that so many of all are done."""
         now = monotonic()
-        if now - told >= EVERY_S and number < total:
-            told, left_s = now, (now - began) / number * (total - number)
-            line = f"relmap: {what}: {number} of {total}, about {lasting(left_s)} left"
+        if self._before is None:
+            self._before = done - 1
+        if now - self._began <= self._patience_s:
+            return
+        if self._is_terminal is None:
+            self._begin(total)
+        if self._bar is not None:
+            self._bar.update(self._bar.task_ids[0], completed=done)
+        elif not self._is_terminal and now - self._told >= EVERY_S and done < total:
+            left_s = (now - self._began) / (done - self._before) * (total - done)
+            line = f"relmap: {self._what}: {done} of {total}, about {lasting(left_s)} left"
             typer.echo(line, err=True)
+            self._told = now
+
+    def close(self) -> None:
+        """Take away the bar."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+    def _begin(self, total: int) -> None:
+        """Begin a bar, if stderr is a terminal."""
+        from rich.console import Console
+        from rich.progress import Progress
+
+        console = Console(stderr=True)
+        self._is_terminal = console.is_terminal
+        if self._is_terminal:
+            self._bar = Progress(console=console, transient=True, speed_estimate_period=STEADY_S)
+            self._bar.add_task(self._what, total=total)
+            self._bar.start()
+
+
+def tracked(
+    items: Iterable[T], total: int, what: str, patience_s: float | None = None
+) -> Iterator[T]:
+    """Yield the items; show how far it is, see `Counter`."""
+    counter = Counter(what, patience_s)
+    try:
+        for done, item in enumerate(items, 1):
+            yield item
+            counter(done, total)
+    finally:
+        counter.close()
 
 
 def lasting(seconds: float) -> str:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from relmap.cli.arguments import Association, Interval, Odometry, Variant
-from relmap.cli.console import tracked
 from relmap.core.errors import RelmapError
 from relmap.io.results import MAPPER
 
@@ -162,9 +161,9 @@ class Job:
             return kind.load(self.onto / MAPPER)
         return kind(self.settings, journal=self.journal, run=self.noted)
 
-    def scans(self, scans: Iterable[T], total: int) -> Iterator[T]:
-        """Yield scans until stopped, and show progress."""
-        for scan in tracked(scans, total, "mapping"):
+    def scans(self, scans: Iterable[T]) -> Iterator[T]:
+        """Yield scans until it is to stop."""
+        for scan in scans:
             yield scan
             if self.stopped():
                 return

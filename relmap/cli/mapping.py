@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 import typer
 
 from relmap.cli.arguments import Association, read_config
-from relmap.cli.console import busy, tracked
+from relmap.cli.console import Counter, busy, tracked
 from relmap.cli.job import Job, journaled_labels
 from relmap.core.errors import RelmapError
 from relmap.io.results import EVALUATION, MAP_PNG, MAPPER
@@ -94,6 +94,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 
     seen, about = journaled_labels(job, log), _about(job, log)
     with ExitStack() as afterwards:
+        counter = afterwards.enter_context(closing(Counter("mapping")))
         bench, see_again = _bench(job, log, len(seen))
         mapper = job.mapper(see_again)
         afterwards.callback(mapper.close)
@@ -102,8 +103,9 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             bench.skip(mapper.n_iterations if job.onto else 0)
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
-            followed = _taken_up(job, mapper, log, job.scans(scans, len(log)), about)
+            followed = _taken_up(job, mapper, log, job.scans(scans), about)
             yield from bench.watch(followed) if bench else followed
+            counter.close()
             afterwards.enter_context(busy("refining and writing"))
 
         segmenter = bench.segmenter if bench else None
@@ -117,6 +119,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             seen,
             segmenter,
             job.odometry == "auto",
+            counter,
         )
         _write(folder, run, job)
         names = getattr(log, "names", None)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import typer
 
-from relmap.cli.console import INTERRUPTED, busy
+from relmap.cli.console import INTERRUPTED, Counter, busy
 from relmap.cli.job import Job
 
 if TYPE_CHECKING:
@@ -46,8 +47,8 @@ def report_space(job: Job, voxel_m: float | None) -> None:
     }
     with staged_folder(job.out, [MAPPER, *stale_files(job.out)]) as staging:
         mapper = Plane3dMapper(PatchSegmenter(voxel_m=voxel_m))
-        progress = lambda scans: job.scans(scans, len(log))  # noqa: E731
-        result = run_in_space(mapper, log, about, job.refine, progress)
+        with closing(Counter("mapping")) as counter:
+            result = run_in_space(mapper, log, about, job.refine, job.scans, counter)
         with busy("writing"):
             _write(staging, result)
         n_files = len(list(staging.iterdir()))

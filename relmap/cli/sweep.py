@@ -11,7 +11,7 @@ import typer
 
 from relmap.cli.arguments import Out, refuse
 from relmap.cli.compare import COLUMNS, OF_CORNERS
-from relmap.cli.console import figure, print_table, with_bar
+from relmap.cli.console import figure, print_table, tracked
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def _sweep_into(
     n = len(left)
     running = run_cells(left, workers, scheduler) if left else ()
     try:
-        for cell, finished in with_bar(running, n, "cells"):
+        for cell, finished in tracked(running, n, "cells", 0.0):
             store.save(cell, finished)
             found[cell] = finished
     except KeyboardInterrupt:

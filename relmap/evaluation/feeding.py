@@ -22,8 +22,10 @@ from relmap.segmentation import PlaneSegmenter
 Association = Literal["nearest", "known"]
 Log = ObservationLog | ScanLog
 AnyMapper = PointMapper | PlaneMapper
-Progress = Callable[[Iterable[Any]], Iterable[Any]]
-"""Wraps the scans of a run, to show progress."""
+Through = Callable[[Iterable[Any]], Iterable[Any]]
+"""What the scans of a run go through: it may look at them, and end early."""
+Progress = Callable[[int, int], object]
+"""Called after each scan with how many are done, and how many there are."""
 
 
 class Method(Protocol):
@@ -91,10 +93,11 @@ def feed(
     log: Log,
     association: Association,
     refine: bool = False,
-    progress: Progress | None = None,
+    through: Through = iter,
     n_seen: int = 0,
     segmenter: PlaneSegmenter | None = None,
     odometry: bool = False,
+    progress: Progress | None = None,
     clock: Callable[[], float] = perf_counter,
 ) -> Fed:
     """Run a log through a method to its end, and measure the time.
@@ -102,9 +105,9 @@ def feed(
     Parameters
     ----------
     method : Method
-        A plane mapper gets the walls of a scan, every other method its points.
-    log, association, refine, progress, segmenter, odometry
-        As for `run_mapper`.
+        A plane mapper is given the walls of a scan, every other method its points.
+    log, association, refine, through, segmenter, odometry, progress
+        As `run_mapper` takes them.
     n_seen : int
         Scans of the log that the method has already processed.
     clock : callable
@@ -124,7 +127,7 @@ def feed(
         scans = log.between(first + n_seen, first + len(log)).scans()
     prepare = preparation(method, log, segmenter)
     labels, durations_s = [], []
-    for scan in progress(scans) if progress else scans:
+    for scan in through(scans):
         began = clock()
         seen = prepare(scan.points_robot)
         between = clock()
@@ -132,6 +135,8 @@ def feed(
         more = _known_of(method, scan, odometry and scan.iteration > first)
         labels.append(method.update(seen, ids=scan.ids if known else None, **more))
         durations_s.append([between - began, clock() - between])
+        if progress is not None:
+            progress(n_seen + len(labels), len(log))
     over = clock()
     method.finish()
     finished = clock()

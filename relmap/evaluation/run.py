@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, feed
+from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, Through, feed
 from relmap.evaluation.summary import summary_of, timing
 from relmap.io.results import Result, Tracks, shifted
 from relmap.planes import PlaneMapper
 from relmap.planes.files import DrawnSubmap, PlaneResult
 from relmap.planes.table import PlaneTable
+from relmap.points import PointMapper
 from relmap.segmentation import PlaneSegmenter
 
 FEWEST_DRAWN = 10
@@ -55,11 +56,12 @@ def run_mapper(
     log: Log,
     association: Association = "nearest",
     about: dict[str, Any] | None = None,
-    progress: Progress | None = None,
+    through: Through = iter,
     refine: bool = False,
     seen: Sequence[NDArray[np.int64]] = (),
     segmenter: PlaneSegmenter | None = None,
     odometry: bool = False,
+    progress: Progress | None = None,
 ) -> Run:
     """Map a whole log.
 
@@ -72,9 +74,9 @@ def run_mapper(
     association : "nearest" or "known"
         ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
     about : dict, optional
-        Additional entries of the summary, such as the input.
-    progress : callable, optional
-        Wraps the iterable of scans; if it ends early, so does the run.
+        What else the summary should tell, as of its input.
+    through : callable, optional
+        What the scans go through; where it ends before them, the run does.
     refine : bool
         Whether to refine the map at the end.
     seen : sequence of (n,) int64
@@ -83,6 +85,8 @@ def run_mapper(
         Finds walls; by default one with the sensor limits given by the log.
     odometry : bool
         Whether to give the odometry of the log, if it has any, to the mapper.
+    progress : callable, optional
+        Called after each scan with how many are done, and how many there are.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def run_mapper(
         If ``known`` is requested for a log without ids, or a scan of the log is damaged.
     """
     offset = log.first_iteration - (mapper.n_iterations - len(seen))
-    fed = feed(mapper, log, association, refine, progress, len(seen), segmenter, odometry)
+    fed = feed(mapper, log, association, refine, through, len(seen), segmenter, odometry, progress)
     labels, n_input = [*seen, *fed.labels], len(log)
     log = log.between(log.first_iteration, log.first_iteration + len(labels))
     result = result_of(mapper, log, labels, association, offset)
@@ -110,6 +114,47 @@ def run_mapper(
         "timing": timing(fed.durations_s, fed.refine_s, isinstance(log, ScanLog)),
     }
     return Run(replace(result, summary=summary), groups)
+
+
+def map_log(
+    log: Log,
+    mapper: AnyMapper | None = None,
+    *,
+    association: Association = "nearest",
+    odometry: bool = True,
+    refine: bool = True,
+    progress: Progress | None = None,
+) -> Run:
+    """Map a whole log as `relmap map` does.
+
+    Parameters
+    ----------
+    log : ObservationLog or ScanLog
+        As `relmap.datasets` reads it, or makes it from a data frame.
+    mapper : PointMapper or PlaneMapper, optional
+        Takes in the log; a fresh one, of points or of walls as the log is, if not given.
+    association : "nearest" or "known"
+        Whether the mapper is given the ids of the log.
+    odometry : bool
+        Whether it is given the odometry of the log, if it has any.
+    refine : bool
+        Whether to refine the map at the end.
+    progress : callable, optional
+        Called after each scan with how many are done, and how many there are: ``f(done, total)``.
+
+    Returns
+    -------
+    Run
+        `result` is what `relmap map` writes; the mapper given holds the map.
+
+    Raises
+    ------
+    RelmapError
+        If ``known`` is asked of a log without ids, or a scan of the log is damaged.
+    """
+    if mapper is None:
+        mapper = PlaneMapper() if isinstance(log, ScanLog) else PointMapper()
+    return run_mapper(mapper, log, association, refine=refine, odometry=odometry, progress=progress)
 
 
 def result_of(

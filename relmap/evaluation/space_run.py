@@ -12,7 +12,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.scans import ScanLog
-from relmap.evaluation.feeding import Progress
+from relmap.evaluation.feeding import Progress, Through
 from relmap.evaluation.summary import timing, versions
 from relmap.io.results import Result, Tracks
 from relmap.planes3d import Plane3dMapper
@@ -50,6 +50,7 @@ def run_in_space(
     log: ScanLog,
     about: dict[str, Any],
     refine: bool = True,
+    through: Through = iter,
     progress: Progress | None = None,
 ) -> SpaceResult:
     """Map a whole log of clouds.
@@ -62,8 +63,10 @@ def run_in_space(
     about : dict
         Additional entries of the summary.
     refine : bool
+    through : callable, optional
+        What the scans go through; where it ends before them, the run does.
     progress : callable, optional
-        Wraps the iterable of scans; if it ends early, so does the run.
+        Called after each scan with how many are done, and how many there are.
 
     Raises
     ------
@@ -75,12 +78,14 @@ def run_in_space(
             "the log is from a 2-D laser, and planes3d maps clouds: use --variant planes"
         )
     labels, durations_s = [], []
-    for scan in progress(log.scans()) if progress else log.scans():
+    for scan in through(log.scans()):
         began = perf_counter()
         seen = mapper.segmenter.fit(scan.points_robot).patches_
         between = perf_counter()
         labels.append(mapper.update(seen))
         durations_s.append([between - began, perf_counter() - between])
+        if progress is not None:
+            progress(len(labels), len(log))
     mapper.finish()
     over = perf_counter()
     if refine:

@@ -41,7 +41,7 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> Bench:
     run = run_mapper(
         mapper,
         log,
-        progress=lambda scans: recorder.watch(watch(list(scans))),
+        through=lambda scans: recorder.watch(watch(list(scans))),
         refine=True,
         segmenter=segmenter,
     )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation import metrics
-from relmap.evaluation.feeding import Progress
+from relmap.evaluation.feeding import Through
 from relmap.evaluation.run import run_mapper
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
@@ -101,7 +101,7 @@ def run_partial_wall(
     sigma: float = 0.0,
     seed: int = 0,
     beside: int = BESIDE,
-    progress: Progress | None = None,
+    through: Through = iter,
 ) -> PartialWall:
     """Drive past a long wall that stands alone, and map it.
 
@@ -132,7 +132,7 @@ def run_partial_wall(
     # The ends of a wall alone in view do not show the limits of the sensor.
     segmenter = PlaneSegmenter(view_rad=DEPTH_SENSOR.view_rad, range_m=DEPTH_SENSOR.range_m)
     mapper = PlaneMapper()
-    planes = run_mapper(mapper, log, progress=progress, refine=True, segmenter=segmenter).planes
+    planes = run_mapper(mapper, log, through=through, refine=True, segmenter=segmenter).planes
     weak = np.isin(np.arange(len(part)), mapper.weak_links)
     before = slice(0, longest(weak)[0])
     T = np.eye(4)
@@ -173,7 +173,7 @@ def _beside_the_wall(building: Building, beside: int) -> NDArray[np.int64]:
 
 def _run(quick: bool, data: Path | None, watch: Watch) -> PartialWall:
     size = {"points": QUICK_POINTS, "beside": QUICK_BESIDE} if quick else {}
-    return run_partial_wall(**size, progress=lambda scans: watch(list(scans)))
+    return run_partial_wall(**size, through=lambda scans: watch(list(scans)))
 
 
 def _judge(run: PartialWall) -> Outcome:

@@ -58,7 +58,7 @@ def _run(quick: bool, data: Path | None, watch: Watch) -> EightMap:
     world = simulate_figure_eight(QUICK_DENSITY if quick else DENSITY, sigma=SIGMA_M)
     mapper = PointMapper()
     result = run_mapper(
-        mapper, world.log, "nearest", progress=lambda scans: watch(list(scans)), refine=True
+        mapper, world.log, "nearest", through=lambda scans: watch(list(scans)), refine=True
     ).result
     truth = truth_of(world)
     matched = match_landmarks(result, truth, identify(result, world.log))
