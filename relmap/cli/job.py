@@ -42,7 +42,9 @@ class Job:
     columns : dict of str to str, or None
         Column names of a table.
     topics : tuple of str
-        Topics of a bag to read if there are several of a kind.
+        Of a bag, those to read where there are several of a kind.
+    live, live_file : bool, Path or None
+        Whether to show the run as it goes; recorded in the file, where one is given.
     sigmas : tuple of float or None
         Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
@@ -66,6 +68,8 @@ class Job:
     odometry: Odometry = "none"
     columns: dict[str, str] | None = None
     topics: tuple[str, ...] = ()
+    live: bool = False
+    live_file: Path | None = None
     stopped: Callable[[], bool] = lambda: False
 
     @property

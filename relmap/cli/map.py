@@ -183,6 +183,21 @@ _Animate = Annotated[
     typer.Option("--animate", help="For walls: draw the whole run as an animation, bench.gif."),
 ]
 
+_Live = Annotated[
+    bool,
+    typer.Option(
+        "--live", help="Show map, path and scan while it goes (pip install 'relmap[live]')."
+    ),
+]
+_LiveFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--live-file",
+        metavar="FILE.rrd",
+        help="Record that instead, for the Rerun viewer to open later; needs no display.",
+    ),
+]
+
 
 def map_command(
     source: args.Log,
@@ -204,14 +219,27 @@ def map_command(
     columns: _Columns = None,
     topic: _Topics = None,
     voxel: _Voxel = None,
+    live: _Live = False,
+    live_file: _LiveFile = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
     args.refuse(voxel is not None and variant != "planes3d", "--voxel requires --variant planes3d")
     if variant == "planes3d":
         sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
-        others = (known, registration, config, journal, onto, animate, columns, topic)
-        message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
+        others = (
+            known,
+            registration,
+            config,
+            journal,
+            onto,
+            animate,
+            columns,
+            topic,
+            live,
+            live_file,
+        )
+        message = "--variant planes3d takes --scans, --format, --refine and --voxel alone"
         args.refuse(any((*others, *sigmas_given)) or odometry != "auto", message)
         low = voxel is not None and not 0 < voxel < float("inf")
         args.refuse(low, f"--voxel is {voxel}; it must be above 0")
@@ -262,6 +290,8 @@ def map_command(
             odometry=odometry,
             columns=columns,
             topics=tuple(topic or ()),
+            live=live or live_file is not None,
+            live_file=live_file,
             stopped=stopped,
         )
         report(job)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from relmap.evaluation.truth import Truth
     from relmap.planes import PlaneMapper
     from relmap.plots.bench_recorder import BenchRecorder
+    from relmap.plots.live import LiveView
 
 BENCH_PNG = "bench.png"
 BENCH_GIF = "bench.gif"
@@ -99,11 +100,12 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
         mapper = job.mapper(see_again)
         afterwards.callback(mapper.close)
         if bench is not None:
-            bench.mapper = cast("PlaneMapper", mapper)
-            bench.skip(mapper.n_iterations if job.onto else 0)
+            bench.follow(cast("PlaneMapper", mapper), mapper.n_iterations if job.onto else 0)
+        view = _live(job, afterwards)
 
         def watched(scans: Iterable[Any]) -> Iterator[Any]:
             followed = _taken_up(job, mapper, log, job.scans(scans), about)
+            followed = view.watch(mapper, followed) if view else followed
             yield from bench.watch(followed) if bench else followed
             counter.close()
             afterwards.enter_context(busy("refining and writing"))
@@ -121,6 +123,8 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
             job.odometry == "auto",
             counter,
         )
+        if view is not None:
+            view.show(mapper)
         _write(folder, run, job)
         names = getattr(log, "names", None)
         if names and job.association == "known":
@@ -212,6 +216,17 @@ def _bench(
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
     bench = BenchRecorder(None, segmenter_for(log.sensor), truth, every, log.sensor, before_s)
     return bench, partial(bench.see_again, log)
+
+
+def _live(job: Job, afterwards: ExitStack) -> LiveView | None:
+    """Return what shows the run as it goes, where that is asked for; it is closed afterwards."""
+    if not job.live:
+        return None
+    from relmap.plots.live import LiveView
+
+    view = LiveView(job.live_file)
+    afterwards.callback(view.close)
+    return view
 
 
 def _draw_bench(folder: Path, bench: BenchRecorder, animate: bool) -> None:

@@ -121,9 +121,10 @@ class BenchRecorder:
         self._scan: PointScan | None = None
         self.frames: list[BenchFrame] = []
 
-    def skip(self, n_scans: int) -> None:
-        """Count scans of earlier logs, whose times are not known."""
-        self._stamps_s += [math.nan] * n_scans
+    def follow(self, mapper: PlaneMapper, n_before: int = 0) -> None:
+        """Look at a mapper, which has taken in scans of earlier logs, whose times are not known."""
+        self.mapper = mapper
+        self._stamps_s += [math.nan] * n_before
 
     def watch(self, scans: Iterable[PointScan]) -> Iterator[PointScan]:
         """Yield the scans of a run; record a frame at intervals, after the scan was mapped."""

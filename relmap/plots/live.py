@@ -1,0 +1,127 @@
+"""A run as it goes, in the Rerun viewer or recorded in a file that it opens (`relmap[live]`)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from relmap.core.errors import RelmapError
+from relmap.evaluation.feeding import AnyMapper
+from relmap.planes import PlaneMapper
+from relmap.plots.path import broken_at_jumps
+
+SHARE = 0.1
+"""Share of the time that showing the run may take, about."""
+MAP, PATH, SCAN = "map", "path", "scan"
+"""What is shown, by the names that it has in the viewer."""
+COLOURS = {MAP: (51, 51, 51), PATH: (138, 138, 138), SCAN: (217, 130, 43)}
+RADIUS_M = 0.03
+INSTALL = "--live needs the Rerun viewer: pip install 'relmap[live]'"
+
+
+class LiveView:
+    """Shows map, path and scan of a run; each scan where that takes little of the time.
+
+    Rerun's analytics are off.
+
+    Parameters
+    ----------
+    file : Path or None
+        What to record in; None opens the viewer.
+    clock : callable
+        Tells the time, seconds.
+
+    Raises
+    ------
+    RelmapError
+        Where Rerun is not installed, the viewer does not start or the file cannot be written.
+    """
+
+    def __init__(self, file: Path | None = None, clock: Callable[[], float] = perf_counter) -> None:
+        if find_spec("rerun") is None:
+            raise RelmapError(INSTALL)
+        import rerun
+
+        self._rerun, self._clock = rerun, clock
+        self._stream = rerun.RecordingStream("relmap")
+        self._due = -np.inf
+        self._scan: Any = None
+        try:
+            with _without_analytics():
+                if file is None:
+                    self._stream.spawn(hide_welcome_screen=True)
+                else:
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    self._stream.save(file)
+        except (OSError, RuntimeError) as error:
+            what = "the Rerun viewer does not start" if file is None else f"{file}: not writable"
+            raise RelmapError(f"{what}: {' '.join(str(error).split())}") from error
+
+    def watch(self, mapper: AnyMapper, scans: Iterable[Any]) -> Iterator[Any]:
+        """Yield the scans of a run; show each once it has been mapped."""
+        for scan in scans:
+            yield scan
+            self._scan = scan
+            began = self._clock()
+            if began >= self._due:
+                self.show(mapper)
+                now = self._clock()
+                self._due = now + (now - began) * (1 / SHARE - 1)
+
+    def show(self, mapper: AnyMapper) -> None:
+        """Show a mapper as it is, and the scan that it has taken in last, if that has a pose."""
+        walls = isinstance(mapper, PlaneMapper)
+        d = 2 if walls else mapper.engine.store.dimension or 2
+        if self._scan is not None:
+            self._stream.set_time("iteration", sequence=self._scan.iteration)
+        if isinstance(mapper, PlaneMapper):
+            table = mapper.planes
+            self._lines(MAP, list(table.ends[table.status == "static"]), d)
+        else:
+            self._points(MAP, mapper.map.positions[:, :d])
+        poses = mapper.trajectory
+        way = broken_at_jumps(poses[np.isfinite(poses[:, 0, 3]), :d, 3])
+        parts = np.split(way, np.flatnonzero(np.isnan(way).any(axis=1)))
+        self._lines(PATH, [part[np.isfinite(part).all(axis=1)] for part in parts], d)
+        if self._scan is not None and len(poses) and np.isfinite(poses[-1, 0, 3]):
+            R, t = poses[-1, :d, :d], poses[-1, :d, 3]
+            self._points(SCAN, self._scan.points_robot[:, :d] @ R.T + t)
+
+    def close(self) -> None:
+        """Write what is left, and end the recording."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _points(self, name: str, places: NDArray[np.float64]) -> None:
+        """Show points (n, d)."""
+        kind = self._rerun.Points2D if places.shape[1] == 2 else self._rerun.Points3D
+        shown = kind(places.astype(np.float32), colors=COLOURS[name], radii=RADIUS_M)
+        self._stream.log(name, shown)
+
+    def _lines(self, name: str, ways: list[NDArray[np.float64]], d: int) -> None:
+        """Show ways, each (k, d)."""
+        kind = self._rerun.LineStrips2D if d == 2 else self._rerun.LineStrips3D
+        shown = [way.astype(np.float32) for way in ways if len(way)]
+        self._stream.log(
+            name, kind(shown or np.empty((0, 2, d)), colors=COLOURS[name], radii=RADIUS_M)
+        )
+
+
+@contextmanager
+def _without_analytics() -> Iterator[None]:
+    """Let no process that begins here send usage data: Rerun sends none where CI is set."""
+    before = os.environ.get("CI")
+    os.environ["CI"] = before or "true"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["CI"]
