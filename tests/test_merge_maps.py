@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap.cli import main
+from relmap.core.association.pairing import Motion
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.io.files import read_tum
 from relmap.io.results import read_result
-from relmap.merging.tables import Motion
 from relmap.merging.walls import joined_walls, moved
 from relmap.planes.files import read_any, read_planes, write_planes
 from relmap.planes.table import PlaneTable
@@ -193,6 +193,27 @@ def test_a_merged_map_is_exported(halves: Path, tmp_path: Path) -> None:
     for to in ("dxf", "grid", "geojson"):
         run("export", tmp_path / "both", "--to", to, "-o", tmp_path)
     assert len([row for row in table(tmp_path / "both" / "planes.csv") if row["x0"]]) > 60
+
+
+def test_a_merged_map_of_points_is_evaluated_by_place(
+    halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run("merge", halves / "eight-a", halves / "eight-b", "-o", tmp_path / "both")
+    capsys.readouterr()
+    run("evaluate", tmp_path / "both", "--truth", halves / "eight")
+    printed = capsys.readouterr().out
+    assert "the map was merged" in printed
+    assert "--log" not in printed
+    whole = load(tmp_path / "both" / "evaluation.json")
+    run("evaluate", halves / "eight-a", "--truth", halves / "eight")
+    half = load(halves / "eight-a" / "evaluation.json")
+    assert whole["counts"]["matched_landmarks"] > 1.3 * half["counts"]["matched_landmarks"]
+    assert 0 < whole["landmark_rmse_m"] < 2 * half["landmark_rmse_m"]
+    apart = tmp_path / "apart"
+    shutil.copytree(halves / "eight" / "truth", apart)
+    (apart / "trajectory.tum").unlink()
+    run("evaluate", tmp_path / "both", "--truth", apart)
+    assert "too little is known" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

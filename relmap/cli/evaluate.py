@@ -93,9 +93,14 @@ def evaluate_command(
     print_table(f"{folder} against {truth}", ("figure", "value"), rows_of(evaluation))
     for note in evaluation.notes:
         typer.echo(note)
-    if evaluation.purity is None and evaluation.variant == "points":
+    if evaluation.purity is None and evaluation.variant == "points" and not _merged(evaluation):
         typer.echo("no log with ids was found: give it with --log to have every figure")
     typer.echo(f"wrote evaluation.json to {folder}")
+
+
+def _merged(evaluation: Evaluation) -> bool:
+    """Tell whether the map was merged, so that no log tells more of it."""
+    return any("merged" in note for note in evaluation.notes)
 
 
 def rows_of(*evaluations: Evaluation) -> list[tuple[str, ...]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association.pairing import Motion, paired
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
@@ -70,14 +71,16 @@ def judge_landmarks(
     notes : list of str
         Reasons for missing figures.
     """
-    identified = identify(result, log)
-    matched = match_landmarks(result, truth, identified)
     counts = {
         "landmarks": len(result.landmarks.landmark),
         "mapped": int(result.mapped.sum()),
         "true_landmarks": len(truth.landmark_ids),
         "matched_poses": n_poses,
     }
+    if "merged" in result.summary:
+        return _judged_by_place(result, truth, counts)
+    identified = identify(result, log)
+    matched = match_landmarks(result, truth, identified)
     if identified is None or matched is None:
         return {}, counts, []
     counts |= {
@@ -98,6 +101,30 @@ def judge_landmarks(
         "purity": metrics.purity(identified.landmark, identified.true_id),
     }
     return figures, counts, notes
+
+
+def _judged_by_place(
+    result: Result, truth: Truth, counts: dict[str, int]
+) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
+    """Judge a merged map, which has no tracks: each landmark stands for the true one at its place.
+
+    Its path tells about how it lies in the truth, as `judge_landmarks` returns it.
+    """
+    d = 2 if result.planar else 3
+    rows = result.mapped & (result.landmarks.status == "static")
+    position = result.landmarks.position[rows][:, :d]
+    placed = np.isfinite(truth.landmarks_map).all(axis=1) & (truth.status == "static")
+    places = truth.landmarks_map[placed][:, :d]
+    mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
+    few = "no landmark RMSE: a merged map is matched by place, for which too little is known"
+    if len(mine) < 3 or min(len(position), len(places)) <= d:
+        return {}, counts, [few]
+    R, t = metrics.align(result.poses[mine, :d, 3], truth.poses[other, :d, 3])
+    motion, pairs = paired(position, places, Motion(R, t))
+    errors = motion.apply(position[pairs[:, 0]]) - places[pairs[:, 1]]
+    counts |= {"matched_landmarks": len(pairs)}
+    told = f"landmarks were matched by place, {len(pairs)} of {len(position)}: the map was merged"
+    return {"landmark_rmse_m": metrics.rms(errors)}, counts, [told]
 
 
 def overlay(result: Result, truth: Truth, log: ObservationLog | None = None) -> Overlay | None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.association.pairing import Motion, paired
 from relmap.core.association.tying import tie_submaps
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
@@ -17,7 +18,7 @@ from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.summary import versions
 from relmap.io.results import Result, Tracks, shifted
-from relmap.merging.tables import Motion, joined, paired
+from relmap.merging.tables import joined
 from relmap.merging.walls import joined_walls, moved
 from relmap.planes.files import PlaneResult, read_any
 from relmap.planes.table import PlaneTable

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from relmap.merging.tables import Motion
+from relmap.core.association.pairing import Motion
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
 

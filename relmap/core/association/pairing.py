@@ -1,0 +1,85 @@
+"""Which points of two maps are one, and the motion between the frames of the maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import nearest
+from relmap.core.geometry.alignment import fit_rigid
+
+SPACING = 0.25
+"""How far apart two that are one may be at most, in median distances of neighbours."""
+SIGMAS = 4.0
+"""The same in standard deviations of how far apart such pairs are, once these are known."""
+ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion from the frame of one map into that of another: ``R @ p + t``.
+
+    Attributes
+    ----------
+    R, t : (d, d), (d,) float64
+    """
+
+    R: Floats
+    t: Floats
+
+    def apply(self, points: Floats) -> Floats:
+        """Return points (n, 3), or (n, d), moved; z stays where the motion is planar."""
+        d = len(self.t)
+        moved = points.copy()
+        moved[:, :d] = points[:, :d] @ self.R.T + self.t
+        return moved
+
+    @property
+    def matrix(self) -> Floats:
+        """The motion as a (4, 4) matrix."""
+        T, d = np.eye(4), len(self.t)
+        T[:d, :d], T[:d, 3] = self.R, self.t
+        return T
+
+
+def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:
+    """Fit a motion to the landmarks that are the same, and tell which are.
+
+    Parameters
+    ----------
+    points, among : (n, d), (m, d) float64, metres
+        Of two maps, each in its own frame.
+    motion : Motion
+        About how the first lies in the frame of the second.
+
+    Returns
+    -------
+    motion : Motion
+    pairs : (k, 2) int64
+        Rows of both; each is in one pair at most.
+    """
+    spacing = nearest(cKDTree(among), among, 2)[0][:, -1]
+    near_m = SPACING * float(np.median(spacing))
+    pairs = np.empty((0, 2), dtype=np.int64)
+    for _ in range(ROUNDS):
+        pairs = _mutual(motion.apply(points), among, near_m)
+        if len(pairs) <= len(motion.t):
+            break
+        source, target = points[pairs[:, 0]], among[pairs[:, 1]]
+        motion = Motion(*fit_rigid(source, target))
+        off = np.linalg.norm(motion.apply(source) - target, axis=1)
+        near_m = min(near_m, SIGMAS * max(float(np.sqrt(np.mean(off**2))), 1e-9))
+    return motion, pairs
+
+
+def _mutual(points: Floats, among: Floats, near_m: float) -> Ints:
+    """Return pairs (k, 2) of points nearest to one another, and nearer than a distance."""
+    if not (len(points) and len(among)):
+        return np.empty((0, 2), dtype=np.int64)
+    distance, there = (found[:, 0] for found in nearest(cKDTree(among), points, 1))
+    back = nearest(cKDTree(points), among, 1)[1][:, 0]
+    own = np.flatnonzero((back[there] == np.arange(len(points))) & (distance <= near_m))
+    return np.column_stack([own, there[own]])
