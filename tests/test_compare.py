@@ -10,19 +10,20 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from relmap.cli import main
 from relmap.cli.compare import HELP
-from relmap.comparison.compare import CSV_COLUMNS, compare
+from relmap.comparison.compare import CSV_COLUMNS, Compared, compare
 from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import METHODS, find_method
 from relmap.comparison.methods.running import run_method
 from relmap.evaluation.feeding import Association
-from relmap.evaluation.sources import Data, EightSource
-from tests.commands import PATIENCE_S, RELMAP, Check, names, table
+from relmap.evaluation.sources import Data, EightSource, Source
+from tests.commands import GOOD, PATIENCE_S, RELMAP, Check, names, table
 
 ASSOCIATIONS: tuple[Association, ...] = ("known", "nearest")
 SHORT = ["compare", "--simulate", "figure-eight", "--iterations", "60"]
@@ -52,13 +53,53 @@ def test_files(compared: Path) -> None:
     assert names(compared / "out") == [
         "comparison.csv",
         "comparison.png",
+        "map-ekf.csv",
         "map-ekf.png",
+        "map-relmap-points.csv",
         "map-relmap-points.png",
         "trajectory-ekf.tum",
         "trajectory-relmap-points.tum",
     ]
     for picture in (compared / "out").glob("*.png"):
         assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_map_of_each_method_is_written(compared: Path) -> None:
+    (batch, *_), rows = (
+        table(compared / "out" / f"map-{name}.csv") for name in ("ekf", "relmap-points")
+    )
+    assert list(batch) == ["landmark", "x", "y", "z"]
+    of = {row["method"]: row for row in table(compared / "out" / "comparison.csv")}
+    assert len(rows) == int(float(of["relmap-points"]["matched"]))
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        "7,1,0,0,static\n8,0,2,0,static\n",
+        "0,1,0,0,static\n",
+        "0,1,0,0,static\n1,0,900,0,static\n2,-1e6,0,3,static\n",
+        "0,1,0,0,static\n1,1,0,0,static\n2,1,0,0,static\n",
+        "0,1,0,0,dynamic\n1,0,2,0,dynamic\n2,0,0,3,dynamic\n",
+    ],
+    ids=["others", "one", "far off", "in one place", "moving"],
+)
+def test_a_map_too_wrong_to_match_has_figures_and_no_traceback(
+    place: Path, truth: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("relmap.comparison.compare.in_own_process", in_this_process)
+    lines = GOOD.splitlines()
+    rows = [f"{line},{k % 4}" for k, line in enumerate(lines[1:])]
+    (place / "log.csv").write_text("\n".join([f"{lines[0]},id", *rows]))
+    (place / "truth" / "landmarks.csv").write_text("landmark,x,y,z,status\n" + truth)
+    assert main(["compare", "log.csv", "--methods", "relmap-points-live,batch", "-o", "c"]) == 0
+    for row in table(place / "c" / "comparison.csv"):
+        assert float(row["total_s"]) > 0
+        assert row["note"] == ""
+
+
+def in_this_process(name: str, source: Source, *how: Any) -> Compared:
+    return Compared(name, run_method(find_method(name), source.load(), *how))
 
 
 def test_csv_holds_every_figure_in_full(compared: Path) -> None:
@@ -87,7 +128,7 @@ def test_printed_table_agrees_with_the_csv(compared: Path) -> None:
         assert cells[0] == row["method"]
         assert cells[1] == f"{float(row['landmark_rmse_m']):.4f}"
         assert len(line) <= 100
-    assert lines[-1] == "wrote comparison.csv, 2 trajectories and 3 pictures to out"
+    assert lines[-1] == "wrote comparison.csv, 2 trajectories and maps and 3 pictures to out"
 
 
 def test_a_log_with_its_truth_beside_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

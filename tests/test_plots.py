@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 from matplotlib.text import Text
 from PIL import Image
 
@@ -19,6 +20,7 @@ from relmap.io.results import Result, Tracks
 from relmap.planes.files import DrawnSubmap
 from relmap.planes.table import PlaneTable
 from relmap.plots.comparison import plot_comparison
+from relmap.plots.errors import plot_errors, shared_scale
 from relmap.plots.localised import plot_localised
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.planes import plot_planes, plot_submaps
@@ -309,6 +311,34 @@ def test_scans_that_were_found_are_drawn_in_the_map(planar: bool) -> None:
     (path,) = (line for line in figure.axes[0].get_lines() if "localised" in str(line.get_label()))
     assert np.flatnonzero(np.isnan(np.asarray(path.get_xdata()))).tolist() == [4]
     plot_localised(landmarks, planar, scan[:0], result.poses[:0], 20).draw_without_rendering()
+
+
+def errors_of(off_m: float) -> Overlay:
+    true = np.random.default_rng(0).uniform(-5, 5, (20, 3))
+    pairs = np.stack([true + np.array([off_m, 0.0, 0.0]), true], axis=1)
+    return Overlay(true, np.empty((0, 3)), pairs)
+
+
+def test_errors_are_enlarged_alike_and_far_ones_cut() -> None:
+    near, far = errors_of(0.01), errors_of(3.0)
+    scale = shared_scale([near, near, far])
+    assert scale == 20.0
+    result = make_result(20, True)
+    for overlay, label in ((near, "error, x 20"), (far, "more than 0.06 m")):
+        (axes,) = plot_errors(result, overlay, scale, "a").axes
+        (quiver,) = (c for c in axes.collections if isinstance(c, Quiver))
+        lengths = np.hypot(quiver.U, quiver.V)
+        assert lengths.max() < 0.13 * np.ptp(overlay.landmarks_map, axis=0).max()
+        assert label in [line.get_label() for line in axes.get_lines()]
+    np.testing.assert_allclose(lengths, lengths[0])
+
+
+def test_without_errors_nothing_is_enlarged() -> None:
+    nothing = Overlay(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 2, 3)))
+    assert shared_scale([]) == shared_scale([nothing]) == 1.0
+    assert shared_scale([errors_of(0.0)]) == 1.0
+    for planar in (True, False):
+        plot_errors(make_result(3, planar), nothing, 1.0, "a").draw_without_rendering()
 
 
 def test_one_far_point_does_not_ruin_the_panel_of_a_submap() -> None:

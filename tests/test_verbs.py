@@ -97,7 +97,7 @@ def test_evaluate_and_compare(
 ) -> None:
     """Both take the same truth and find the same, for both map the log in the same way."""
     if truth not in DRAWN:
-        monkeypatch.setattr("relmap.cli.compare.draw", lambda *_: None)
+        monkeypatch.setattr("relmap.cli.compared.draw", lambda *_: None)
     folder = mapped(source)
     against = ["--truth", str(logs / truth)]
     assert main(["evaluate", str(folder), *against]) == 0

@@ -15,9 +15,7 @@ from relmap.core.errors import RelmapError
 if TYPE_CHECKING:
     from relmap.comparison.compare import Compared
     from relmap.comparison.methods.base import MethodInfo
-    from relmap.evaluation.feeding import Log
-    from relmap.evaluation.sources import Data, Source
-    from relmap.io.results import Result
+    from relmap.evaluation.sources import Source
 
 World = Literal["figure-eight", "building"]
 
@@ -25,7 +23,8 @@ HELP = """Compare methods on the same data: relmap's own, and others.
 
 INPUT is a log of landmarks or of point scans, as for 'relmap map'; or simulate a world.
 It prints one table and writes DIR/comparison.csv, comparison.png, and of each method
-trajectory-METHOD.tum and map-METHOD.png.
+trajectory-METHOD.tum, map-METHOD.csv and map-METHOD.png.  Where the true landmarks are known, that
+picture shows how far off each one is, enlarged alike for all methods.  None is given odometry.
 
 \b
 Examples:
@@ -169,8 +168,8 @@ def compare_command(
     names = None if methods is None else [name.strip() for name in methods.split(",")]
     rows = _compare_into(out, given, names, association, sigma)
     ran = sum(row.run is not None for row in rows)
-    paths = f"{ran} trajector{'ies' if ran > 1 else 'y'}"
-    typer.echo(f"wrote comparison.csv, {paths} and {ran + 1} pictures to {out}")
+    each = f"{ran} trajector{'ies' if ran > 1 else 'y'} and map{'s' if ran > 1 else ''}"
+    typer.echo(f"wrote comparison.csv, {each} and {ran + 1} pictures to {out}")
 
 
 def _compare_into(
@@ -181,6 +180,7 @@ def _compare_into(
     sigma_m: float | None,
 ) -> list[Compared]:
     """Compare methods, print the table and write the files."""
+    from relmap.cli.compared import draw, write_compared
     from relmap.comparison.compare import chosen_methods
     from relmap.io.files import staged_folder
 
@@ -193,7 +193,7 @@ def _compare_into(
         rows = list(_compared(source, methods, association, sigma_m))
         if not any(row.run for row in rows):
             raise RelmapError(f"none of the methods could run: {rows[0].method} {rows[0].note}")
-        _write(staging, rows, association)
+        write_compared(staging, rows, association)
         with busy("drawing"):
             draw(staging, rows, data, source.about)
     print_rows(f"{source.about}; association {association}", rows)
@@ -216,50 +216,6 @@ def _compared(
         if row.note:
             typer.echo(f"relmap: {method.name} {row.note}", err=True)
         yield row
-
-
-def _write(folder: Path, rows: Sequence[Compared], association: args.Association) -> None:
-    """Write the table and the path of every method that ran."""
-    from relmap.comparison.compare import CSV_COLUMNS
-    from relmap.io.files import atomic_write, write_tum
-    from relmap.io.tables import csv_text
-
-    lines = (row.row(association) for row in rows)
-    atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
-    for row in rows:
-        if row.run is not None:
-            found = row.run.result
-            write_tum(folder / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
-
-
-def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
-    """Draw the comparison and the map of every method that ran."""
-    from relmap.plots.comparison import write_comparison_png
-
-    ran = [(row.method, row.run) for row in rows if row.run is not None]
-    figures = [(name, run.figures) for name, run in ran]
-    write_comparison_png(folder / "comparison.png", figures, title)
-    for name, run in ran:
-        _draw_map(folder / f"map-{name}.png", run.result, data, name)
-
-
-def _draw_map(picture: Path, result: Result, data: Data[Log], name: str) -> None:
-    """Draw the map of a method, and the truth if known."""
-    from relmap.datasets.base import ObservationLog
-    from relmap.evaluation.evaluate import match_walls
-    from relmap.evaluation.landmarks import overlay
-    from relmap.planes.files import PlaneResult
-    from relmap.plots.planes import write_planes_png
-    from relmap.plots.run import write_map_png
-
-    truth, log = data.truth, data.log
-    if isinstance(result, PlaneResult):
-        matched = match_walls(result, truth) if truth else None
-        known = (truth, matched) if truth and matched else None
-        write_planes_png(picture, result.planes, result.poses, known, name)
-    else:
-        shown = overlay(result, truth, log) if truth and isinstance(log, ObservationLog) else None
-        write_map_png(picture, result, truth=shown, title=name)
 
 
 def print_rows(title: str, rows: Iterable[Compared]) -> None:

@@ -1,0 +1,105 @@
+"""What ``relmap compare`` writes of each method: path, map and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from relmap.cli.arguments import Association
+from relmap.cli.console import figure
+
+if TYPE_CHECKING:
+    from relmap.comparison.compare import Compared
+    from relmap.comparison.methods.running import MethodRun
+    from relmap.evaluation.feeding import Log
+    from relmap.evaluation.landmarks import Overlay
+    from relmap.evaluation.sources import Data
+    from relmap.io.results import Result
+    from relmap.planes.files import PlaneResult
+
+
+def write_compared(folder: Path, rows: Sequence[Compared], association: Association) -> None:
+    """Write the table, and path and map of every method that ran."""
+    from relmap.comparison.compare import CSV_COLUMNS
+    from relmap.io.files import atomic_write, write_tum
+    from relmap.io.tables import csv_text
+
+    lines = (row.row(association) for row in rows)
+    atomic_write(folder / "comparison.csv", csv_text(CSV_COLUMNS, lines))
+    for row in rows:
+        if row.run is not None:
+            found = row.run.result
+            write_tum(folder / f"trajectory-{row.method}.tum", found.stamps_s, found.poses)
+            atomic_write(folder / f"map-{row.method}.csv", csv_text(*_map_of(found)))
+
+
+def _map_of(result: Result) -> tuple[tuple[str, ...], list[list[Any]]]:
+    """Return header and rows of a map: landmarks, or the ends of walls; none where it has none."""
+    from relmap.planes.files import PlaneResult
+
+    if isinstance(result, PlaneResult):
+        table = result.planes
+        mapped = table.status == "static"
+        columns = [table.plane[mapped], *table.ends[mapped].reshape(-1, 4).T]
+        return ("plane", "x0", "y0", "x1", "y1"), _rows(columns)
+    landmarks = result.landmarks
+    columns = [landmarks.landmark[result.mapped], *landmarks.position[result.mapped].T]
+    return ("landmark", "x", "y", "z"), _rows(columns)
+
+
+def _rows(columns: list[Any]) -> list[list[Any]]:
+    return [list(row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
+    """Draw the comparison, and of every method that ran the map, or how far off it is."""
+    from relmap.planes.files import PlaneResult
+    from relmap.plots.comparison import write_comparison_png
+    from relmap.plots.errors import shared_scale, write_errors_png
+    from relmap.plots.run import write_map_png
+
+    ran = [(row.method, row.run) for row in rows if row.run is not None]
+    figures = [(name, run.figures) for name, run in ran]
+    write_comparison_png(folder / "comparison.png", figures, title)
+    overlays = {name: _overlay(run.result, data) for name, run in ran}
+    scale = shared_scale([each for each in overlays.values() if each])
+    for name, run in ran:
+        picture, truth = folder / f"map-{name}.png", overlays[name]
+        if isinstance(run.result, PlaneResult):
+            _draw_walls(picture, run.result, data, name)
+        elif truth is not None:
+            write_errors_png(picture, run.result, truth, scale, _titled(name, run))
+        else:
+            write_map_png(picture, run.result, title=name)
+
+
+def _titled(name: str, run: MethodRun) -> str:
+    """Return the name of a method with its errors."""
+    rmse_m, ate_m = (run.figures[key] for key in ("landmark_rmse_m", "ate_m"))
+    told = [f"RMSE {figure(rmse_m)} m"] if rmse_m is not None else []
+    told += [f"ATE {figure(ate_m)} m"] if ate_m is not None else []
+    return f"{name}: {', '.join(told)}" if told else name
+
+
+def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
+    """Return the truth in the frame of a map of points, where it is known."""
+    from relmap.datasets.base import ObservationLog
+    from relmap.evaluation.landmarks import overlay
+    from relmap.planes.files import PlaneResult
+
+    if data.truth is None or isinstance(result, PlaneResult):
+        return None
+    log = data.log if isinstance(data.log, ObservationLog) else None
+    return overlay(result, data.truth, log)
+
+
+def _draw_walls(picture: Path, result: PlaneResult, data: Data[Log], name: str) -> None:
+    """Draw walls, and the true ones where they are known."""
+    from relmap.evaluation.evaluate import match_walls
+    from relmap.plots.planes import write_planes_png
+
+    truth = data.truth
+    matched = match_walls(result, truth) if truth else None
+    known = (truth, matched) if truth and matched else None
+    write_planes_png(picture, result.planes, result.poses, known, name)
