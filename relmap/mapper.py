@@ -32,14 +32,14 @@ M = TypeVar("M", bound="Mapper")
 
 
 class Place(NamedTuple):
-    """Where a scan was taken, as far as a map tells.
+    """The place of a scan in a map.
 
     Attributes
     ----------
     T_map_robot : (4, 4) float64
-        NaN unless the scan fits in one place.
+        NaN unless the scan fits in exactly one place.
     n_places : int
-        In how many places it fits: 0, 1, or 2 for several.
+        Number of places in which it fits: 0, 1, or 2 for several.
     """
 
     T_map_robot: NDArray[np.float64]

@@ -187,7 +187,7 @@ def test_scans_that_fit_in_several_places_are_counted(
     capsys.readouterr()
     asked = ["localise", log, "--map", str(tmp_path / "map"), "-o", str(tmp_path / "where")]
     assert main([*asked, "--scans", "200:210"]) == 0
-    assert "10 fit in more than one place and were left out" in capsys.readouterr().out
+    assert "10 fit in more than one place and were refused" in capsys.readouterr().out
 
 
 def test_what_was_saved_is_loaded_whatever_its_variant(mapped: Mapped) -> None:

@@ -1,4 +1,4 @@
-"""What ``relmap compare`` writes of each method: path, map and pictures."""
+"""Files of ``relmap compare`` for each method: path, map and pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def write_compared(folder: Path, rows: Sequence[Compared], association: Association) -> None:
-    """Write the table, and path and map of every method that ran."""
+    """Write the table, and the path and map of every method that ran."""
     from relmap.comparison.compare import CSV_COLUMNS
     from relmap.io.files import atomic_write, write_tum
     from relmap.io.tables import csv_text
@@ -35,7 +35,7 @@ def write_compared(folder: Path, rows: Sequence[Compared], association: Associat
 
 
 def _map_of(result: Result) -> tuple[tuple[str, ...], list[list[Any]]]:
-    """Return header and rows of a map: landmarks, or the ends of walls; none where it has none."""
+    """Return the header and rows of a map: landmarks, or the ends of walls."""
     from relmap.planes.files import PlaneResult
 
     if isinstance(result, PlaneResult):
@@ -53,7 +53,7 @@ def _rows(columns: list[Any]) -> list[list[Any]]:
 
 
 def draw(folder: Path, rows: Iterable[Compared], data: Data[Log], title: str) -> None:
-    """Draw the comparison, and of every method that ran the map, or how far off it is."""
+    """Draw the comparison, and the map or the errors of every method that ran."""
     from relmap.planes.files import PlaneResult
     from relmap.plots.comparison import write_comparison_png
     from relmap.plots.errors import shared_scale, write_errors_png
@@ -83,7 +83,7 @@ def _titled(name: str, run: MethodRun) -> str:
 
 
 def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
-    """Return the truth in the frame of a map of points, where it is known."""
+    """Return the truth in the frame of a map of points, if known."""
     from relmap.datasets.base import ObservationLog
     from relmap.evaluation.landmarks import overlay
     from relmap.planes.files import PlaneResult
@@ -95,7 +95,7 @@ def _overlay(result: Result, data: Data[Log]) -> Overlay | None:
 
 
 def _draw_walls(picture: Path, result: PlaneResult, data: Data[Log], name: str) -> None:
-    """Draw walls, and the true ones where they are known."""
+    """Draw the walls of a method, and the true ones if known."""
     from relmap.evaluation.evaluate import match_walls
     from relmap.plots.planes import write_planes_png
 

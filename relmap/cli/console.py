@@ -28,15 +28,15 @@ WIDEST = 1000
 
 
 class Counter:
-    """Shows on stderr how far work is, where it takes long: a bar, or lines off a terminal.
+    """Shows progress on stderr if work takes long: a bar on a terminal, else lines.
 
-    It is a callback as `relmap.map_log` takes one: called with how much is done, and of how much.
+    It is a callback for `relmap.map_log`: called with the work done and the total.
 
     Parameters
     ----------
     what : str
     patience_s : float, optional
-        Work that is done sooner shows nothing; `PATIENCE_S` if not given.
+        Shorter work shows no progress; `PATIENCE_S` if not given.
     """
 
     def __init__(self, what: str, patience_s: float | None = None) -> None:
@@ -48,7 +48,7 @@ class Counter:
         self._is_terminal: bool | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        """Show that so many of all are done."""
+        """Show progress."""
         now = monotonic()
         if self._before is None:
             self._before = done - 1
@@ -65,13 +65,13 @@ class Counter:
             self._told = now
 
     def close(self) -> None:
-        """Take away the bar."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
 
     def _begin(self, total: int) -> None:
-        """Begin a bar, if stderr is a terminal."""
+        """Start a bar if stderr is a terminal."""
         from rich.console import Console
         from rich.progress import Progress
 
@@ -86,7 +86,7 @@ class Counter:
 def tracked(
     items: Iterable[T], total: int, what: str, patience_s: float | None = None
 ) -> Iterator[T]:
-    """Yield the items; show how far it is, see `Counter`."""
+    """Yield the items; show progress on stderr if it takes long, see `Counter`."""
     counter = Counter(what, patience_s)
     try:
         for done, item in enumerate(items, 1):

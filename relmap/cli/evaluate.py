@@ -99,7 +99,7 @@ def evaluate_command(
 
 
 def _merged(evaluation: Evaluation) -> bool:
-    """Tell whether the map was merged, so that no log tells more of it."""
+    """Return whether the map was merged: no log applies to it."""
     return any("merged" in note for note in evaluation.notes)
 
 

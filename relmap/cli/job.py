@@ -42,9 +42,9 @@ class Job:
     columns : dict of str to str, or None
         Column names of a table.
     topics : tuple of str
-        Of a bag, those to read where there are several of a kind.
+        Topics of a bag to read if there are several of a kind.
     live, live_file : bool, Path or None
-        Whether to show the run as it goes; recorded in the file, where one is given.
+        Whether to show the run live, and the file to record it in instead, if any.
     sigmas : tuple of float or None
         Noise of range, metres, bearing and elevation, radians; those of the log if None.
     stopped : callable
@@ -166,7 +166,7 @@ class Job:
         return kind(self.settings, journal=self.journal, run=self.noted)
 
     def scans(self, scans: Iterable[T]) -> Iterator[T]:
-        """Yield scans until it is to stop."""
+        """Yield scans until stopped."""
         for scan in scans:
             yield scan
             if self.stopped():

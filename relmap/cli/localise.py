@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 
 HELP = """Find where scans were taken in an existing map.
 
-INPUT is a log as for 'relmap map', RESULT a folder that it wrote, which is not changed.  Each scan
-is found on its own: the robot may have been carried anywhere between two scans.  It writes
-DIR/trajectory.tum, the pose of each scan that was found, in the frame of the map, and a picture,
-DIR/map.png.  A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
-shows must be in the map.  In a map of walls half of the walls of a scan, and 3 m, must lie on
-mapped walls, and 70 % of its beams must end there.  A scan that fits in more than one place is
-left out, and counted.
+INPUT is a log as for 'relmap map', RESULT a folder written by it, which is not changed. Each scan
+is localised independently: the robot may have been carried anywhere between two scans. It writes
+DIR/trajectory.tum, the pose of each localised scan in the frame of the map, and a picture,
+DIR/map.png. A scan must show at least 7 mapped landmarks (5 in the plane), and half of what it
+shows must be in the map. In a map of walls, half of the walls of a scan, and 3 m, must lie on
+mapped walls, and 70 % of its beams must end there. A scan that fits in more than one place is
+refused, and counted.
 
 \b
 Example:
@@ -58,7 +58,7 @@ def localise_command(
         _write(staging, mapper, log, places)
     told = f"found {sum(p.n_places == 1 for p in places)} of {len(log)} scans in the map"
     if several := sum(place.n_places > 1 for place in places):
-        told += f"; {several} fit in more than one place and were left out"
+        told += f"; {several} fit in more than one place and were refused"
     typer.echo(f"{told}; wrote 2 files to {out}")
 
 

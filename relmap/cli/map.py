@@ -186,7 +186,7 @@ _Animate = Annotated[
 _Live = Annotated[
     bool,
     typer.Option(
-        "--live", help="Show map, path and scan while it goes (pip install 'relmap[live]')."
+        "--live", help="Show map, path and scan during the run (pip install 'relmap[live]')."
     ),
 ]
 _LiveFile = Annotated[
@@ -194,7 +194,7 @@ _LiveFile = Annotated[
     typer.Option(
         "--live-file",
         metavar="FILE.rrd",
-        help="Record that instead, for the Rerun viewer to open later; needs no display.",
+        help="Record the live view in a file for the Rerun viewer instead; needs no display.",
     ),
 ]
 
@@ -227,20 +227,9 @@ def map_command(
     args.refuse(voxel is not None and variant != "planes3d", "--voxel requires --variant planes3d")
     if variant == "planes3d":
         sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
-        others = (
-            known,
-            registration,
-            config,
-            journal,
-            onto,
-            animate,
-            columns,
-            topic,
-            live,
-            live_file,
-        )
-        message = "--variant planes3d takes --scans, --format, --refine and --voxel alone"
-        args.refuse(any((*others, *sigmas_given)) or odometry != "auto", message)
+        others = (known, registration, config, journal, onto, animate, columns, topic, live)
+        message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
+        args.refuse(any((*others, live_file, *sigmas_given)) or odometry != "auto", message)
         low = voxel is not None and not 0 < voxel < float("inf")
         args.refuse(low, f"--voxel is {voxel}; it must be above 0")
         with stoppable() as stopped:
@@ -258,7 +247,9 @@ def map_command(
         return
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
     if onto is not None:
-        args.refuse(journal, "--journal keeps a run from its beginning, which --onto does not have")
+        args.refuse(
+            journal, "--journal records a run from its beginning, so it cannot be used with --onto"
+        )
         args.refuse(
             config or registration,
             "--onto uses the settings of the earlier run: give no others",

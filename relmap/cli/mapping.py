@@ -138,7 +138,7 @@ def _mapped_into(folder: Path, job: Job, log: Log) -> Run:
 def _taken_up(
     job: Job, mapper: AnyMapper, log: Log, scans: Iterable[Any], about: dict[str, Any]
 ) -> Iterator[Any]:
-    """Yield scans; those that go on with a map are looked for in it until one is found."""
+    """Yield scans; with an existing map, localise them in it until one is found."""
     from relmap.evaluation.feeding import preparation
 
     prepare = preparation(mapper, log)
@@ -219,7 +219,7 @@ def _bench(
 
 
 def _live(job: Job, afterwards: ExitStack) -> LiveView | None:
-    """Return what shows the run as it goes, where that is asked for; it is closed afterwards."""
+    """Return the live view if requested; it is closed afterwards."""
     if not job.live:
         return None
     from relmap.plots.live import LiveView

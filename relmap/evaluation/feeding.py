@@ -23,9 +23,9 @@ Association = Literal["nearest", "known"]
 Log = ObservationLog | ScanLog
 AnyMapper = PointMapper | PlaneMapper
 Through = Callable[[Iterable[Any]], Iterable[Any]]
-"""What the scans of a run go through: it may look at them, and end early."""
+"""Wraps the scans of a run; it may end early."""
 Progress = Callable[[int, int], object]
-"""Called after each scan with how many are done, and how many there are."""
+"""Called after each scan with the number of scans done and the total."""
 
 
 class Method(Protocol):
@@ -105,9 +105,9 @@ def feed(
     Parameters
     ----------
     method : Method
-        A plane mapper is given the walls of a scan, every other method its points.
+        A plane mapper gets the walls of a scan, every other method its points.
     log, association, refine, through, segmenter, odometry, progress
-        As `run_mapper` takes them.
+        As for `run_mapper`.
     n_seen : int
         Scans of the log that the method has already processed.
     clock : callable

@@ -106,9 +106,9 @@ def judge_landmarks(
 def _judged_by_place(
     result: Result, truth: Truth, counts: dict[str, int]
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
-    """Judge a merged map, which has no tracks: each landmark stands for the true one at its place.
+    """Judge a merged map, which has no tracks: landmarks are matched to the true ones by place.
 
-    Its path tells about how it lies in the truth, as `judge_landmarks` returns it.
+    The alignment starts from the path. Returns what `judge_landmarks` returns.
     """
     d = 2 if result.planar else 3
     rows = result.mapped & (result.landmarks.status == "static")

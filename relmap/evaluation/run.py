@@ -74,9 +74,9 @@ def run_mapper(
     association : "nearest" or "known"
         ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
     about : dict, optional
-        What else the summary should tell, as of its input.
+        Additional entries of the summary, such as the input.
     through : callable, optional
-        What the scans go through; where it ends before them, the run does.
+        Wraps the iterable of scans; if it ends early, so does the run.
     refine : bool
         Whether to refine the map at the end.
     seen : sequence of (n,) int64
@@ -86,7 +86,7 @@ def run_mapper(
     odometry : bool
         Whether to give the odometry of the log, if it has any, to the mapper.
     progress : callable, optional
-        Called after each scan with how many are done, and how many there are.
+        Called after each scan with the number of scans done and the total.
 
     Returns
     -------
@@ -130,22 +130,22 @@ def map_log(
     Parameters
     ----------
     log : ObservationLog or ScanLog
-        As `relmap.datasets` reads it, or makes it from a data frame.
+        As read by `relmap.datasets`, or made from a data frame.
     mapper : PointMapper or PlaneMapper, optional
-        Takes in the log; a fresh one, of points or of walls as the log is, if not given.
+        Processes the log; by default a new one, for points or walls according to the log.
     association : "nearest" or "known"
-        Whether the mapper is given the ids of the log.
+        ``known`` passes the ids of the log to the mapper, ``nearest`` does not.
     odometry : bool
-        Whether it is given the odometry of the log, if it has any.
+        Whether to use the odometry of the log, if any.
     refine : bool
         Whether to refine the map at the end.
     progress : callable, optional
-        Called after each scan with how many are done, and how many there are: ``f(done, total)``.
+        Called as ``f(done, total)`` after each scan.
 
     Returns
     -------
     Run
-        `result` is what `relmap map` writes; the mapper given holds the map.
+        Its `result` is what `relmap map` writes.
 
     Raises
     ------

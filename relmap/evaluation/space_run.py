@@ -64,9 +64,9 @@ def run_in_space(
         Additional entries of the summary.
     refine : bool
     through : callable, optional
-        What the scans go through; where it ends before them, the run does.
+        Wraps the iterable of scans; if it ends early, so does the run.
     progress : callable, optional
-        Called after each scan with how many are done, and how many there are.
+        Called after each scan with the number of scans done and the total.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""Where a scan of walls was taken, found from nothing but the map.
+"""Localising a scan of walls in a map.
 
-The walls of the scan are laid on those of the map in every way that brings many onto one another
-(`relmap.planes.wall_tie`); the points of the scan then judge each of these places.  A place counts
-only if it explains the scan and no other comes near.
+Placements in which many walls of the scan lie on walls of the map (`relmap.planes.wall_tie`) are
+scored by its beams. A placement is accepted only if it explains the scan and no other one scores
+nearly as well.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from relmap.planes.observation import PlaneObservation
 from relmap.planes.wall_tie import ACROSS, WallTie, wall_ties
 
 PLACES = 12
-"""Places that are judged, those with most wall on walls first."""
+"""Placements that are scored, those with the longest matched walls first."""
 BEAMS = 400
-"""About so many beams of a scan judge a place."""
+"""Approximate number of beams used for scoring."""
 NEAR_M = 0.1
-"""A beam ends on a wall that is no farther off."""
+"""Maximum distance of the end of a beam from the wall it ends on."""
 BEYOND_M, RIM_M = 0.3, 0.1
-"""A beam that goes on so far behind a wall, away from its ends, went through it."""
+"""A beam that continues this far behind a wall, away from the ends of the wall, contradicts it."""
 LEAST_M, SHARE = 3.0, 0.5
 """Length of wall, and share of the walls of the scan, that must lie on walls of the map."""
 EXPLAINED = 0.7
-"""Least share of the beams that end on walls, less those that go through one."""
+"""Minimum share of beams that end on walls, minus the share that go through one."""
 RIVAL = 0.6
-"""Share of the worth of the best place that another may have."""
+"""Maximum score of another placement, as a share of the best."""
 
 
 class WallFinder:
@@ -43,12 +43,12 @@ class WallFinder:
         self._ends = np.ascontiguousarray(ends)
 
     def find(self, seen: PlaneObservation) -> Place:
-        """Return where a scan was taken, if that is clear.
+        """Localise a scan.
 
         Parameters
         ----------
         seen : PlaneObservation
-            With its beams; without them no place is believed.
+            With its beams; without them no placement is accepted.
         """
         nowhere = np.full((4, 4), np.nan)
         ties = wall_ties(seen.ends, self._ends)[:PLACES]
@@ -70,7 +70,7 @@ class WallFinder:
         return Place(T_map_robot, 1)
 
     def _explained(self, tie: WallTie, seen: PlaneObservation) -> float:
-        """Return the share of the beams that end on walls, less that of those that go through."""
+        """Return the share of beams that end on walls, minus the share that go through one."""
         from relmap.planes.beam_kernels import on_walls
 
         every = 1 + len(seen.beams.points) // BEAMS
@@ -79,7 +79,7 @@ class WallFinder:
         return float(on.mean() - self._through(tie.R @ seen.beams.origin + tie.t, points).mean())
 
     def _through(self, origin: Floats, points: Floats) -> Floats:
-        """Tell which beams from the origin (2,) to points (n, 2) go through a wall."""
+        """Return which beams from the origin (2,) to points (n, 2) go through a wall."""
         beam, wall = points - origin, self._ends[:, 1] - self._ends[:, 0]
         length, size = np.hypot(*beam.T), np.hypot(*wall.T)
         to_wall = self._ends[:, 0] - origin

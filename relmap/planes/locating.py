@@ -1,4 +1,4 @@
-"""A plane mapper that finds scans in its map, and adds another log to the map."""
+"""Localising scans in the map of a plane mapper, and adding another log to it."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from relmap.planes.table import PlaneTable
 from relmap.planes.tracks import PlaneTracks
 
 AROUND = 1.2
-"""How far from the robot walls are expected, in units of how far the scan reaches."""
+"""Maximum distance of expected walls, in units of the reach of the scan."""
 
 
 @dataclass(frozen=True, eq=False)
 class MapOfBefore:
-    """The map that scans are looked for in, as it was when that began.
+    """The map in which the scans of another log are localised.
 
     Attributes
     ----------
     table : PlaneTable
     finder : WallFinder
     scan : int
-        The last scan of the map; -1 where there is none.
+        The last scan of the map; -1 if there is none.
     pose : (4, 4) float64
-        ``T_map_robot`` of it.
+        ``T_map_robot`` of that scan.
     """
 
     table: PlaneTable
@@ -44,7 +44,7 @@ class MapOfBefore:
 
     @classmethod
     def of(cls, table: PlaneTable, submaps: list[WallSubmap]) -> MapOfBefore:
-        """Return the map of the first submap; where there is none, one without walls."""
+        """Return the map of the first submap; without submaps, an empty one."""
         if not submaps:
             return cls(table, WallFinder(np.empty((0, 2, 2))), -1, np.eye(4))
         own = submaps[0]
@@ -53,14 +53,14 @@ class MapOfBefore:
         return cls(table, finder, own.first_iteration + known, own.poses[known])
 
     def carried_on(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pose (4, 4) of the last of some scans, by the motions (i, 3) into each."""
+        """Return the pose (4, 4) of the last scan, by the motions (i, 3) to each scan."""
         pose = self.pose
         for step in matrices(motions[self.scan + 1 :]):
             pose = pose @ np.linalg.inv(step)
         return np.asarray(pose)
 
     def expected(self, T_map_robot: NDArray[np.float64], reach_m: float) -> PlaneTracks:
-        """Return the walls that a scan taken at a pose may show, in the robot's frame."""
+        """Return the walls expected in a scan at a pose, in the robot frame."""
         rows = np.flatnonzero(self.table.status == "static")
         ends = (self.table.ends[rows] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
         way = ends[:, 1] - ends[:, 0]
@@ -73,7 +73,7 @@ class MapOfBefore:
         return self._tracks(rows[chosen], ends[chosen])
 
     def _tracks(self, rows: NDArray[np.int64], ends: NDArray[np.float64]) -> PlaneTracks:
-        """Return some walls, by their ends (k, 2, 2) in the robot's frame, as tracks."""
+        """Return walls, with ends (k, 2, 2) in the robot frame, as tracks."""
         n, corner = len(rows), self.table.corner[rows]
         z_extent = self.table.z_extent[rows]
         walls = PlaneObservation.of(ends, np.zeros((n, 2), np.int8), np.zeros(n), z_extent)
@@ -83,7 +83,7 @@ class MapOfBefore:
 
 
 class LocatingMapper(Mapper):
-    """What `PlaneMapper` does with scans that were taken somewhere in its map."""
+    """The part of `PlaneMapper` that localises scans."""
 
     _planes: PlaneRegistration
     _finder: WallFinder | None = None
@@ -101,20 +101,20 @@ class LocatingMapper(Mapper):
         raise NotImplementedError
 
     def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
-        """Tell where a scan was taken, found from the map alone; the mapper stays as it is.
+        """Localise a scan using only the map; the mapper does not change.
 
         Parameters
         ----------
         points, beams
-            As `update` takes them; planes without beams are found nowhere.
+            As for `update`; planes without beams are not localised.
 
         Returns
         -------
         Place
-            The pose ``T_map_robot`` (4, 4), and in how many places the scan fits.  The pose is NaN
-            unless that is one: at least half of its walls, and 3 m, must lie on mapped walls that
-            are not all parallel, 70 % of its beams must end there, and no other place may come
-            near.
+            The pose ``T_map_robot`` (4, 4), and the number of places in which the scan fits. The
+            pose is NaN unless that is one: at least half of its walls, and 3 m, must lie on mapped
+            walls that are not all parallel, 70 % of its beams must end there, and no other place
+            may score nearly as well.
 
         Raises
         ------
@@ -126,33 +126,33 @@ class LocatingMapper(Mapper):
         return self._finder.find(self._checked(points, beams))
 
     def localise(self, points: Any, beams: ArrayLike | None = None) -> NDArray[np.float64]:
-        """Return the pose ``T_map_robot`` (4, 4) of a scan; NaN where it is not clear.
+        """Return the pose ``T_map_robot`` (4, 4) of a scan; NaN if it is ambiguous.
 
         See `locate`.
         """
         return self.locate(points, beams).T_map_robot
 
     def take_up(self, points: Any, beams: ArrayLike | None = None) -> bool:
-        """Look for the next scan of another log in the map, to go on from there.
+        """Localise the next scan of another log, to continue the map from there.
 
-        The first call begins that log: nothing ties it to the last scan of the log before.  Until
-        a scan is found its scans are submaps of their own; the one that the scan found belongs to
-        becomes part of the map then.
+        The first call begins that log: its first scan is not tied to the last scan of the previous
+        log. Until a scan is localised the log has submaps of its own; then the submap of that scan
+        becomes part of the map.
 
         Parameters
         ----------
         points, beams
-            The scan that the next update is given, as `update` takes it.
+            The scan of the next `update`, as for that.
 
         Returns
         -------
         bool
-            Whether the scan was found, see `locate`, in the map as it was with the first call.
+            Whether the scan was localised, see `locate`, in the map at the time of the first call.
 
         Raises
         ------
         RelmapError
-            If the scan is invalid, or a journal is kept, which could not record it.
+            If the scan is invalid, or a journal is kept, which cannot record this.
         """
         if self._journal is not None:
             raise RelmapError("a run that keeps a journal begins with an empty map")
@@ -166,7 +166,7 @@ class LocatingMapper(Mapper):
         return self._found is not None
 
     def _attach(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> None:
-        """Tie the last scan, whose walls have these numbers, to where it was found in the map."""
+        """Tie the last scan, whose walls have these numbers, to its place in the map."""
         if self._found is None or self._onto is None:
             return
         T_map_robot, onto, links = self._found, self._onto, self._planes.links
@@ -186,7 +186,7 @@ class LocatingMapper(Mapper):
         raise NotImplementedError
 
     def _checked(self, points: Any, beams: Any) -> PlaneObservation:
-        """Return the walls of a scan, which may be given by its points."""
+        """Return the walls of a scan given by walls or points."""
         if not hasattr(points, "ends"):
             beams = points if beams is None else beams
             points = self._segmented(points)

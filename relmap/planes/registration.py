@@ -135,12 +135,12 @@ class PlaneRegistration:
         return walls
 
     def begin_run(self) -> None:
-        """Let another run begin with the next scan: nothing ties it to the last one."""
+        """Begin another run with the next scan, which is not tied to the last one."""
         self._tracks = None
         self.links.begin_run()
 
     def attach(self, motion: NDArray[np.float64], scan: int, walls: NDArray[np.int64]) -> None:
-        """Tie the submap of the last scan to that of another one; see `ScanLinks.attach`."""
+        """Tie the submap of the last scan to that of another scan; see `ScanLinks.attach`."""
         name = self.links.attach(motion, scan, walls)
         self._submap_of.values[:] = name[self.submap_of]
 

@@ -139,26 +139,26 @@ class ScanLinks:
         self._n_submaps += 1
 
     def begin_run(self) -> None:
-        """Let another run begin with the next scan: nothing ties it to the last one."""
+        """Begin another run with the next scan, which is not tied to the last one."""
         self._begun.extend(np.array([len(self)]))
 
     def attach(
         self, motion: NDArray[np.float64], scan: int, walls: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Tie the submap of the last scan to that of another one, in whose map it was found.
+        """Tie the submap of the last scan to that of another scan, in whose map it was localised.
 
         Parameters
         ----------
         motion : (3,) float64
-            Into the last scan from the one before the first of its submap.
+            To the last scan, from the scan before the first of its submap.
         scan : int
         walls : (k, 2) int64
-            Numbers of walls that are one wall each.
+            Pairs of numbers of the same wall.
 
         Returns
         -------
         (s,) int64
-            Which submap each one is now.
+            New number of each submap.
         """
         old, new = int(self.submaps[-1]), int(self.submaps[scan])
         first = int(np.flatnonzero(self.submaps == old)[0])
@@ -284,7 +284,7 @@ class ScanLinks:
             if len(beams):
                 found.append(View(beams, motion))
             if i in self._begun.values:
-                break  # the scans before are of another run
+                break  # earlier scans belong to another run
             motion = after(self.motions[i], motion[None])[0]
         return found
 

@@ -70,7 +70,7 @@ class Scans:
     begun: NDArray[np.int64]
 
     def of_one_run(self, earlier: int, later: int) -> bool:
-        """Tell whether two scans are of one run."""
+        """Return whether two scans belong to one run."""
         return not ((self.begun > earlier) & (self.begun <= later)).any()
 
     def rows(self, scan: int) -> slice:

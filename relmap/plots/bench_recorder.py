@@ -122,7 +122,7 @@ class BenchRecorder:
         self.frames: list[BenchFrame] = []
 
     def follow(self, mapper: PlaneMapper, n_before: int = 0) -> None:
-        """Look at a mapper, which has taken in scans of earlier logs, whose times are not known."""
+        """Record a mapper that has processed scans of earlier logs, whose times are unknown."""
         self.mapper = mapper
         self._stamps_s += [math.nan] * n_before
 

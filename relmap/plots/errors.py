@@ -1,4 +1,4 @@
-"""How far off the landmarks of a map are, as arrows that are drawn larger than they are."""
+"""Errors of the landmarks of a map, as enlarged arrows."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, Sheet, to_png
 
 USUAL, LONGEST = 0.04, 0.12
-"""Length of the usual arrow, and of the longest, as shares of the extent of the picture."""
+"""Length of a typical arrow and of the longest, as shares of the extent of the picture."""
 STEPS = (1.0, 2.0, 5.0)
 
 
 def shared_scale(overlays: Sequence[Overlay]) -> float:
-    """Return by how much errors are enlarged in the pictures of all methods: 1, 2, 5, 10, ..."""
+    """Return the common factor by which the errors of all methods are enlarged: 1, 2, 5, 10, ..."""
     usual = [float(np.median(_lengths(each))) for each in overlays if len(each.errors_map)]
     extent = max((_extent(each.landmarks_map) for each in overlays), default=0.0)
     middle = float(np.median(usual)) if usual else 0.0
@@ -30,7 +30,7 @@ def shared_scale(overlays: Sequence[Overlay]) -> float:
 
 
 def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Figure:
-    """Draw where true landmarks are, and how far off the mapped ones.
+    """Draw the true landmarks, and an arrow to each mapped one.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
     truth : Overlay
         In the frame of the map.
     scale : float
-        By how much the arrows are enlarged; see `shared_scale`.
+        Factor by which the arrows are enlarged; see `shared_scale`.
     title : str
 
     Returns

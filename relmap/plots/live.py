@@ -1,4 +1,4 @@
-"""A run as it goes, in the Rerun viewer or recorded in a file that it opens (`relmap[live]`)."""
+"""Live view of a run in the Rerun viewer, or recorded in a file for it (`relmap[live]`)."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from relmap.planes import PlaneMapper
 from relmap.plots.path import broken_at_jumps
 
 SHARE = 0.1
-"""Share of the time that showing the run may take, about."""
+"""Approximate share of the time spent on the view."""
 MAP, PATH, SCAN = "map", "path", "scan"
-"""What is shown, by the names that it has in the viewer."""
+"""Names of the entities in the viewer."""
 COLOURS = {MAP: (51, 51, 51), PATH: (138, 138, 138), SCAN: (217, 130, 43)}
 RADIUS_M = 0.03
 INSTALL = "--live needs the Rerun viewer: pip install 'relmap[live]'"
 
 
 class LiveView:
-    """Shows map, path and scan of a run; each scan where that takes little of the time.
+    """Shows map, path and scan of a run, after every scan if that takes little of the time.
 
     Rerun's analytics are off.
 
     Parameters
     ----------
     file : Path or None
-        What to record in; None opens the viewer.
+        File to record in; None opens the viewer.
     clock : callable
-        Tells the time, seconds.
+        Returns the time, seconds.
 
     Raises
     ------
     RelmapError
-        Where Rerun is not installed, the viewer does not start or the file cannot be written.
+        If Rerun is not installed, the viewer does not start or the file cannot be written.
     """
 
     def __init__(self, file: Path | None = None, clock: Callable[[], float] = perf_counter) -> None:
@@ -66,7 +66,7 @@ class LiveView:
             raise RelmapError(f"{what}: {' '.join(str(error).split())}") from error
 
     def watch(self, mapper: AnyMapper, scans: Iterable[Any]) -> Iterator[Any]:
-        """Yield the scans of a run; show each once it has been mapped."""
+        """Yield the scans of a run; show them once they are mapped."""
         for scan in scans:
             yield scan
             self._scan = scan
@@ -77,7 +77,7 @@ class LiveView:
                 self._due = now + (now - began) * (1 / SHARE - 1)
 
     def show(self, mapper: AnyMapper) -> None:
-        """Show a mapper as it is, and the scan that it has taken in last, if that has a pose."""
+        """Show the current map and path, and the last scan if it has a pose."""
         walls = isinstance(mapper, PlaneMapper)
         d = 2 if walls else mapper.engine.store.dimension or 2
         if self._scan is not None:
@@ -96,7 +96,7 @@ class LiveView:
             self._points(SCAN, self._scan.points_robot[:, :d] @ R.T + t)
 
     def close(self) -> None:
-        """Write what is left, and end the recording."""
+        """Flush and end the recording."""
         self._stream.flush()
         self._stream.disconnect()
 
@@ -107,7 +107,7 @@ class LiveView:
         self._stream.log(name, shown)
 
     def _lines(self, name: str, ways: list[NDArray[np.float64]], d: int) -> None:
-        """Show ways, each (k, d)."""
+        """Show polylines, each (k, d)."""
         kind = self._rerun.LineStrips2D if d == 2 else self._rerun.LineStrips3D
         shown = [way.astype(np.float32) for way in ways if len(way)]
         self._stream.log(
@@ -117,7 +117,7 @@ class LiveView:
 
 @contextmanager
 def _without_analytics() -> Iterator[None]:
-    """Let no process that begins here send usage data: Rerun sends none where CI is set."""
+    """Disable usage data of processes started here: Rerun sends none if CI is set."""
     before = os.environ.get("CI")
     os.environ["CI"] = before or "true"
     try:

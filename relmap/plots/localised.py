@@ -28,15 +28,15 @@ def plot_localised(
     ----------
     landmarks : LandmarkMap
     planar : bool
-        Whether the view from above is enough.
+        Whether the view from above suffices.
     scan : (k,) int64, ascending
         The localised scans of the log.
     poses : (k, 4, 4) float64
         ``T_map_robot`` of these.
     n_scans : int
-        How many scans the log has.
+        Number of scans of the log.
     ends : (w, 2, 2) float64, optional
-        Of the walls of the map, which are drawn in place of the landmarks.
+        Walls of the map, drawn instead of the landmarks.
 
     Returns
     -------
@@ -54,8 +54,8 @@ def plot_localised(
             axes.plot(*places[:, pair].T, ".", color=INK, markersize=4, label="landmark")
         path = broken_at_gaps(scan.astype(np.float64), at)[:, pair]
         style: dict[str, Any] = {"color": BLUE, "markersize": 2.5, "linewidth": 0.7}
-        axes.plot(*path.T, ".-", label="scan that was found", **style)
-    sheet.finish(f"{len(scan)} of {n_scans} scans found in a map of {what}")
+        axes.plot(*path.T, ".-", label="localised scan", **style)
+    sheet.finish(f"{len(scan)} of {n_scans} scans localised in a map of {what}")
     return sheet.figure
 
 

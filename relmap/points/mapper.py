@@ -195,7 +195,7 @@ class PointMapper(Mapper):
         return self.locate(points).T_map_robot
 
     def locate(self, points: ArrayLike) -> Place:
-        """Tell where a scan was taken, as `localise` does, and in how many places it fits.
+        """Localise a scan, and return also the number of places in which it fits.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class PointMapper(Mapper):
         return True
 
     def _placed(self, points_robot: NDArray[np.float64]) -> tuple[Placement | None, int]:
-        """Return the placement of a scan in the map, if one fits alone, and how many fit."""
+        """Return the placement of a scan in the map, if unique, and the number of placements."""
         if self._finder is None:
             positions = positions_in_largest_submap(self.engine.table)
             mapped = positions[np.isfinite(positions).all(axis=1)]

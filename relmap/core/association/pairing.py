@@ -1,4 +1,4 @@
-"""Which points of two maps are one, and the motion between the frames of the maps."""
+"""Common points of two maps, and the motion between the frames of the maps."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from relmap.core.association.base import nearest
 from relmap.core.geometry.alignment import fit_rigid
 
 SPACING = 0.25
-"""How far apart two that are one may be at most, in median distances of neighbours."""
+"""Largest distance between two landmarks that are the same, in median distances of neighbours."""
 SIGMAS = 4.0
-"""The same in standard deviations of how far apart such pairs are, once these are known."""
+"""The same in standard deviations of the distances of such pairs, once these are known."""
 ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A motion from the frame of one map into that of another: ``R @ p + t``.
+    """A motion from the frame of one map to that of another: ``R @ p + t``.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Motion:
     t: Floats
 
     def apply(self, points: Floats) -> Floats:
-        """Return points (n, 3), or (n, d), moved; z stays where the motion is planar."""
+        """Return points (n, 3), or (n, d), transformed; z is unchanged if the motion is planar."""
         d = len(self.t)
         moved = points.copy()
         moved[:, :d] = points[:, :d] @ self.R.T + self.t
@@ -46,20 +46,20 @@ class Motion:
 
 
 def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]:
-    """Fit a motion to the landmarks that are the same, and tell which are.
+    """Fit a motion to the common landmarks, and return them.
 
     Parameters
     ----------
     points, among : (n, d), (m, d) float64, metres
-        Of two maps, each in its own frame.
+        Points of two maps, each in its own frame.
     motion : Motion
-        About how the first lies in the frame of the second.
+        Approximate motion from the first frame to the second.
 
     Returns
     -------
     motion : Motion
     pairs : (k, 2) int64
-        Rows of both; each is in one pair at most.
+        Rows of both; each occurs at most once.
     """
     spacing = nearest(cKDTree(among), among, 2)[0][:, -1]
     near_m = SPACING * float(np.median(spacing))
@@ -76,7 +76,7 @@ def paired(points: Floats, among: Floats, motion: Motion) -> tuple[Motion, Ints]
 
 
 def _mutual(points: Floats, among: Floats, near_m: float) -> Ints:
-    """Return pairs (k, 2) of points nearest to one another, and nearer than a distance."""
+    """Return pairs (k, 2) of mutual nearest neighbours within a distance."""
     if not (len(points) and len(among)):
         return np.empty((0, 2), dtype=np.int64)
     distance, there = (found[:, 0] for found in nearest(cKDTree(among), points, 1))
