@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.io import savemat
 
 from relmap.cli.arguments import read_config
@@ -178,6 +179,23 @@ def _of_other_programs() -> dict[str, Reader]:
     return found
 
 
+def _in_space() -> dict[str, Reader]:
+    """Return the readers of clouds and images of sensors that are carried."""
+    image = io.BytesIO()
+    Image.fromarray(np.full((8, 12), 2000, dtype=np.uint16)).save(image, "PNG")
+    clouds = {"0.bin": np.pad(CLOUD, ((0, 0), (0, 1))).astype("<f4").tobytes()}
+    clouds |= {"1.bin": clouds["0.bin"], "poses.txt": KITTI.encode(), "times.txt": b"0.5\n1.5\n"}
+    images = {
+        "camera-intrinsics.txt": b"10 0 4\n0 20 2\n0 0 1\n",
+        "frame-000000.depth.png": image.getvalue(),
+        "frame-000000.pose.txt": b"1 0 0 5\n0 1 0 6\n0 0 1 7\n0 0 0 1\n",
+    }
+    found = {f"kitti-{name}": Reader(clouds, name, _scan_log("", "kitti-bin")) for name in clouds}
+    for name in images:
+        found[f"depth-{name}"] = Reader(images, name, _scan_log("", "depth-images"))
+    return found
+
+
 def _paths() -> dict[str, Reader]:
     """Return the readers of odometry beside a log, and of true paths."""
     found = {}
@@ -243,7 +261,7 @@ def readers() -> dict[str, Reader]:
         found[f"carmen-log-{name}"] = Reader({"a": content.encode()}, "a", read)
     for name in clouds:
         found[f"point-clouds-{name}"] = Reader(clouds, name, _scan_log("", "point-clouds"))
-    found |= _paths()
+    found |= _paths() | _in_space()
     found["slsjf-sim-store_robotOdo.mat"] = Reader(beacons, "store_robotOdo.mat", _log(""))
     for name in ("VictoriaParkSinSincronizar.mat", "data_sensor_clean_clean.mat", "aa3_dr.mat"):
         found[f"victoria-park-{name}"] = Reader(park, name, _log("", "victoria-park"))
