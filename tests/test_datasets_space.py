@@ -98,6 +98,7 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
         ("frame-000001.depth.png", b"no image", "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH)[:60], "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH.astype(np.uint8)), "one channel of 16 bits"),
+        ("frame-000001.depth.png", png(DEPTH)[:-10] + b"\x00IE", "frame-000001.depth.png"),
     ],
 )
 def test_damaged_depth_images_are_refused(

@@ -15,6 +15,8 @@ import pytest
 from tests.commands import PATIENCE_S
 
 HEAVY = {"matplotlib", "numba", "open3d", "sklearn", "typer"}
+SLOW = {"scipy.optimize", "scipy.signal", "scipy.stats"}
+"""Parts of a library that take as long to load as all that is needed of it."""
 LIMIT_S = 0.5
 RUNS = 5
 
@@ -86,6 +88,7 @@ def run_python(code: str, env: dict[str, str], folder: Path) -> str:
 def test_import_loads_no_heavy_library(child_env: dict[str, str], tmp_path: Path) -> None:
     modules = json.loads(run_python(LIST_MODULES, child_env, tmp_path))
     assert "relmap" in modules
+    assert SLOW & {*modules} == set()
     assert HEAVY & {module.partition(".")[0] for module in modules} == set()
 
 

@@ -10,6 +10,7 @@ up, one per two by two pixels.
 from __future__ import annotations
 
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,8 @@ UNIT_M, NO_READING = 1e-3, (0, 65535)
 EVERY = 2
 """Subsampling of rows and columns of pixels."""
 MOST_PIXELS = 1 << 24
+DAMAGE = (OSError, ValueError, SyntaxError, EOFError, MemoryError, OverflowError, struct.error)
+"""Exceptions of the decoder on damaged images."""
 T_CAMERA_ROBOT = np.array(
     [[0.0, -1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
 )
@@ -69,7 +72,7 @@ def _points(file: Path, K: Floats) -> Floats:
             if image.width * image.height > MOST_PIXELS:
                 raise RelmapError(f"{shown(file)}: more than {MOST_PIXELS} pixels")
             depth = np.asarray(image)[::EVERY, ::EVERY]
-    except (OSError, ValueError, SyntaxError) as error:
+    except DAMAGE as error:
         raise unreadable(file, error) from error
     if depth.ndim != 2 or depth.dtype == np.uint8:
         raise RelmapError(f"{shown(file)}: is no depth image, expected one channel of 16 bits")

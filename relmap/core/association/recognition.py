@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import betaincinv
-from scipy.stats import binom
+from scipy.special import bdtrc, betaincinv
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import nearest
@@ -128,7 +127,7 @@ class PlaceFinder:
         # The number found elsewhere is the maximum of all trials.
         if elsewhere > 3:
             share = max(share, float(betaincinv(elsewhere - 3, n - elsewhere + 1, 1 / trials)))
-        return trials * float(binom.sf(n_agreeing - 4, n - 3, share))
+        return trials * float(bdtrc(n_agreeing - 4, n - 3, share))
 
     def _hypotheses(self, points: Floats, needed: float) -> list[Placement]:
         """Return placements of the scan from triangles found in the map, best first.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from scipy.stats import binom
+from scipy.special import bdtrc
 
 from relmap.core.association.loops import TIED, Loop
 from relmap.core.association.placement import consistent_placements
@@ -132,7 +132,7 @@ class RevisitFinder:
         turns = max(1.0, 2 * np.pi * extent_m / tolerance_m) ** (2 * d - 3)
         trials = max(1.0, 2 * reach_m / tolerance_m) ** d * turns * len(self._had) / NEIGHBOURHOOD
         fixed = d
-        chance = trials * float(binom.sf(len(matches) - fixed - 1, len(points) - fixed, share))
+        chance = trials * float(bdtrc(len(matches) - fixed - 1, len(points) - fixed, share))
         return bool(chance <= BY_CHANCE)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on
@@ -52,7 +52,7 @@ def contradicted(
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
     most, usual = usual, min(float(np.median(segments.residual)), usual)
-    limit = usual * np.sqrt(chi2.isf(BY_CHANCE / max(len(merges.track), 1), d) / d)
+    limit = usual * np.sqrt(chdtri(d, BY_CHANCE / max(len(merges.track), 1)) / d)
     if most > 1 and len(merges.track):
         limit = max(limit, SPREAD * float(np.median(merges.residual)))
     off = merges.residual > max(limit, WORST * merges.residual.max(initial=0))
