@@ -98,7 +98,6 @@ def test_depth_images_come_out_ahead_left_and_up(tmp_path: Path) -> None:
         ("frame-000001.depth.png", b"no image", "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH)[:60], "frame-000001.depth.png"),
         ("frame-000001.depth.png", png(DEPTH.astype(np.uint8)), "one channel of 16 bits"),
-        ("frame-000001.depth.png", png(DEPTH)[:-10] + b"\x00IE", "frame-000001.depth.png"),
     ],
 )
 def test_damaged_depth_images_are_refused(
@@ -126,3 +125,15 @@ def test_damaged_clouds_of_kitti_are_refused(tmp_path: Path, data: bytes, wrong:
 def test_a_folder_without_clouds_is_refused(tmp_path: Path) -> None:
     assert "holds no .bin file" in failure(tmp_path, "kitti-bin")
     assert "holds no *.depth.png" in failure(tmp_path, "depth-images")
+
+
+def test_a_decoder_that_runs_out_of_memory_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    images(tmp_path)
+
+    def damaged(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Image, "open", damaged)
+    assert "frame-000001.depth.png: cannot be read" in failure(tmp_path, "depth-images")

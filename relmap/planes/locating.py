@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.errors import RelmapError
 from relmap.mapper import Mapper, Place
+from relmap.planes.finding import WallFinder
 from relmap.planes.motions import from_matrices, matrices
 from relmap.planes.observation import SHORTEST_M, PlaneObservation, checked_planes
 from relmap.planes.placement import STILL, settled
@@ -17,9 +18,6 @@ from relmap.planes.registration import PlaneRegistration
 from relmap.planes.submaps import WallSubmap
 from relmap.planes.table import PlaneTable
 from relmap.planes.tracks import PlaneTracks
-
-if TYPE_CHECKING:
-    from relmap.planes.finding import WallFinder
 
 AROUND = 1.2
 """Maximum distance of expected walls, in units of the reach of the scan."""
@@ -47,10 +45,6 @@ class MapOfBefore:
     @classmethod
     def of(cls, table: PlaneTable, submaps: list[WallSubmap]) -> MapOfBefore:
         """Return the map of the first submap; without submaps, an empty one."""
-        from relmap.planes.finding import (
-            WallFinder,
-        )  # it loads parts of scipy that are slow to load
-
         if not submaps:
             return cls(table, WallFinder(np.empty((0, 2, 2))), -1, np.eye(4))
         own = submaps[0]

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
-from scipy.signal import fftconvolve
 from scipy.spatial import cKDTree
 
 SAMPLE_M = 0.1
@@ -131,6 +129,8 @@ def wall_ties(ends: Floats, others: Floats) -> list[WallTie]:
 
 def _turns(points: WallPoints, among: WallPoints) -> list[float]:
     """Return the rotations that align most fronts with the directions of others."""
+    from scipy.ndimage import maximum_filter
+
     bins = round(2 * np.pi / BIN_RAD)
     counts = [
         np.bincount(np.floor(each.angle / BIN_RAD).astype(int) % bins, minlength=bins)
@@ -146,6 +146,9 @@ def _turns(points: WallPoints, among: WallPoints) -> list[float]:
 
 def _shifts(points: WallPoints, among: WallPoints, turn: float) -> list[WallTie]:
     """Return the translations, after a rotation, that bring most points into matching cells."""
+    from scipy.ndimage import maximum_filter
+    from scipy.signal import fftconvolve  # slow to load
+
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s], [s, c]])
     turned = points.moved(R, np.zeros(2))
