@@ -114,7 +114,7 @@ def run_partial_wall(
     seed : int
     beside : int
         Scans before and after those with only the wall in view.
-    progress : callable, optional
+    through : callable, optional
         Wraps the iterable of scans.
 
     Returns
