@@ -347,7 +347,7 @@ def test_localise_in_the_plane_and_of_what_is_nowhere() -> None:
             ["--onto", "part", "--journal", "run.journal"],
             "--journal records a run from its beginning",
         ),
-        (["--onto", "part", "--variant", "planes"], "--onto applies only to maps of points"),
+        (["--onto", "part", "--variant", "planes"], "is a landmark log"),
         (["--onto", "part", "--registration", "constellation"], "give no others"),
         (["--onto", "nowhere"], "there is no saved map"),
     ],
