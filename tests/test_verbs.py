@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from relmap.cli import main
-from relmap.cli.simulate import Sampling, World
+from relmap.cli.simulate_building import Sampling, World
 from relmap.comparison.compare import Compared
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import run_method

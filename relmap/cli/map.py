@@ -230,39 +230,10 @@ def map_command(
         others = (known, registration, config, journal, onto, animate, columns, topic, live)
         message = "--variant planes3d accepts only --scans, --format, --refine and --voxel"
         args.refuse(any((*others, live_file, *sigmas_given)) or odometry != "auto", message)
-        low = voxel is not None and not 0 < voxel < float("inf")
-        args.refuse(low, f"--voxel is {voxel}; it must be above 0")
-        with stoppable() as stopped:
-            settings = args.read_config(None)
-            job = Job(
-                source=source,
-                out=out,
-                settings=settings,
-                interval=scans,
-                log_format=log_format,
-                refine=refine,
-                stopped=stopped,
-            )
-            report_space(job, voxel)
+        _map_space(source, out, scans, log_format, refine, voxel)
         return
     args.refuse(columns and (planes or log_format), "--columns applies only to tables of landmarks")
-    if onto is not None:
-        args.refuse(
-            journal, "--journal records a run from its beginning, so it cannot be used with --onto"
-        )
-        args.refuse(
-            config or registration,
-            "--onto uses the settings of the earlier run: give no others",
-        )
-    if planes:
-        wrong = known or registration
-        args.refuse(
-            wrong, "walls have no ids: --association and --registration apply only to points"
-        )
-    elif known:
-        message = "--registration applies to observations without ids: omit --association"
-        args.refuse(registration, message)
-    sigmas = _sigmas(planes, range_sigma, bearing_sigma, elevation_sigma)
+    _check_onto(onto, journal, config or registration)
     args.refuse(animate and not planes, "--animate draws walls: give --variant planes with it")
     with stoppable() as stopped:
         job = Job(
@@ -277,7 +248,7 @@ def map_command(
             journal=journal,
             onto=onto,
             animate=animate,
-            sigmas=sigmas,
+            sigmas=_sigmas(planes, range_sigma, bearing_sigma, elevation_sigma),
             odometry=odometry,
             columns=columns,
             topics=tuple(topic or ()),
@@ -286,6 +257,38 @@ def map_command(
             stopped=stopped,
         )
         report(job)
+
+
+def _map_space(
+    source: Path,
+    out: Path,
+    scans: args.Interval | None,
+    log_format: str | None,
+    refine: bool,
+    voxel: float | None,
+) -> None:
+    low = voxel is not None and not 0 < voxel < float("inf")
+    args.refuse(low, f"--voxel is {voxel}; it must be above 0")
+    with stoppable() as stopped:
+        job = Job(
+            source=source,
+            out=out,
+            settings=args.read_config(None),
+            interval=scans,
+            log_format=log_format,
+            refine=refine,
+            stopped=stopped,
+        )
+        report_space(job, voxel)
+
+
+def _check_onto(onto: Path | None, journal: Path | None, settings: object) -> None:
+    if onto is None:
+        return
+    message = "--journal records a run from its beginning, so it cannot be used with --onto"
+    args.refuse(journal, message)
+    message = "--onto uses the settings of the earlier run: give no others"
+    args.refuse(settings, message)
 
 
 def _sigmas(
@@ -306,5 +309,9 @@ def _settings(
 ) -> MapperConfig:
     from relmap.core.config import WITH_IDS, WITH_POINTS, WITH_WALLS
 
+    message = "walls have no ids: --association and --registration apply only to points"
+    args.refuse(planes and (known or registration), message)
+    message = "--registration applies to observations without ids: omit --association"
+    args.refuse(known and registration, message)
     unused = WITH_WALLS if planes else WITH_IDS if known else WITH_POINTS
     return args.read_config(config, registration, unused)
