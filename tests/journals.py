@@ -1,12 +1,17 @@
-"""Journals as a run leaves them that ends early, and journals that were meddled with."""
+"""Runs with journals; journals of runs that end early, and journals that were changed."""
 
 from __future__ import annotations
 
 import sqlite3
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from relmap import PointMapper
 from relmap.io.journal import Journal, JournalReader
+from tests.worlds import walk
 
 
 def end_after(path: Path, n: int) -> None:
@@ -29,3 +34,36 @@ def changed(path: Path, statement: str) -> None:
     with connection:
         connection.execute(statement)
     connection.close()
+
+
+def finished(mapper: PointMapper) -> tuple[bytes, ...]:
+    """Return what the rest of a run makes of a mapper, to the last bit."""
+    mapper.finish()
+    before = mapper.map.positions.tobytes()
+    mapper.refine()
+    table = mapper.landmarks
+    return before, mapper.map.positions.tobytes(), mapper.trajectory.tobytes(), table.sd.tobytes()
+
+
+def scans_of(dimension: int, with_ids: bool) -> list[tuple[Any, Any]]:
+    """Return scans, some of them empty, some with landmarks that nobody knows."""
+    scans: list[tuple[Any, Any]] = []
+    for k, (ids, points) in enumerate(walk(dimension, 7, 0.02).scans):
+        known = np.where(np.arange(len(ids)) == k % 5, -1, ids) if with_ids else None
+        scans.append((points, known))
+    nothing = np.empty((0, dimension)), np.empty(0, dtype=np.int64) if with_ids else None
+    scans[0] = scans[1] = scans[40] = nothing
+    return scans
+
+
+def run(mapper: PointMapper, scans: list[tuple[Any, Any]]) -> PointMapper:
+    for points, ids in scans:
+        mapper.update(points, ids)
+    return mapper
+
+
+def begun(path: Path, n: int = 60, close: bool = True) -> PointMapper:
+    mapper = run(PointMapper(journal=path), scans_of(3, False)[:n])
+    if close:
+        mapper.close()
+    return mapper

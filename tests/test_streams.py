@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,21 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from relmap import PlaneMapper, PointMapper, RelmapError
-from relmap.simulation import simulate_building, simulate_figure_eight
-from tests.commands import PATIENCE_S
+from relmap import PointMapper, RelmapError
+from tests.savedmaps import state
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 few = settings(max_examples=60)
 
-
-def state(mapper: Any, folder: Path) -> bytes:
-    """Return everything that a mapper holds."""
-    mapper.save(folder / "state.npz")
-    return (folder / "state.npz").read_bytes()
-
-
-# ---- points ----------------------------------------------------------------------------------
 
 BAD_VALUES = st.sampled_from([np.nan, np.inf, -np.inf, 1e10, 1e300])
 WRONG: st.SearchStrategy[tuple[Any, Any, str]] = st.one_of(
@@ -227,104 +213,3 @@ def test_thousands_of_points_in_a_scan() -> None:
     assert np.mean(labels == np.arange(4000)) > 0.99
     mapper.finish()
     assert len(mapper.map.landmark_ids) > 3900
-
-
-# ---- walls -----------------------------------------------------------------------------------
-
-ROOM = np.array([[[3.0, -2.0], [3.0, 2.0]], [[3.0, 2.0], [-1.0, 2.0]]])
-KIND = np.array([["view", "corner"], ["corner", "view"]])
-
-
-def walls(**changed: Any) -> SimpleNamespace:
-    seen = {"ends": ROOM, "end_type": KIND, "noise": [0.1, 0.1], "n_points": [9, 9]}
-    return SimpleNamespace(**seen | {"z_extent": np.zeros((2, 2))} | changed)
-
-
-@pytest.mark.parametrize(
-    ("planes", "named"),
-    [
-        (walls(ends=np.where(ROOM == 2.0, np.nan, ROOM)), "wall 0 ends at"),
-        (walls(ends=1e9 * ROOM), "wall 0 ends at"),
-        (walls(ends=ROOM.reshape(2, 4)), "ends has shape"),
-        (walls(ends=[["a"]]), "ends must be"),
-        (walls(ends=ROOM[:, ::-1]), "wall 0 is seen from behind"),
-        (walls(end_type=KIND[:1]), "end_type has shape"),
-        (walls(noise=[0.1]), "noise has shape"),
-        (walls(noise=[0.1, np.nan]), "noise holds"),
-        (walls(n_points=["many", 1]), "n_points must be"),
-        (walls(z_extent=np.zeros(2)), "z_extent has shape"),
-        (np.full((4, 3), np.nan), "point 0 is"),
-        (np.ones((4, 5)), "points have shape"),
-        ("points", "points"),
-    ],
-)
-def test_impossible_walls_change_nothing(planes: Any, named: str, tmp_path: Path) -> None:
-    mapper = PlaneMapper()
-    mapper.update(walls())
-    before = state(mapper, tmp_path)
-    with pytest.raises(RelmapError, match=named):
-        mapper.update(planes)
-    with pytest.raises(RelmapError, match="ids were given"):
-        mapper.update(walls(), ids=[1, 2])
-    assert state(mapper, tmp_path) == before
-
-
-def test_walls_in_any_array_and_gaps_in_seeing_them() -> None:
-    scans = [scan.seen for scan in simulate_building(seed=0, points=20).scans][:60]
-    plain, tried = PlaneMapper(), PlaneMapper()
-    for k, scan in enumerate(scans):
-        ends: Any = [scan.ends.tolist(), np.asfortranarray(scan.ends), scan.ends][k % 3]
-        other = SimpleNamespace(ends=ends, end_type=scan.end_type.tolist())
-        np.testing.assert_array_equal(tried.update(other), plain.update(scan))
-    nothing = SimpleNamespace(ends=[], end_type=[])
-    assert len(tried.update(nothing)) == 0
-    for scan in scans[::-1]:
-        tried.update(scan)
-    tried.finish()
-    tried.refine()
-    assert len(tried.trajectory) == 121
-
-
-# ---- side by side ----------------------------------------------------------------------------
-
-
-def a_map(seed: int) -> str:
-    mapper = PointMapper()
-    for scan in simulate_figure_eight(seed=seed, iterations=100).log.scans():
-        mapper.update(scan.points_robot)
-    mapper.finish()
-    mapper.refine()
-    return (mapper.map.positions.tobytes() + mapper.trajectory.tobytes()).hex()
-
-
-@pytest.fixture(scope="module")
-def alone() -> list[str]:
-    return [a_map(seed) for seed in (1, 2)]
-
-
-def test_two_threads_give_the_maps_of_one(alone: list[str]) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        assert list(pool.map(a_map, [1, 2])) == alone
-
-
-def test_ten_processes_give_the_maps_of_one(
-    alone: list[str], child_env: dict[str, str], repo_root: Path
-) -> None:
-    # They are forked by a process that has imported everything: ten imports would take long.
-    code = (
-        "import json, multiprocessing\n"
-        "from tests.test_streams import a_map\n"
-        "with multiprocessing.get_context('fork').Pool(10) as pool:\n"
-        "    print(json.dumps(pool.map(a_map, [1, 2] * 5, chunksize=1)))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        env=child_env | {"OMP_NUM_THREADS": "1"},
-        cwd=repo_root,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == alone * 5

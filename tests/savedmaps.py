@@ -1,0 +1,33 @@
+"""A saved map, and all that a mapper hands out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from relmap import PointMapper
+from tests.worlds import walk
+
+
+def told(mapper: Any) -> tuple[bytes, ...]:
+    """Return all that a mapper hands out."""
+    found, rows = mapper.map, mapper.landmarks
+    return (
+        *(found.positions.tobytes(), found.landmark_ids.tobytes(), found.covariances.tobytes()),
+        *(mapper.trajectory.tobytes(), rows.sd.tobytes(), rows.level.tobytes()),
+        *(group.relative_map.tobytes() for group in mapper.groups),
+    )
+
+
+def saved_map(folder: Path) -> Path:
+    mapper = PointMapper()
+    for _, points in walk(3, 3, 0.02, iterations=40).scans:
+        mapper.update(points)
+    mapper.save(folder / "mapper.npz")
+    return folder / "mapper.npz"
+
+
+def state(mapper: Any, folder: Path) -> bytes:
+    """Return everything that a mapper holds."""
+    mapper.save(folder / "state.npz")
+    return (folder / "state.npz").read_bytes()
