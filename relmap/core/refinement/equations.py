@@ -85,7 +85,19 @@ class SegmentProblem:
         hold: tuple[float, float] = HOLD,
     ) -> NormalEquations:
         """Return the normal equations of the kept unknowns."""
+        equations = self._reduced(state, weight, with_matrix)
+        share, least = hold
+        if len(equations.matrix):
+            least += share * self.pattern.largest(equations.matrix)
+            self.pattern.hold(equations.matrix, share + damping, least)
+            self._fix(equations.matrix)
+        return equations
+
+    def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
         raise NotImplementedError
+
+    def _fix(self, matrix: Floats) -> None:
+        """Fix the unknowns that define the frame."""
 
     def stepped(
         self, state: Laid, equations: NormalEquations, step: Floats, weight: Floats
@@ -104,12 +116,6 @@ class SegmentProblem:
 
     def _covariances(self, state: Laid, weight: Floats, inverse: Floats) -> Floats:
         raise NotImplementedError
-
-    def _held(self, equations: NormalEquations, damping: float, hold: tuple[float, float]) -> None:
-        share, least = hold
-        if len(equations.matrix):
-            least += share * self.pattern.largest(equations.matrix)
-            self.pattern.hold(equations.matrix, share + damping, least)
 
     def _centre(self, placed: Floats) -> Floats:
         """Return the centre (s, d) of each segment."""
@@ -164,23 +170,13 @@ class FreePlacements(SegmentProblem):
         counts = np.array(times), np.array(segment), np.array(fixed, dtype=np.float64)
         return np.concatenate(seen), sizes, *counts
 
-    def equations(
-        self,
-        state: Laid,
-        weight: Floats,
-        with_matrix: bool,
-        damping: float,
-        hold: tuple[float, float] = HOLD,
-    ) -> NormalEquations:
-        """Return the normal equations of the landmarks."""
+    def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
         rows, d = self.rows, self._d
         there = state.positions[rows.landmark]
         turns = derivatives(there - self._centre(there)[rows.segment])
         off, ones = (state.placed - there).ravel(), np.ones((d * len(there), 1))
         linear = Linearised(off, turns.reshape(len(off), -1), -ones)
-        equations = self._eliminated.equations(linear, np.repeat(weight, d), BARELY, with_matrix)
-        self._held(equations, damping, hold)
-        return equations
+        return self._eliminated.equations(linear, np.repeat(weight, d), BARELY, with_matrix)
 
     def _moved(self, state: Laid, step: Floats, weight: Floats) -> Floats:
         return np.asarray(state.positions + step[self._unknown])
@@ -228,15 +224,7 @@ class FreeLandmarks(SegmentProblem):
         every = np.arange(len(rows.landmarks))
         self._eliminated = Elimination(self.pattern, kept, d * begin, scalar, every)
 
-    def equations(
-        self,
-        state: Laid,
-        weight: Floats,
-        with_matrix: bool,
-        damping: float,
-        hold: tuple[float, float] = HOLD,
-    ) -> NormalEquations:
-        """Return the normal equations of the placements."""
+    def _reduced(self, state: Laid, weight: Floats, with_matrix: bool) -> NormalEquations:
         linear, each = self._linearised(state, weight)
         equations = self._eliminated.equations(linear, each, BARELY, with_matrix)
         right, fixed = equations.right, self._unknown[self._fixed]
@@ -244,10 +232,10 @@ class FreeLandmarks(SegmentProblem):
         if self._fixed != self._anchor:
             right[self._unknown[self._anchor]] += right[fixed]
         right[fixed] = 0.0
-        self._held(equations, damping, hold)
-        if with_matrix:
-            self.pattern.fix(equations.matrix, self._fixed, len(fixed))
         return equations
+
+    def _fix(self, matrix: Floats) -> None:
+        self.pattern.fix(matrix, self._fixed, self._unknown.shape[1])
 
     def _linearised(self, state: Laid, weight: Floats) -> tuple[Linearised, Floats]:
         """Return the residuals of the rows, some of them twice, and their weights."""
