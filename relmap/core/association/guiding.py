@@ -125,7 +125,7 @@ class OdometryGuide:
         """Return a guess corrected by matches, each as far as it can be believed."""
         if not len(here):
             return guess
-        from relmap.core.refinement.equations import derivatives, rotations
+        from relmap.core.geometry.motions import derivatives, rotations
 
         d = here.shape[1]
         sigma_m, sigma_rad = self.noise.sigmas(self._since[None])

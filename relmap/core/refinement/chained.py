@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.equations import ROUNDING, derivatives, rotations
+from relmap.core.refinement.equations import ROUNDING
 from relmap.core.refinement.schur import NormalEquations
 from relmap.core.refinement.settling import size_of
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.special import gammaln
 
 from relmap.core.arrays import Floats
+from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.equations import derivatives, rotations
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.observations import Observations

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid_each
+from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
-from relmap.core.refinement.equations import BARELY, ROUNDING, derivatives, rotations
+from relmap.core.refinement.equations import BARELY, ROUNDING
 from relmap.core.refinement.joint import Refined, Spread
 from relmap.core.refinement.observations import Observations, observations_of
 from relmap.core.refinement.powers import LOOSE, LOOSE_POSE, Placed
