@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import platform
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from abc import abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from relmap.core import afterwards, readout
-from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig
+from relmap.core import afterwards
+from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
 from relmap.core.mapper import RelativeMapper
 from relmap.core.model import LandmarkModel
-from relmap.core.odometry import OdometryUse
-from relmap.core.refinement.joint import Refined
-from relmap.core.scan import checked_labels
-from relmap.shown import Shown
+from relmap.mapped import Mapped
 
 if TYPE_CHECKING:
     from relmap.io.journal import Journal, JournalReader, RecordedScan
@@ -46,7 +42,7 @@ class Place(NamedTuple):
     n_places: int
 
 
-class Mapper(Shown, ABC):
+class Mapper(Mapped):
     """An engine with a journal, a saved state and tables of its results.
 
     Parameters
@@ -58,12 +54,6 @@ class Mapper(Shown, ABC):
     run : dict, optional
         Description of the run to store in the journal; must be JSON serialisable.
 
-    Attributes
-    ----------
-    engine : RelativeMapper
-        The mapping engine: landmark table, store, schedule and groups, for experiments. Changes
-        made there are neither checked nor recorded in the journal.
-
     Raises
     ------
     RelmapError
@@ -71,8 +61,6 @@ class Mapper(Shown, ABC):
     """
 
     _variant: ClassVar[str]
-    _unused: ClassVar[dict[str, str]] = WITH_POINTS
-    """Settings that the variant ignores, with the reason."""
 
     def __init__(
         self,
@@ -97,18 +85,6 @@ class Mapper(Shown, ABC):
             }
             self._journal = Journal.create(Path(journal), LAYOUTS[self._variant], meta)
 
-    @property
-    def engine(self) -> RelativeMapper:
-        """The mapping engine, see above.
-
-        Raises
-        ------
-        RelmapError
-            If an update was interrupted, or another thread is running one.
-        """
-        self._guard.check()
-        return self._engine
-
     def finish(self) -> None:
         """Group unmapped landmarks in view, and run the last pass of those that left."""
         with self._guard.change():
@@ -117,100 +93,6 @@ class Mapper(Shown, ABC):
 
     def _finish(self) -> None:
         afterwards.finish(self.engine)
-
-    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
-        """Return the current labels of landmarks (n,), given labels from earlier updates.
-
-        A landmark that is lost and seen again gets a new label, until it is recognised; -1 is
-        returned as -1. A label that no update has returned raises `RelmapError`.
-        """
-        labels = checked_labels(labels, np.append(readout.labels(self.engine), -1))
-        if self.engine.association.has_ids:
-            return labels
-        return np.where(labels >= 0, self.engine.table.landmark_of[labels], labels)
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings in effect, by name."""
-        is_known = self.engine.association.is_known
-        return self.config.in_use(WITH_IDS if is_known else self._unused)
-
-    @property
-    def n_iterations(self) -> int:
-        """Number of scans processed, empty ones included."""
-        return self.engine.store.n_iterations
-
-    @property
-    def map(self) -> LandmarkMap:
-        """The mapped landmarks, in ascending order of their labels."""
-        return readout.landmark_map(self.engine)
-
-    @property
-    def landmarks(self) -> LandmarkTable:
-        """Every landmark ever seen, mapped or not."""
-        return readout.landmark_table(self.engine)
-
-    @property
-    def submaps(self) -> Sequence[Submap]:
-        """The submaps, the largest first; more than one if parts of the run are not connected."""
-        return readout.map_submaps(self.engine)
-
-    @property
-    def groups(self) -> list[MappedGroup]:
-        """The groups behind the map, in the order in which they were placed."""
-        return readout.mapped_groups(self.engine)
-
-    @property
-    def refined(self) -> list[Refined]:
-        """The submaps as refined, in ascending order; none after a later update.
-
-        They include the residuals of each segment of the run and of each merge. Landmarks are
-        identified by their index, in order of first observation.
-        """
-        return list(self.engine.refined)
-
-    @property
-    def rejected(self) -> NDArray[np.int64]:
-        """Iterations (r,), ascending, whose scans match no other scan and do not enter the map."""
-        return self.engine.association.rejected
-
-    @property
-    def tied_share(self) -> float | None:
-        """Fraction of scans, of points without ids, that were matched to the tracks at once.
-
-        The others began new tracks, and possibly new submaps. Rival placements are searched for
-        only where nearest neighbours do not agree, so this does not show that the matches are
-        correct. None with known association, for walls, and for other registrations.
-        """
-        return self.engine.association.tied_share
-
-    @property
-    def unique_share(self) -> float | None:
-        """Fraction of scans whose matches exceed what chance produces in any placement.
-
-        None unless points are mapped without ids. It does not reveal perceptual aliasing.
-        """
-        return self.engine.association.unique_share
-
-    @property
-    def n_undone(self) -> int:
-        """Number of merges undone because the refined map contradicted them."""
-        return self.engine.merger.n_undone
-
-    @property
-    def odometry(self) -> OdometryUse | None:
-        """How odometry was used by the last `finish` or `refine`; None if there was none."""
-        return self.engine.odometry
-
-    @property
-    def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where undetermined."""
-        return readout.path(self.engine)
-
-    @property
-    def noise_m(self) -> float:
-        """Estimated standard deviation of an observed coordinate, metres; NaN if unknown."""
-        return float(self.engine.averaging.noise.sigma_m)
 
     @classmethod
     def resume(

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from relmap.core.errors import RelmapError
-from relmap.mapper import Mapper, Place
+from relmap.mapper import Place
 from relmap.planes.finding import WallFinder
+from relmap.planes.mapped import MappedWalls
 from relmap.planes.motions import from_matrices, matrices
 from relmap.planes.observation import SHORTEST_M, PlaneObservation, checked_planes
 from relmap.planes.placement import STILL, settled
-from relmap.planes.registration import PlaneRegistration
 from relmap.planes.submaps import WallSubmap
 from relmap.planes.table import PlaneTable
 from relmap.planes.tracks import PlaneTracks
@@ -82,23 +82,12 @@ class MapOfBefore:
         return tracks
 
 
-class LocatingMapper(Mapper):
+class LocatingMapper(MappedWalls):
     """The part of `PlaneMapper` that localises scans."""
 
-    _planes: PlaneRegistration
     _finder: WallFinder | None = None
     _onto: MapOfBefore | None = None
     _found: NDArray[np.float64] | None = None
-
-    @property
-    def planes(self) -> PlaneTable:
-        """Every wall ever seen; mapped are those of the first submap."""
-        raise NotImplementedError
-
-    @property
-    def submaps(self) -> list[WallSubmap]:
-        """The parts of the run that nothing ties to one another, those of most scans first."""
-        raise NotImplementedError
 
     def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
         """Localise a scan using only the map; the mapper does not change.

@@ -12,23 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from relmap.core import afterwards
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
-from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
-from relmap.core.odometry import OdometryUse, checked_odometry
-from relmap.core.refinement.joint import Refined
+from relmap.core.odometry import checked_odometry
 from relmap.core.scan import checked_labels
-from relmap.planes.assembly import WallNumbers
-from relmap.planes.beams import PlacedBeams, ToldBeams
-from relmap.planes.grouped_map import GroupedMap
-from relmap.planes.history import PlaneHistory
+from relmap.planes.beams import ToldBeams
 from relmap.planes.locating import LocatingMapper
 from relmap.planes.model import WallModel
 from relmap.planes.observation import PlaneObservation, checked_planes, journaled, of_journal
-from relmap.planes.refining import odometry_left_out, on_odometry, refined_submaps
+from relmap.planes.refining import refined_submaps
 from relmap.planes.registration import PlaneRegistration
-from relmap.planes.residuals import corner_covariances, refined_walls
-from relmap.planes.stitching import weak_links
-from relmap.planes.submaps import WallSubmap, among_all, torn_in
-from relmap.planes.table import PlaneTable, corner_group, corner_map, corner_table, plane_table
+from relmap.planes.submaps import WallSubmap, torn_in
 
 if TYPE_CHECKING:
     from relmap.io.journal import RecordedScan
@@ -79,7 +71,6 @@ class PlaneMapper(LocatingMapper):
     _unused = WITH_WALLS
     _variant = "planes"
 
-    _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
     STATE = "walls=_planes refined_walls=_refined_walls _moved"
 
     def __init__(
@@ -209,128 +200,6 @@ class PlaneMapper(LocatingMapper):
         return np.asarray(self._own_numbers.wall_of[labels])
 
     @property
-    def history(self) -> PlaneHistory:
-        """A view of all observations of walls, untransformed."""
-        store = self.engine.store
-        return PlaneHistory(
-            iteration=store.iterations,
-            plane=store.column("wall"),
-            ends=store.column("location"),
-            sd=store.column("sd"),
-            z_extent=store.column("z_extent"),
-            corner=store.column("corner"),
-            motion=self._planes.links.motions,
-            submap=self._planes.links.submaps,
-        )
-
-    @property
-    def submaps(self) -> list[WallSubmap]:
-        """The unconnected parts of the run, those with most scans first."""
-        return self._state[0]
-
-    @property
-    def planes(self) -> PlaneTable:
-        """Every wall ever seen; those of the first submap are mapped."""
-        return self.planes_of(0)
-
-    def planes_of(self, number: int) -> PlaneTable:
-        """Return every wall ever seen; those of one submap are mapped, in its frame.
-
-        Parameters
-        ----------
-        number : int
-            Index of the submap in `submaps`.
-        """
-        submaps, numbers = self._state
-        assembled = submaps[number].assembled if submaps else None
-        return plane_table(self.history, numbers, assembled, self._moving)
-
-    def beams_of(self, number: int, most: int) -> PlacedBeams:
-        """Return begin and end points of beams of a submap, in its frame.
-
-        Parameters
-        ----------
-        number : int
-            Index of the submap in `submaps`.
-        most : int
-            Maximum number of beams, by subsampling.
-        """
-        submap = self.submaps[number]
-        return self._planes.links.beams.placed(submap.poses, submap.span, most)
-
-    @property
-    def map(self) -> LandmarkMap:
-        """The mapped corners of the first submap, in ascending order of numbers.
-
-        Their covariances are available after refinement, until the next update; otherwise (0, 3,
-        3).
-        """
-        submaps = self.submaps
-        return corner_map(submaps[0].assembled if submaps else None, self._covariances)
-
-    @property
-    def landmarks(self) -> LandmarkTable:
-        """Every corner ever seen; those of the first submap are mapped.
-
-        Before refinement `sd` covers only the average of a corner, along its wall.
-        """
-        submaps, numbers = self._state
-        moving, spread = self._grouped.moving_corners, self._covariances
-        assembled = [submap.assembled for submap in submaps]
-        return corner_table(self.history, numbers, assembled, moving, spread)
-
-    @property
-    def groups(self) -> list[MappedGroup]:
-        """The groups behind the chained map, in the order in which they were placed.
-
-        Their landmarks are corners, numbered as in `landmarks`, without the estimated midpoints.
-        Corners that were merged share a number.
-        """
-        corner_of = self._own_numbers.corner_of
-        return [corner_group(group, corner_of) for group in super().groups]
-
-    @property
-    def group_walls(self) -> list[NDArray[np.int64]]:
-        """Numbers of the walls that each group connects, in the order of mapping."""
-        wall = self._own_numbers.wall_of[self._planes.wall_end // 2]
-        return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
-
-    @property
-    def refined(self) -> list[Refined]:
-        """The submaps as refined, in order; none before refinement and after a later update.
-
-        They include the residuals of each eight iterations and of each joined corner, and the
-        covariances of the corners, which are the landmarks.
-        """
-        submaps = [] if self._refined_walls is None else self._refined_walls[0]
-        history = self.history
-        return [refined_walls(s.assembled, history) for s in submaps if s.refined and s.assembled]
-
-    @property
-    def trajectory(self) -> NDArray[np.float64]:
-        """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN outside the map."""
-        history, submaps = self.history, self.submaps
-        if not submaps:
-            return np.full((history.n_iterations, 4, 4), np.nan)
-        return among_all(submaps[0].poses, submaps[0].span, history)
-
-    @property
-    def weak_links(self) -> NDArray[np.int64]:
-        """Iterations (k,) whose motion since the previous one is not fully determined."""
-        return weak_links(self.history)
-
-    @property
-    def odometry(self) -> OdometryUse | None:
-        """How odometry was used so far; None if there was none.
-
-        `hanging` are the iterations whose motion since the previous one walls do not fully
-        determine; `left_out` contains all iterations if odometry is wrong too often.
-        """
-        links, history = self._planes.links, self.history
-        left_out, hanging = odometry_left_out(links, history), on_odometry(links, history)
-        return links.wheels.use(links.motions, links.measured, left_out, hanging)
-
-    @property
     def _parts(self) -> list[Any]:
         return [self, self.engine]
 
@@ -351,40 +220,3 @@ class PlaneMapper(LocatingMapper):
         with self._guard.change(spoils=False):
             self._segmenter.fit(points)
             return self._segmenter.planes_
-
-    @property
-    def _state(self) -> tuple[list[WallSubmap], WallNumbers]:
-        """The current map and its association."""
-        self._guard.check()
-        if self._refined_walls is not None:
-            return self._refined_walls
-        grouped = self._grouped
-        numbers = grouped.numbers
-        return grouped.submaps(grouped.at_rest(numbers), self._moving), numbers
-
-    @property
-    def _own_numbers(self) -> WallNumbers:
-        """The association of the current map."""
-        self._guard.check()
-        return self._refined_walls[1] if self._refined_walls else self._grouped.numbers
-
-    @property
-    def _covariances(self) -> NDArray[np.float64] | None:
-        """Covariances (c, 2, 2) of the first submap's corners, if refined; computed on access."""
-        first = next(iter(self._refined_walls[0]), None) if self._refined_walls else None
-        if first is None or first.assembled is None or not first.refined:
-            return None
-        if self._spread is None:
-            self._spread = corner_covariances(first.assembled)
-        return self._spread
-
-    @property
-    def _grouped(self) -> GroupedMap:
-        return GroupedMap(self.engine, self._planes, self.history)
-
-    @property
-    def _moving(self) -> NDArray[np.bool_]:
-        """Whether plane tracks (p,) move, or are not where the refined map has them."""
-        moving = self._grouped.moving_walls
-        moving[self._moved] = True
-        return moving
