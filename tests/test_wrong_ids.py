@@ -114,7 +114,7 @@ def ruined(problem: object, state: Laid, *_: object, **__: object) -> Solution[L
     positions = state.positions
     positions = positions + np.random.default_rng(0).normal(0, 5.0, positions.shape)
     weight = np.ones(len(state.placed))
-    return Solution(Laid(positions, state.placed), weight, state, np.inf, False, None)
+    return Solution(Laid(positions, state.placed), weight, state, np.inf, False)
 
 
 def test_a_map_that_least_squares_would_ruin_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

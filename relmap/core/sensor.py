@@ -61,19 +61,9 @@ def range_bearing_covariances(
     if d == 3:
         pitch = np.arctan2(array[:, 2], np.hypot(array[:, 0], array[:, 1]))
     c, s, up, zero = np.cos(yaw), np.sin(yaw), np.sin(pitch), np.zeros(n)
-    axes = np.stack(
-        [
-            [c * np.cos(pitch), s * np.cos(pitch), up],
-            [-s, c, zero],
-            [-c * up, -s * up, np.cos(pitch)],
-        ]
-    )[:d, :d]
-    sigmas = np.stack(
-        [
-            np.full(n, range_sigma_m),
-            bearing_sigma_rad * level,
-            elevation_sigma_rad * distance,
-        ]
-    )[:d]
+    flat = np.cos(pitch)
+    axes = np.stack([[c * flat, s * flat, up], [-s, c, zero], [-c * up, -s * up, flat]])[:d, :d]
+    across = bearing_sigma_rad * level, elevation_sigma_rad * distance
+    sigmas = np.stack([np.full(n, range_sigma_m), *across])[:d]
     root = axes * sigmas[:, None]
     return np.asarray(np.einsum("kan,kbn->nab", root, root))

@@ -80,8 +80,6 @@ class Solution(Generic[State]):
         Gain of the last step, in squared standard deviations; infinite if there was none.
     converged : bool
         Whether the gain of the next step would be negligible.
-    factor : (size,) float64, optional
-        Factor of the last matrix, for reuse.
     """
 
     state: State
@@ -89,7 +87,6 @@ class Solution(Generic[State]):
     last: State | None
     gain: float
     converged: bool
-    factor: Floats | None
 
 
 def weighted_squares(residual: Floats, weight: Floats) -> float:
@@ -102,7 +99,6 @@ def gauss_newton(
     state: State,
     weigh: Weigh,
     rounds: int,
-    factor: Floats | None = None,
     cost_of: Callable[[Floats, Floats], float] = weighted_squares,
     unsure: float = UNSURE,
     same: float = SAME,
@@ -120,8 +116,6 @@ def gauss_newton(
     weigh : callable
     rounds : int
         Maximum number of steps.
-    factor : (size,) float64, optional
-        Factor of a nearly equal matrix.
     cost_of : callable
         Cost as a function of residuals and weights.
     unsure, same : float
@@ -137,7 +131,7 @@ def gauss_newton(
     """
     residual = problem.residuals(state)
     weight, damping, before, last = weigh(residual), 0.0, np.inf, None
-    gained, converged = np.inf, False
+    gained, converged, factor = np.inf, False, None
     while rounds > 0 and damping <= MOST:
         fresh = factor is None
         equations = problem.equations(state, weight, fresh, damping)
@@ -164,4 +158,4 @@ def gauss_newton(
         is_slow = not reuse or damping > 0 or gain > SLOW * before or change.mean() > ALIKE
         factor, before = (None, np.inf) if is_slow else (factor, gain)
         damping = damping / MORE if damping > DAMPED else 0.0
-    return Solution(state, weight, last, gained, converged, factor)
+    return Solution(state, weight, last, gained, converged)
