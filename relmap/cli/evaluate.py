@@ -43,6 +43,11 @@ The figures:
                       that is mapped (within 0.1 m and 5 degrees)
   wall_precision      walls: fraction of the length of mapped walls over 0.5 m that is true
   doubled_length      walls: fraction of the mapped length that is mapped twice
+  plane_recall        planes in space: fraction of the true planes, of which two scans saw at least
+                      0.25 m2, that are mapped (within 0.05 m and 5 degrees)
+  plane_precision     planes in space: fraction of the mapped planes over 0.25 m2 that are true
+  plane_rmse_m        planes in space: distance of the outlines of mapped planes from the true planes
+  doubled_area        planes in space: fraction of the mapped area that is mapped twice
   landmark_rmse_m     root mean square error of the mapped landmarks, after rigid alignment
   coverage            fraction of the landmarks seen at least ten times that are in the map
   landmarks_per_true  mapped landmarks per true one; above 1 if some are mapped twice
@@ -60,6 +65,10 @@ FIGURES = {
     "wall_recall": "walls found",
     "wall_precision": "mapped walls right",
     "doubled_length": "wall length doubled",
+    "plane_recall": "planes found",
+    "plane_precision": "mapped planes right",
+    "plane_rmse_m": "plane RMSE [m]",
+    "doubled_area": "plane area doubled",
     "coverage": "coverage",
     "landmarks_per_true": "landmarks per true one",
     "purity": "purity",
@@ -134,18 +143,20 @@ def evaluate_folder(folder: Path, truth: Path, log: Path | None = None) -> Evalu
         If the result, the truth or the log is invalid, or the file cannot be written.
     """
     from relmap.evaluation.evaluate import evaluate, match_walls
-    from relmap.evaluation.truth import read_path_truth, read_truth
+    from relmap.evaluation.space_run import VARIANT
+    from relmap.evaluation.truth import read_space_truth, read_truth
     from relmap.io.files import atomic_write
     from relmap.io.results import EVALUATION, MAP_PNG, json_text
     from relmap.planes.files import PlaneResult, read_any
+    from relmap.planes3d.files import read_result3d
     from relmap.plots.planes import write_planes_png
 
     result = read_any(folder)
     walls = isinstance(result, PlaneResult)
-    in_space = result.summary.get("variant") == "planes3d"
-    known = (
-        read_path_truth(truth) if in_space else read_truth(truth, "planes" if walls else "points")
-    )
+    if in_space := result.summary.get("variant") == VARIANT:
+        result, known = read_result3d(folder), read_space_truth(truth)
+    else:
+        known = read_truth(truth, "planes" if walls else "points")
     no_ids = walls or in_space
     evaluation = evaluate(result, known, None if no_ids else find_log(result, truth, log))
     atomic_write(folder / EVALUATION, json_text(evaluation.as_dict()))

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 HELP = """Simulate a lidar or depth camera carried through two rooms of a house.
 
-It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, and its
-plane) and DIR/truth/trajectory.tum. There are a floor, a ceiling, a sloped roof, tables and
-cupboards; the sensor sways and tilts.
+It writes DIR/scans.npz and the truth: DIR/truth/faces.csv (the corners of every face, its plane and
+the area that two scans saw) and DIR/truth/trajectory.tum. There are a floor, a ceiling, a sloped
+roof, tables and cupboards; the sensor sways and tilts.
 
 \b
 Example:
@@ -58,10 +58,12 @@ def _write(folder: Path, storey: Storey) -> None:
     truth.mkdir()
     write_scans_npz(folder / "scans.npz", storey.scans, storey.stamps_s)
     header = ["face", "plane", *(f"{axis}{corner}" for corner in range(4) for axis in "xyz")]
+    header.append("seen_m2")
     corners = storey.corners.reshape(len(storey.corners), 12).tolist()
+    columns = storey.plane_of.tolist(), corners, storey.seen_m2.tolist()
     rows = [
-        [face, plane, *corner]
-        for face, (plane, corner) in enumerate(zip(storey.plane_of.tolist(), corners, strict=True))
+        [face, plane, *corner, seen]
+        for face, (plane, corner, seen) in enumerate(zip(*columns, strict=True))
     ]
     atomic_write(truth / "faces.csv", csv_text(header, rows))
     write_tum(truth / "trajectory.tum", storey.stamps_s, storey.trajectory)

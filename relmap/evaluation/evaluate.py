@@ -10,10 +10,12 @@ from relmap.evaluation import metrics
 from relmap.evaluation.corners import MatchedCorners, judge_corners, match_corners
 from relmap.evaluation.landmarks import judge_landmarks
 from relmap.evaluation.relations import relation_errors
+from relmap.evaluation.space import judge_planes
 from relmap.evaluation.truth import Judged, Truth
 from relmap.evaluation.walls import judge_walls
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult
+from relmap.planes3d.files import Plane3dResult
 
 ONLY: dict[Judged, tuple[str, ...]] = {
     "points": ("landmark_rmse_m",),
@@ -25,6 +27,7 @@ ONLY: dict[Judged, tuple[str, ...]] = {
         "relation_m",
         "relation_rad",
     ),
+    "planes3d": ("plane_recall", "plane_precision", "plane_rmse_m", "doubled_area"),
 }
 """Figures specific to one variant."""
 
@@ -39,6 +42,8 @@ class Evaluation:
         Error of the mapped static landmarks, or corners, after rigid alignment with the true ones.
     wall_recall, wall_precision, doubled_length : float or None
         Fractions of wall length; see `relmap.evaluation.walls.judge_walls`.
+    plane_recall, plane_precision, plane_rmse_m, doubled_area : float or None
+        Of planes in space; see `relmap.evaluation.space.judge_planes`.
     coverage : float or None
         Fraction of the static true landmarks or corners, seen in at least ten of the mapped
         iterations, that are in the map.
@@ -66,6 +71,10 @@ class Evaluation:
     wall_recall: float | None = None
     wall_precision: float | None = None
     doubled_length: float | None = None
+    plane_recall: float | None = None
+    plane_precision: float | None = None
+    plane_rmse_m: float | None = None
+    doubled_area: float | None = None
     coverage: float | None = None
     landmarks_per_true: float | None = None
     purity: float | None = None
@@ -92,7 +101,7 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     Parameters
     ----------
     result : Result
-        Result of points, or a `PlaneResult`.
+        Result of points, a `PlaneResult` or a `Plane3dResult`.
     truth : Truth
     log : ObservationLog, optional
         The log of points that was mapped; its ids are the true association. Without them the
@@ -105,17 +114,17 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
     """
     mine, other = metrics.match_stamps(result.stamps_s, truth.stamps_s)
     poses, true_poses = result.poses[mine], truth.poses[other]
-    in_space = result.summary.get("variant") == "planes3d"
     figures: dict[str, Any] = {}
     counts: dict[str, int] = {"poses": len(mine)}
     notes: list[str] = []
-    walls = isinstance(result, PlaneResult)
     if isinstance(result, PlaneResult):
         figures, counts, notes = judge_corners(result.planes, truth, poses, true_poses)
         matched = match_corners(result.planes, truth, poses, true_poses)
         motion = (matched.R, matched.t) if matched else None
         figures |= judge_walls(result.planes, truth, poses, true_poses, motion)
-    elif not in_space:
+    elif isinstance(result, Plane3dResult):
+        figures = dict(judge_planes(result.planes, truth.faces, poses, true_poses))
+    else:
         figures, counts, notes = judge_landmarks(result, truth, log, len(mine))
     if len(truth.stamps_s) and not len(mine):
         notes.append(metrics.NO_COMMON_TIMES)
@@ -131,8 +140,15 @@ def evaluate(result: Result, truth: Truth, log: ObservationLog | None = None) ->
         relation_rad=relation_rad,
         counts=counts,
         notes=tuple(notes),
-        variant="planes3d" if in_space else "planes" if walls else "points",
+        variant=variant_of(result),
     )
+
+
+def variant_of(result: Result) -> Judged:
+    """Return what was mapped."""
+    if isinstance(result, Plane3dResult):
+        return "planes3d"
+    return "planes" if isinstance(result, PlaneResult) else "points"
 
 
 def match_walls(result: PlaneResult, truth: Truth) -> MatchedCorners | None:

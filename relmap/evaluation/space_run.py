@@ -14,8 +14,9 @@ from relmap.core.landmarks import LandmarkTable
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import Progress, Through
 from relmap.evaluation.summary import timing, versions
-from relmap.io.results import Result, Tracks
+from relmap.io.results import Tracks
 from relmap.planes3d import Plane3dMapper
+from relmap.planes3d.files import Plane3dResult
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable
 
@@ -25,13 +26,11 @@ LEAST_SCANS = 10
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SpaceResult(Result):
-    """A result whose landmarks are planes in space, at the mean of their points.
+class SpaceResult(Plane3dResult):
+    """A result of planes in space, with its parts.
 
     Attributes
     ----------
-    planes : Plane3dTable
-        With the iteration numbers of the log.
     parts : list of Submap
     paths : list of (stamps (k,), poses (k, 4, 4))
         For each submap.
@@ -39,7 +38,6 @@ class SpaceResult(Result):
         Indices in `poses` of the scans with constant motion assumed in a direction.
     """
 
-    planes: Plane3dTable
     parts: list[Submap]
     paths: list[tuple[Floats, Floats]]
     weak: np.ndarray

@@ -14,6 +14,7 @@ from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import quoted, require_path, shown
 from relmap.datasets.trajectories import is_trajectory, read_trajectory
 from relmap.evaluation.relations import RELATIONS, relations_by_clocks
+from relmap.evaluation.space import Faces
 from relmap.io.files import atomic_write, read_text, read_tum, write_tum
 from relmap.io.results import SUMMARY
 from relmap.io.tables import Kind, csv_text, read_table
@@ -23,7 +24,7 @@ Judged = Literal["points", "planes", "planes3d"]
 
 TABLES: dict[Variant, str] = {"points": "landmarks.csv", "planes": "planes.csv"}
 """Files of the true landmarks."""
-TRAJECTORY = "trajectory.tum"
+TRAJECTORY, FACES = "trajectory.tum", "faces.csv"
 _EXPECTED = (
     f"truth/{TABLES['points']} or {TABLES['points']} in it, MRPT's ..._ground_truth.txt, "
     "or the folder of a known data set"
@@ -63,6 +64,8 @@ class Truth:
         unknown.
     relations : tuple of Relations
         Checked relations between poses, by several clocks; see `relation_errors`.
+    faces : Faces or None
+        Of planes in space.
     """
 
     landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
@@ -74,6 +77,7 @@ class Truth:
     corner_scans: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), np.int64))
     seen_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
     relations: tuple[Relations, ...] = ()
+    faces: Faces | None = None
 
 
 def read_truth(path: Path, variant: Variant = "points") -> Truth:
@@ -132,19 +136,26 @@ def read_truth(path: Path, variant: Variant = "points") -> Truth:
     return truth
 
 
-def read_path_truth(path: Path) -> Truth:
-    """Read a path to compare with, from a folder of `relmap simulate` or a log of scans.
+def read_space_truth(path: Path) -> Truth:
+    """Read the true path, and the true faces if known, of planes in space.
+
+    Parameters
+    ----------
+    path : Path
+        A folder of ``relmap simulate storey``, with ``truth/faces.csv``, or a log of scans with
+        poses.
 
     Raises
     ------
     RelmapError
-        If there is none or it is damaged.
+        If there is no path or the truth is damaged.
     """
     require_path(path)
-    for file in (path / "truth" / TRAJECTORY, path / TRAJECTORY):
-        if file.is_file() and not (file.parent / SUMMARY).exists():
-            stamps_s, poses = read_tum(file)
-            return Truth(stamps_s=stamps_s, poses=poses)
+    for folder in (path / "truth", path):
+        if (folder / TRAJECTORY).is_file() and not (folder / SUMMARY).exists():
+            stamps_s, poses = read_tum(folder / TRAJECTORY)
+            faces = _read_faces(folder / FACES) if (folder / FACES).is_file() else None
+            return Truth(stamps_s=stamps_s, poses=poses, faces=faces)
     return _read_path(path)
 
 
@@ -188,6 +199,16 @@ def _read_walls(path: Path) -> Truth:
     still = table.get("status", np.full(len(ends), "static")) != "dynamic"
     seen_m = np.column_stack([table[name] for name in _SEEN])[still] if extents else _NOWHERE
     return Truth(ends=ends[still], corner_scans=scans[still], seen_m=seen_m)
+
+
+def _read_faces(path: Path) -> Faces:
+    places = [f"{axis}{corner}" for corner in range(4) for axis in "xyz"]
+    columns: dict[str, Kind] = {"plane": "int", **dict.fromkeys((*places, "seen_m2"), "float")}
+    table = read_table(path, columns)
+    if len(table["plane"]) and table["plane"].min() < 0:
+        raise RelmapError(f"{shown(path)}: a plane has a number below 0")
+    corners = np.column_stack([table[name] for name in places]).reshape(-1, 4, 3)
+    return Faces(table["plane"], corners, table["seen_m2"])
 
 
 def _read_path(path: Path) -> Truth:

@@ -14,13 +14,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.assembly import MAX_COORDINATE_M
 from relmap.datasets.textfile import numbered_lines, quoted, shown
 
-Kind = Literal["int", "float", "float or empty", "text"]
+Kind = Literal["int", "float", "float or empty", "text", "corners"]
 """Type of a column of a table.
 
+``corners`` is points in space, ``x y z;x y z;...``, and reads as an array (k, 3).
 ``float`` is measured or given, at most `MAX_COORDINATE_M`; ``float or empty`` is computed, at most
 `MAX_RESULT_M`, and an empty cell reads as NaN.
 """
@@ -30,6 +32,9 @@ MAX_RESULT_M = 1e70
 
 MAX_WORD = 32
 """Maximum number of characters of a text: numpy allocates the longest for each row."""
+
+WANTED = {"int": "a whole number", "corners": "corners x y z;x y z;..."}
+"""What is said to be expected in a cell; else metres."""
 
 
 def compressed(text: str) -> bytes:
@@ -69,7 +74,7 @@ def read_table(
     Returns
     -------
     dict of str to (n,) array
-        int64, float64 or str arrays, in the order of the file.
+        int64, float64, str or, of corners, object arrays, in the order of the file.
 
     Raises
     ------
@@ -119,6 +124,7 @@ class _Column:
         self._place = place
         self._numbers: array[Any] = array("q" if kind == "int" else "d")
         self._texts: list[str] = []
+        self._corners: list[Floats] = []
 
     def add(self, path: Path, line: int, cells: list[str]) -> None:
         """Add the cell of a record."""
@@ -128,9 +134,12 @@ class _Column:
                 raise self._wrong(path, line, text, f"a word of at most {MAX_WORD} characters")
             self._texts.append(sys.intern(text))
             return
-        wanted = "a whole number" if self._kind == "int" else "a number of metres"
+        wanted = WANTED.get(self._kind, "a number of metres")
         try:
-            self._numbers.append(self._number(text))
+            if self._kind == "corners":
+                self._corners.append(_corners(text))
+            else:
+                self._numbers.append(self._number(text))
         except (ValueError, OverflowError):
             raise self._wrong(path, line, text, wanted) from None
 
@@ -154,7 +163,19 @@ class _Column:
         """The cells, (n,)."""
         if self._kind == "text":
             return np.array(self._texts, dtype=np.str_)
+        if self._kind == "corners":
+            ragged = np.empty(len(self._corners), dtype=object)
+            ragged[:] = self._corners
+            return ragged
         return np.array(self._numbers, dtype=np.int64 if self._kind == "int" else np.float64)
+
+
+def _corners(text: str) -> Floats:
+    """Return the corners (k, 3) of a cell; ValueError where it holds anything else."""
+    corners = np.array([corner.split() for corner in text.split(";") if text], dtype=np.float64)
+    if corners.size and (corners.shape[1:] != (3,) or not (np.abs(corners) <= MAX_RESULT_M).all()):
+        raise ValueError
+    return corners.reshape(-1, 3)
 
 
 def _at(path: Path, line: int) -> str:

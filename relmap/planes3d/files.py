@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.io.files import atomic_write
-from relmap.io.results import MAP_PLY
-from relmap.io.tables import csv_text
+from relmap.io.results import MAP_PLY, Result, read_result
+from relmap.io.tables import Kind, csv_text, read_table
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable, raster
 
 PLANES = "planes.csv"
-COLUMNS = (
-    *("plane", "nx", "ny", "nz", "offset", "x", "y", "z", "sd", "area_m2", "observations"),
-    *("first_iteration", "last_iteration", "status", "submap", "outline"),
-)
+_NORMAL, _CENTRE = ("nx", "ny", "nz"), ("x", "y", "z")
+COLUMNS: dict[str, Kind] = {
+    "plane": "int",
+    **dict.fromkeys((*_NORMAL, "offset", *_CENTRE, "sd", "area_m2"), "float or empty"),
+    **dict.fromkeys(("observations", "first_iteration", "last_iteration"), "int"),
+    "status": "text",
+    "submap": "int",
+    "outline": "corners",
+}
 COLOURS = np.array(
     [
         [78, 121, 167],
@@ -33,6 +39,19 @@ COLOURS = np.array(
     ]
 )
 """Of planes, by number."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plane3dResult(Result):
+    """A result whose landmarks are planes in space, at the middle of their points.
+
+    Attributes
+    ----------
+    planes : Plane3dTable
+        Iterations are the log's own numbers.
+    """
+
+    planes: Plane3dTable
 
 
 def write_planes3d(folder: Path, table: Plane3dTable) -> None:
@@ -57,7 +76,24 @@ def write_planes3d(folder: Path, table: Plane3dTable) -> None:
         table.submap.tolist(),
         [_text(outline) for outline in table.outline],
     ]
-    atomic_write(folder / PLANES, csv_text(COLUMNS, zip(*columns, strict=True)))
+    atomic_write(folder / PLANES, csv_text(list(COLUMNS), zip(*columns, strict=True)))
+
+
+def read_result3d(folder: Path) -> Plane3dResult:
+    """Read a result folder of planes in space.
+
+    Raises
+    ------
+    RelmapError
+        Where a file is missing or not what was written.
+    """
+    table = read_table(folder / PLANES, COLUMNS)
+    normal, centre = (
+        np.column_stack([table.pop(name) for name in names]) for names in (_NORMAL, _CENTRE)
+    )
+    outline = list(table.pop("outline"))
+    planes = Plane3dTable(normal=normal, centre=centre, outline=outline, **table)
+    return Plane3dResult(**vars(read_result(folder)), planes=planes)
 
 
 def _text(outline: Floats) -> str:

@@ -22,6 +22,8 @@ RINGS, BEAMS, HIGHEST_RAD, LOWEST_RAD = 32, 300, np.deg2rad(40.0), np.deg2rad(-4
 ROWS, COLUMNS, FOCAL = 72, 96, 80.0
 """Of the depth camera: pixels, and its focal length in pixels."""
 FARTHEST_M = 30.0
+SQUARE_M = 0.1
+"""Size of the squares in which the area that was seen is counted."""
 DOOR = 3.0, 3.9, 2.0
 """Begin and end of the door along the wall between the rooms, and its height, metres."""
 
@@ -38,6 +40,8 @@ class Storey:
     plane_of : (f,) int64
         The plane of each face: coplanar adjacent faces share one.
     corners : (f, 4, 3) float64, map frame, metres
+    seen_m2 : (f,) float64
+        Area of each face that at least two scans saw, in squares of 0.1 m.
     stamps_s : (k,) float64
     trajectory : (k, 4, 4) float64
         ``T_map_sensor``.
@@ -47,6 +51,7 @@ class Storey:
     faces: list[Ints]
     plane_of: Ints
     corners: Floats
+    seen_m2: Floats
     stamps_s: Floats
     trajectory: Floats
 
@@ -78,10 +83,11 @@ def simulate_storey(
     origin, sides = storey_faces()
     rays = _lidar_rays() if sensor == "lidar" else _camera_rays()
     trajectory = _carried(iterations, sensor)
-    scans, faces = [], []
+    scans, faces, squares = [], [], Squares(origin, sides)
     for pose in trajectory:
         range_m, face = cast_rays(pose[:3, 3], rays @ pose[:3, :3].T, origin, sides)
         seen = range_m < FARTHEST_M
+        squares.see(pose[:3, 3] + range_m[seen, None] * rays[seen] @ pose[:3, :3].T, face[seen])
         noise = sigma * rng.standard_normal(seen.sum())
         if sensor == "depth":
             noise *= (range_m[seen] * rays[seen, 0] / 2) ** 2
@@ -90,7 +96,40 @@ def simulate_storey(
     steps = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     corners = origin[:, None] + steps @ sides
     stamps_s = np.arange(iterations, dtype=np.float64)
-    return Storey(scans, faces, _plane_of(origin, sides), corners, stamps_s, trajectory)
+    plane_of = _plane_of(origin, sides)
+    return Storey(scans, faces, plane_of, corners, squares.seen_m2, stamps_s, trajectory)
+
+
+class Squares:
+    """Squares of faces, and how many scans saw each.
+
+    Parameters
+    ----------
+    origin : (f, 3) float64
+    sides : (f, 2, 3) float64
+        At right angles.
+    """
+
+    def __init__(self, origin: Floats, sides: Floats) -> None:
+        self._origin, self._sides = origin, sides
+        self._length_m = np.linalg.norm(sides, axis=2)
+        counts = np.maximum(np.round(self._length_m / SQUARE_M), 1).astype(np.int64)
+        self._scans = [np.zeros(count, dtype=np.int64) for count in counts.tolist()]
+
+    def see(self, points: Floats, face: Ints) -> None:
+        """Take in the points (n, 3) of a scan, without noise, and their faces (n,)."""
+        for k in np.unique(face):
+            scans, length_m = self._scans[k], self._length_m[k]
+            share = (points[face == k] - self._origin[k]) @ self._sides[k].T / length_m**2
+            at = np.clip((share * scans.shape).astype(np.int64), 0, np.array(scans.shape) - 1)
+            at = np.unique(at, axis=0)
+            scans[at[:, 0], at[:, 1]] += 1
+
+    @property
+    def seen_m2(self) -> Floats:
+        """Area of each face (f,) that at least two scans saw."""
+        share = [(scans > 1).mean() for scans in self._scans]
+        return np.asarray(share * self._length_m.prod(axis=1))
 
 
 def storey_faces() -> tuple[Floats, Floats]:

@@ -1,0 +1,252 @@
+"""Planes in space: logs of lidars and depth cameras, and variants of them that nothing was tuned on.
+
+    OMP_NUM_THREADS=1 python benchmarks/space.py DATA [--log 'hall*'] [--peers]
+
+prints one table in markdown; DATA is a folder of the real data sets.  Settings are the defaults.
+
+  largest  scans in the largest submap
+  weak     scans of all submaps that no plane tied in some direction, which `weak_links` names
+  right    share of the scans that are in submaps of at least two scans with an ATE of at most 5 cm
+  ATE      of the largest submap, and the worst of all submaps
+  turn     error of the turn from scan to scan in the median, degrees
+  wrong    steps between neighbouring scans of a submap, not named as weak, that are off by more
+           than 10 cm or 3 degrees: what is silently wrong
+  double   share of the area of planes that lies on another plane of the map
+  ms       of the segmentation of a scan and of its placing, in the median; `finish` and `refine`
+           are in `last`, seconds
+
+With ``--peers`` KISS-ICP and small_gicp (``relmap[peers]``) get the same clouds; the last columns
+are their ATE in metres and their time, ms a scan.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from relmap import Plane3dMapper
+from relmap.comparison.baselines.icp import KissIcp, SmallGicp
+from relmap.datasets import open_scans
+from relmap.evaluation import metrics
+from relmap.evaluation.space import doubled_share
+from relmap.planes3d.submap import Submap
+from relmap.simulation.storey import simulate_storey
+
+Array = NDArray[np.float64]
+RIGHT_M, WRONG_M, WRONG_RAD = 0.05, 0.1, np.deg2rad(3.0)
+HALL, KITCHEN, BLOCKS = "lidar3d-hall", "rgbd-7scenes-redkitchen", "airsim-blocks-lidar"
+
+
+@dataclass
+class Clouds:
+    """Clouds (n, 3) and the poses (4, 4) where they were taken, one for each scan."""
+
+    points: list[Array]
+    poses: Array
+
+    def only(self, rows: slice) -> Clouds:
+        """Return some of the scans."""
+        return Clouds(self.points[rows], self.poses[rows])
+
+    def changed(self, change: Callable[[int, Array], Array]) -> Clouds:
+        """Return clouds changed one by one."""
+        return Clouds([change(k, cloud) for k, cloud in enumerate(self.points)], self.poses)
+
+    def tilted(self, most_rad: float) -> Clouds:
+        """Return clouds of a sensor that was held with a random tilt of its own in each scan."""
+        rng = np.random.default_rng(0)
+        axes = rng.standard_normal((len(self.points), 3))
+        axes *= most_rad * rng.uniform(size=(len(axes), 1)) / np.linalg.norm(axes, axis=1)[:, None]
+        turn = Rotation.from_rotvec(axes).as_matrix()
+        poses = self.poses.copy()
+        poses[:, :3, :3] = poses[:, :3, :3] @ turn
+        return Clouds([cloud @ R for cloud, R in zip(self.points, turn, strict=True)], poses)
+
+
+def noise(sigma: float, depth: bool = False) -> Callable[[int, Array], Array]:
+    """Return what adds noise along rays; of a depth camera by the square of the depth, at 2 m."""
+
+    def noisy(k: int, cloud: Array) -> Array:
+        range_m = np.linalg.norm(cloud, axis=1, keepdims=True)
+        off = sigma * np.random.default_rng(k).standard_normal(range_m.shape)
+        return cloud * (1 + off * ((cloud[:, :1] / 2) ** 2 if depth else 1) / range_m)
+
+    return noisy
+
+
+def thinned(share: float) -> Callable[[int, Array], Array]:
+    """Return what keeps a random share of the points."""
+    return lambda k, cloud: cloud[np.random.default_rng(k).random(len(cloud)) < share]
+
+
+def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Array], Array]:
+    """Return what keeps a sector ahead, and what is near."""
+
+    def seen(_: int, cloud: Array) -> Array:
+        ahead = np.abs(np.arctan2(cloud[:, 1], cloud[:, 0])) < half_rad
+        return cloud[ahead & (np.linalg.norm(cloud, axis=1) < farthest_m)]
+
+    return seen
+
+
+def read(data: Path, name: str) -> Clouds:
+    """Return a real log."""
+    scans = list(open_scans(data / name).scans())
+    points = [scan.points_robot for scan in scans]
+    return Clouds(points, np.array([scan.T_reference_robot for scan in scans]))
+
+
+def stored(sensor: str, sigma: float, seed: int, iterations: int = 60) -> Clouds:
+    """Return a simulated storey."""
+    world = simulate_storey(sensor, sigma, iterations, seed)  # type: ignore[arg-type]
+    return Clouds(world.scans, world.trajectory)
+
+
+def hall(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
+    """Yield the hall and variants of it."""
+    whole = read(data, HALL)
+    yield "hall", lambda: whole
+    yield "hall/reversed", lambda: whole.only(slice(None, None, -1))
+    for step in (2, 3, 4):
+        yield f"hall/every-{step}", lambda: whole.only(slice(None, None, step))
+    for degrees in (20, 90, 180):
+        yield f"hall/tilted-{degrees}", lambda: whole.tilted(np.deg2rad(degrees))
+    for sigma in (0.01, 0.03, 0.1):
+        yield f"hall/noise-{sigma}", lambda: whole.changed(noise(sigma))
+    for share in (0.25, 0.1, 0.03):
+        yield f"hall/points-{share}", lambda: whole.changed(thinned(share))
+    for degrees in (90, 60, 30):
+        yield f"hall/view-{2 * degrees}", lambda: whole.changed(view(np.deg2rad(degrees)))
+    yield "hall/near-12m", lambda: whole.changed(view(np.pi, 12.0))
+    yield "hall/near-6m", lambda: whole.changed(view(np.pi, 6.0))
+
+
+def kitchen(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
+    """Yield the kitchen and variants of it."""
+    whole = read(data, KITCHEN)
+    yield "kitchen", lambda: whole
+    yield "kitchen/reversed", lambda: whole.only(slice(None, None, -1))
+    yield "kitchen/first-half", lambda: whole.only(slice(0, 175))
+    yield "kitchen/second-half", lambda: whole.only(slice(175, None))
+    for step in (3, 5, 10, 20, 40):
+        yield f"kitchen/every-{step}", lambda: whole.only(slice(None, None, step))
+        yield f"kitchen/every-{step}+{step // 2}", lambda: whole.only(slice(step // 2, None, step))
+    tenth = whole.only(slice(3, None, 7))
+    yield "kitchen/every-7-reversed", lambda: tenth.only(slice(None, None, -1))
+    for sigma in (0.01, 0.03):
+        yield f"kitchen/every-7-noise-{sigma}", lambda: tenth.changed(noise(sigma, True))
+    for share in (0.25, 0.05):
+        yield f"kitchen/every-7-points-{share}", lambda: tenth.changed(thinned(share))
+    yield "kitchen/every-7-tilted-180", lambda: tenth.tilted(np.pi)
+    yield "kitchen/every-7-view-30", lambda: tenth.changed(view(np.deg2rad(15)))
+
+
+def blocks(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
+    """Yield the blocks and variants of them."""
+    whole = read(data, BLOCKS)
+    yield "blocks", lambda: whole
+    yield "blocks/reversed", lambda: whole.only(slice(None, None, -1))
+    yield "blocks/every-2", lambda: whole.only(slice(None, None, 2))
+    yield "blocks/points-0.3", lambda: whole.changed(thinned(0.3))
+    yield "blocks/noise-0.05", lambda: whole.changed(noise(0.05))
+    yield "blocks/tilted-90", lambda: whole.tilted(np.deg2rad(90))
+
+
+def storeys(_: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
+    """Yield simulated storeys."""
+    for sensor, sigmas in (("lidar", (0.0, 0.01, 0.02, 0.05)), ("depth", (0.0, 0.01, 0.02))):
+        for sigma in sigmas:
+            for seed in (0, 7) if sigma else (0,):
+                yield f"storey/{sensor}-{sigma}-seed-{seed}", lambda: stored(sensor, sigma, seed)
+        yield f"storey/{sensor}-20-scans", lambda: stored(sensor, 0.01, 1, 20)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
+    parser.add_argument("--peers", action="store_true", help="KISS-ICP and small_gicp beside it")
+    given = parser.parse_args()
+    peers = [KissIcp, SmallGicp] if given.peers else []
+    names = "".join(f" {peer.__name__} |" for peer in peers)
+    print(f"| log | scans | submaps | largest | weak | right | ATE | turn | wrong | planes "
+          f"| double | ms | last |{names}")  # fmt: skip
+    print("|---" * (13 + len(peers)) + "|")
+    for source in (hall, kitchen, blocks, storeys):
+        kind = source.__name__.rstrip("s")
+        if not fnmatch(kind, given.log.split("/")[0]) and kind not in given.log:
+            continue
+        for name, made in source(given.data):
+            if fnmatch(name, given.log):
+                clouds = made()
+                row = " | ".join([*_row(clouds), *(_peer(peer, clouds) for peer in peers)])
+                print(f"| {name} | {row} |", flush=True)
+
+
+def _row(clouds: Clouds) -> list[str]:
+    mapper, spent = Plane3dMapper(), []
+    for cloud in clouds.points:
+        began = perf_counter()
+        seen = mapper.segmenter.fit(cloud).patches_
+        between = perf_counter()
+        mapper.update(seen)
+        spent.append([between - began, perf_counter() - between])
+    began = perf_counter()
+    mapper.finish()
+    mapper.refine()
+    last_s, parts = perf_counter() - began, mapper.submaps
+    ms = 1000 * np.median(spent, axis=0)
+    ates = np.array([_ate(part, clouds.poses) for part in parts])
+    scans = np.array([len(part.iteration) for part in parts])
+    weak = mapper.weak_links
+    wrong, turns = _steps(parts, clouds.poses, set(weak))
+    right = scans[(scans > 1) & (ates <= RIGHT_M)].sum() / len(clouds.points)
+    turn = np.rad2deg(np.median(turns)) if len(turns) else np.nan
+    return [
+        f"{len(clouds.points)} | {len(parts)} | {scans.max(initial=0)} | {len(weak)} | {right:.0%}",
+        f"{ates[0] if len(ates) else np.nan:.3f}, {ates.max(initial=0):.3f} | {turn:.2f}",
+        f"{wrong} | {(mapper.planes.status == 'static').sum()}",
+        f"{doubled_share(parts[0]) if parts else 0:.1%} | {ms[0]:.0f} + {ms[1]:.0f}",
+        f"{last_s:.1f}",
+    ]
+
+
+def _ate(part: Submap, poses: Array) -> float:
+    return float(metrics.ate(part.trajectory, poses[part.iteration], False) or 0.0)
+
+
+def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Array]:
+    """Return how many steps are silently wrong, and by how far each turn is off, radians."""
+    wrong, turns = 0, []
+    for part in parts:
+        at, true = part.trajectory, poses[part.iteration]
+        off = np.linalg.inv(np.linalg.inv(true[:-1]) @ true[1:]) @ np.linalg.inv(at[:-1]) @ at[1:]
+        shift = np.linalg.norm(off[:, :3, 3], axis=1)
+        turn = Rotation.from_matrix(off[:, :3, :3]).magnitude()
+        named = np.array([bool(weak & {a, b}) for a, b in zip(part.iteration, part.iteration[1:])])
+        bad = (shift > WRONG_M) | (turn > WRONG_RAD)
+        wrong += int((bad & ~named.astype(bool)).sum())
+        turns.append(turn)
+    return wrong, np.concatenate([*turns, np.empty(0)])
+
+
+def _peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> str:
+    farthest = max((float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.points))
+    method, began = peer(farthest), perf_counter()
+    for cloud in clouds.points:
+        method.update(cloud)
+    ms = 1000 * (perf_counter() - began) / len(clouds.points)
+    return f"{metrics.ate(method.trajectory, clouds.poses, False):.3f}, {ms:.0f}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""Mapped planes in space beside the true faces: found, right, doubled, and how far off."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.planes3d.table import Plane3dTable
+
+NEAR_M, TURN = 0.05, np.cos(np.deg2rad(5.0))
+"""A plane lies on a face where it is no farther off, and turned by no more (cosine)."""
+LEAST_M2 = 0.25
+"""Planes of no more area are not counted."""
+SAMPLE_M, MOST_SAMPLES = 0.1, 2000
+"""Planes are compared at points so far apart; large ones at about so many each."""
+MOSTLY = 0.5
+"""Share of a mapped plane that lies on a true one of which it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """True faces: f parallelograms.
+
+    Attributes
+    ----------
+    plane : (f,) int64
+        Faces of one plane have one number.
+    corners : (f, 4, 3) float64, map frame of the truth, metres
+        In order round the face.
+    seen_m2 : (f,) float64
+        Area of each face that at least two scans saw.
+    """
+
+    plane: Ints
+    corners: Floats
+    seen_m2: Floats
+
+
+def judge_planes(
+    table: Plane3dTable, faces: Faces | None, poses: Floats, true_poses: Floats
+) -> dict[str, float | None]:
+    """Judge the mapped planes.
+
+    Parameters
+    ----------
+    table : Plane3dTable
+    faces : Faces or None
+        Without any, only `doubled_area` is known.
+    poses, true_poses : (k, 4, 4) float64
+        Of the same instants; they align the map to the truth.
+
+    Returns
+    -------
+    dict
+        `plane_recall`, share of the true planes, of which at least 0.25 m2 were seen twice, on
+        which a mapped plane lies; `plane_precision`, share of the mapped planes over 0.25 m2 that
+        lie on true ones; `doubled_area`, share of the mapped area on which another mapped plane
+        lies; `plane_rmse_m`, root mean square distance of the corners of mapped planes from the
+        true planes that they lie on.  Planes lie on one another within 0.05 m and 5 degrees.  None
+        where there is nothing to compare.
+    """
+    told: dict[str, float | None] = {"doubled_area": doubled_area(table)}
+    if faces is None or not len(faces.plane) or not len(poses):
+        return told
+    R, t = _between(poses, true_poses)
+    rows = np.flatnonzero((table.status == "static") & (table.area_m2 >= LEAST_M2)).tolist()
+    off, own = [np.empty(0)], []
+    for k in rows:
+        points = surface_points(table, k) @ R.T + t
+        normal = R @ table.normal[k]
+        found, face = _true_plane(points, normal, faces)
+        own.append(found)
+        if found >= 0:
+            corner, true_normal = faces.corners[face, 0], _normals(faces.corners)[face]
+            off.append((table.outline[k] @ R.T + t - corner) @ true_normal)
+    seen = np.bincount(faces.plane, faces.seen_m2)
+    due = np.flatnonzero(seen >= LEAST_M2)
+    distance = np.concatenate(off)
+    return told | {
+        "plane_recall": float(np.isin(due, own).mean()) if len(due) else None,
+        "plane_precision": float((np.array(own) >= 0).mean()) if rows else None,
+        "plane_rmse_m": float(np.sqrt((distance**2).mean())) if len(distance) else None,
+    }
+
+
+def doubled_area(table: Plane3dTable) -> float | None:
+    """Return the share of the mapped area on which another mapped plane lies that faces its way.
+
+    Planes with fronts on different sides, as of a thin wall, are not one.
+    """
+    rows = np.flatnonzero(table.status == "static").tolist()
+    points = {k: surface_points(table, k) for k in rows}
+    doubled = 0.0
+    for k in rows:
+        on = np.zeros(len(points[k]), dtype=bool)
+        for other in rows:
+            if other != k and table.normal[k] @ table.normal[other] > TURN:
+                across = points[k] @ table.normal[other] - table.offset[other]
+                near = np.flatnonzero((np.abs(across) < NEAR_M) & ~on)
+                on[near] = _inside(points[k][near], table, other)
+        doubled += float(on.mean()) * table.area_m2[k] if len(on) else 0.0
+    area = float(table.area_m2[rows].sum())
+    return doubled / area if area else None
+
+
+def surface_points(table: Plane3dTable, k: int) -> Floats:
+    """Return points (n, 3) all over the outline of a plane, at least its corners' middle."""
+    outline = table.outline[k]
+    if len(outline) < 3:
+        return table.centre[k][None]
+    axes = _along(table.normal[k])
+    flat = (outline - table.centre[k]) @ axes.T
+    size = np.ptp(flat, axis=0)
+    step = max(SAMPLE_M, float(np.sqrt(size.prod() / MOST_SAMPLES)))
+    x, y = (np.arange(low + step / 2, high, step) for low, high in zip(flat.min(0), flat.max(0)))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    grid = grid[_within(grid, flat)]
+    return np.asarray(table.centre[k] + (grid if len(grid) else flat.mean(0, keepdims=True)) @ axes)
+
+
+def _inside(points: Floats, table: Plane3dTable, k: int) -> Bools:
+    """Tell which points (n, 3) lie in the outline of a plane, looked at from its front."""
+    if len(table.outline[k]) < 3:
+        return np.zeros(len(points), dtype=bool)
+    axes = _along(table.normal[k])
+    return _within(
+        (points - table.centre[k]) @ axes.T, (table.outline[k] - table.centre[k]) @ axes.T
+    )
+
+
+def _within(points: Floats, outline: Floats) -> Bools:
+    from matplotlib.path import Path
+
+    return np.asarray(Path(outline).contains_points(points))
+
+
+def _along(normal: Floats) -> Floats:
+    """Return two directions (2, 3) across a normal and one another."""
+    u = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    u /= np.linalg.norm(u)
+    return np.stack([u, np.cross(normal, u)])
+
+
+def _normals(corners: Floats) -> Floats:
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0])
+    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
+
+
+def _true_plane(points: Floats, normal: Floats, faces: Faces) -> tuple[int, int]:
+    """Return the true plane on which most of the points (n, 3) lie, and a face of it; -1 if few."""
+    hits = np.zeros(len(faces.plane))
+    for k in np.flatnonzero(np.abs(_normals(faces.corners) @ normal) > TURN):
+        hits[k] = _on_face(points, faces.corners[k]).mean()
+    by_plane = np.bincount(faces.plane, hits)
+    best = int(by_plane.argmax())
+    if by_plane[best] < MOSTLY:
+        return -1, -1
+    return best, int(np.where(faces.plane == best, hits, -1.0).argmax())
+
+
+def _on_face(points: Floats, corners: Floats) -> Bools:
+    """Tell which points (n, 3) lie on a face, or just beyond its edges."""
+    a, b = corners[1] - corners[0], corners[3] - corners[0]
+    share = (points - corners[0]) @ np.linalg.pinv(np.stack([a, b]))
+    beyond = NEAR_M / np.array([np.linalg.norm(a), np.linalg.norm(b)])
+    off = points - corners[0] - share @ np.stack([a, b])
+    inside = ((share > -beyond) & (share < 1 + beyond)).all(axis=1)
+    return np.asarray(inside & (np.linalg.norm(off, axis=1) < NEAR_M))
+
+
+def _between(poses: Floats, true_poses: Floats) -> tuple[Floats, Floats]:
+    """Return the motion (3, 3), (3,) that brings the map to the truth, of positions and turns."""
+    turns = true_poses[:, :3, :3] @ poses[:, :3, :3].transpose(0, 2, 1)
+    u, _, vt = np.linalg.svd(turns.sum(axis=0))
+    R = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    t = (true_poses[:, :3, 3] - poses[:, :3, 3] @ R.T).mean(axis=0)
+    return np.asarray(R), np.asarray(t)
