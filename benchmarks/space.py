@@ -36,7 +36,7 @@ from relmap import Plane3dMapper
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
-from relmap.evaluation.space import doubled_share
+from relmap.evaluation.space import doubled_area
 from relmap.planes3d.submap import Submap
 from relmap.simulation.storey import simulate_storey
 
@@ -215,7 +215,7 @@ def _row(clouds: Clouds) -> list[str]:
         f"{len(clouds.points)} | {len(parts)} | {scans.max(initial=0)} | {len(weak)} | {right:.0%}",
         f"{ates[0] if len(ates) else np.nan:.3f}, {ates.max(initial=0):.3f} | {turn:.2f}",
         f"{wrong} | {(mapper.planes.status == 'static').sum()}",
-        f"{doubled_share(parts[0]) if parts else 0:.1%} | {ms[0]:.0f} + {ms[1]:.0f}",
+        f"{doubled_area(mapper.planes) or 0:.1%} | {ms[0]:.0f} + {ms[1]:.0f}",
         f"{last_s:.1f}",
     ]
 

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Bools, Floats, Ints
-from relmap.planes3d.hypotheses import SKEW
+from relmap.planes3d.hypotheses import SKEW, Held
 from relmap.segmentation.space import Patches
 
 LOOKED_AT = 800
@@ -25,8 +25,9 @@ DOUBTFUL = 4.0
 """Standard deviations from which a match counts less."""
 ROUNDS, SETTLED, ROUNDING = 8, 1e-7, 1e-13
 """Steps of a fit at most, and step that ends it, and the last one, metres and radians."""
-OPEN = 0.015
-"""A direction in which the place is known no better than this share of the range is free."""
+WEAK, OPEN = 0.015, 0.1
+"""A direction in which the place is known no better than the first share of the range is weak.  It
+is held where planes tell less than the last steps do, or not even the second share."""
 
 
 class Surfaces:
@@ -120,18 +121,18 @@ def fitted(
     seen: Patches,
     planes: Patches,
     match: Ints,
-    held: Floats,
+    held: Held,
     last: bool = False,
-) -> tuple[Floats, Floats, Floats | None]:
+) -> tuple[Floats, Floats, Floats | None, bool]:
     """Fit a placement to matches, by least squares that let go of what does not fit.
 
-    In the last fit a direction is held in which little tells, else only one in which nothing does.
+    Only the last fit asks for weak directions in which something tells.
 
     Returns
     -------
     R : (3, 3) float64, t : (3,) float64
-    free : (3,) float64 or None
-        As `Placed` has it.
+    free : (3,) float64 or None, is_held : bool
+        As `Placed` has them.
     """
     rows = np.flatnonzero(match >= 0)
     n, d = planes.normal[match[rows]], planes.offset[match[rows]]
@@ -154,27 +155,28 @@ def fitted(
         R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:]
         if np.abs(step).max() < (ROUNDING if last else SETTLED):
             break
-    return R, *_held(t, H + np.diag(hold), n, held, OPEN * reach_of(seen) if last else np.inf)
+    free, sd_m = _weakest(H + np.diag(hold), n)
+    weak_m, open_m = (share * reach_of(seen) for share in (WEAK, OPEN)) if last else (np.inf,) * 2
+    if sd_m <= weak_m and sd_m < np.inf:
+        return R, t, None, False
+    is_held = not last or sd_m > np.clip(held.off_m, weak_m, open_m)
+    if is_held:
+        t = t + free * ((held.place - t) @ free)
+    return R, t, free * np.sign(free[np.argmax(np.abs(free))]), is_held
 
 
-def _held(
-    t: Floats, H: Floats, n: Floats, held: Floats, open_m: float
-) -> tuple[Floats, Floats | None]:
-    """Hold a place in the direction in which nothing measures it; return both.
+def _weakest(H: Floats, n: Floats) -> tuple[Floats, float]:
+    """Return the direction in which the place is known worst, and how well: metres.
 
     Planes that are parallel but for their noise would invent a constraint there, so the directions
     of the normals count, not how sure they are.
     """
     _, singular, axes = np.linalg.svd(n)
+    if len(n) < 3 or singular[2] < 0.1:
+        return axes[2], np.inf
     reduced = H[3:, 3:] - H[3:, :3] @ np.linalg.solve(H[:3, :3], H[:3, 3:])
     least, across = np.linalg.eigh(reduced)
-    if len(n) < 3 or singular[2] < 0.1:
-        free = axes[2]
-    elif least[0] < open_m**-2:
-        free = across[:, 0]
-    else:
-        return t, None
-    return t + free * ((held - t) @ free), free * np.sign(free[np.argmax(np.abs(free))])
+    return across[:, 0], float(least[0] ** -0.5) if least[0] > 0 else np.inf
 
 
 def _information(seen: Patches, rows: Ints, planes: Patches, match: Ints) -> Floats:

@@ -32,6 +32,22 @@ OFF_M, OFF_SHARE = 4.0, 0.01
 
 
 @dataclass(frozen=True, eq=False)
+class Held:
+    """Where a scan is taken to be in a direction that no plane measures.
+
+    Attributes
+    ----------
+    place : (3,) float64, map frame, metres
+    off_m : float
+        How far it may be off, metres; infinite where nothing is known of the last steps.  A
+        direction that planes measure better is not held.
+    """
+
+    place: Floats
+    off_m: float
+
+
+@dataclass(frozen=True, eq=False)
 class Motions:
     """Hypotheses: h rigid motions from the frame of a scan into that of the map.
 
@@ -48,15 +64,14 @@ class Motions:
     support: Floats
 
 
-def motions(seen: Patches, there: Patches, held: Floats) -> Motions:
+def motions(seen: Patches, there: Patches, held: Held) -> Motions:
     """Return where a scan may have been taken, those of most support first.
 
     Parameters
     ----------
     seen, there : Patches
         Planes of the scan, and of the map.
-    held : (3,) float64, map frame, metres
-        Where it was taken in directions that no plane measures.
+    held : Held
     """
     weight = importance(seen)
     mine, others = leaders(seen), leaders(there, 2 * LEADERS)
@@ -66,7 +81,7 @@ def motions(seen: Patches, there: Patches, held: Floats) -> Motions:
         a, b = np.nonzero(_parallel(R, *near))
         order = np.argsort(-weight[mine[a]], kind="stable")[:PAIRS]
         pairs = np.column_stack([mine[a], others[b]])[order]
-        for t, support in _ways(seen, there, pairs, held, weight):
+        for t, support in _ways(seen, there, pairs, held.place, weight):
             found.append((R, t, support))
     found.sort(key=lambda each: -each[2])
     if not found:

@@ -12,6 +12,7 @@ from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_labels
 from relmap.planes3d.fitting import Surfaces
+from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, place
 from relmap.planes3d.refining import refined
 from relmap.planes3d.submap import Submap
@@ -95,6 +96,8 @@ class Plane3dMapper:
             pose, number = (placed.R, placed.t), placed.match
             if placed.free is not None:
                 self._parts[-1].weak[iteration] = placed.R.T @ placed.free
+            if placed.is_held:
+                self._parts[-1].held.add(iteration)
         new = number < 0
         number[new] = self._n_planes + np.arange(new.sum())
         self._n_planes += int(new.sum())
@@ -180,9 +183,7 @@ class Plane3dMapper:
         chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
         if not len(chosen):
             return None
-        way = np.array([t for _, t in part.poses[-STEADY:]])
-        held = way[-1] + (way[-1] - way[0]) / max(len(way) - 1, 1)
-        placed = place(seen, Surfaces(part.planes(chosen)), part.poses[-1], held)
+        placed = place(seen, Surfaces(part.planes(chosen)), part.poses[-1], _going_on(part))
         return placed and placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:
@@ -199,7 +200,7 @@ class Plane3dMapper:
 
     def _tie(self, part: Submap, other: Submap) -> bool:
         """Tie a submap to another, if it shows the same place; tell whether it does."""
-        placed = place(part.all_planes(), Surfaces(other.all_planes()), None, np.zeros(3))
+        placed = place(part.all_planes(), Surfaces(other.all_planes()), None, Held(np.zeros(3), np.inf))
         if placed is None or placed.free is not None or placed.n_planes < SURE:
             return False
         match = placed.named(other.number).match.tolist()
@@ -213,6 +214,16 @@ class Plane3dMapper:
 
     def _rename(self, name: dict[int, int]) -> None:
         self._name = {old: name.get(new, new) for old, new in self._name.items()} | name
+
+
+def _going_on(part: Submap) -> Held:
+    """Return where the next scan is if it goes on as the last ones did."""
+    way = np.array([t for _, t in part.poses[-STEADY:]])
+    steps = np.diff(way, axis=0)
+    known = [k not in part.held for k in part.iteration[-STEADY:]][1:]
+    mean = steps.mean(axis=0) if len(steps) else np.zeros(3)
+    rms = np.sqrt((steps[known] ** 2).sum(axis=1).mean()) if any(known) else np.inf
+    return Held(way[-1] + mean, float(rms))
 
 
 def _span(part: Submap) -> Span:

@@ -8,7 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.planes3d.fitting import NEAR, SIDE, Surfaces, fitted, fixes_turn, matched, reach_of
-from relmap.planes3d.hypotheses import Motions, importance, motions
+from relmap.planes3d.hypotheses import Held, Motions, importance, motions
 from relmap.segmentation.space import Patches
 
 JUDGED = 10
@@ -47,7 +47,9 @@ class Placed:
     share : float
         Of the scan's surfaces, those that lie on surfaces of the map, less where these are off.
     free : (3,) float64 or None
-        The direction, map frame, in which no plane tells where it was; None where all do.
+        The direction, map frame, in which planes hardly tell where it was; None where they do.
+    is_held : bool
+        Whether the scan was taken to go on as before in that direction.
     """
 
     R: Floats
@@ -55,6 +57,7 @@ class Placed:
     match: Ints
     share: float
     free: Floats | None
+    is_held: bool
 
     def named(self, number: Ints) -> Placed:
         """Return the placement with what the planes of the map (k,) are called for matches."""
@@ -67,7 +70,7 @@ class Placed:
 
 
 def place(
-    seen: Patches, there: Surfaces, last: tuple[Floats, Floats] | None, held: Floats
+    seen: Patches, there: Surfaces, last: tuple[Floats, Floats] | None, held: Held
 ) -> Placed | None:
     """Return where a scan was taken; None where that is not believed.
 
@@ -80,8 +83,7 @@ def place(
     last : R (3, 3) and t (3,), optional
         Where the scan before was taken: of placements that explain as much, as in a room that looks
         the same from two sides, the next one is taken if the others are far; none without it.
-    held : (3,) float64, map frame, metres
-        Where the scan was taken in directions that no plane measures.
+    held : Held
     """
     best: list[Placed] = []
     tried = _promising(motions(seen, there.planes, held), seen, there)
@@ -99,15 +101,16 @@ def place(
     if last is None:
         return best[0] if len(rivals) == 1 else None
     rivals.sort(key=lambda each: _step(each, last, seen))
-    sure = [each for each in rivals if each.free is None]
-    chosen = sure[0] if sure else rivals[0]
+    sure = [each for each in rivals if not each.is_held]
+    chosen, *others = sure or rivals
+    step, leap = _step(chosen, last, seen), LEAP * reach_of(seen)
     # To go on as before is no invention where all else is a leap.
-    leap = _step(chosen, last, seen) > LEAP * reach_of(seen)
-    if leap and CLEARLY * _step(chosen, last, seen) > _step(rivals[0], last, seen):
+    if step > leap and CLEARLY * step > _step(rivals[0], last, seen):
         return rivals[0]
-    if len(sure) > 1 and _step(chosen, last, seen) > CLEARLY * _step(sure[1], last, seen):
+    # Two directions match much by chance.
+    if chosen.is_held and step > leap:
         return None
-    return chosen
+    return None if others and step > CLEARLY * _step(others[0], last, seen) else chosen
 
 
 def _rivals(other: Placed, best: Placed) -> bool:
@@ -146,22 +149,22 @@ def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Flo
     return [(tried.R[k], tried.t[k]) for k in order]
 
 
-def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Floats) -> Placed | None:
+def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -> Placed | None:
     """Fit a hypothesis to what it matches, twice, and judge it."""
     match, _ = matched(R, t, seen, there, loose=4.0)
     for loose in (2.0, 1.0):
         if not fixes_turn(there.planes.normal[match[match >= 0]]):
             return None
-        R, t, free = fitted(R, t, seen, there.planes, match, held)
+        R, t, *_ = fitted(R, t, seen, there.planes, match, held)
         match, off = matched(R, t, seen, there, loose)
     if not fixes_turn(there.planes.normal[match[match >= 0]]):
         return None
-    R, t, free = fitted(R, t, seen, there.planes, match, held, last=True)
+    R, t, *weak = fitted(R, t, seen, there.planes, match, held, last=True)
     fit = np.where(match >= 0, 1 - off**2, 0.0)
     cells, of, weight = _sample(seen, SAMPLE)
     reach = OVERLAP * max(there.planes.cell_m, seen.cell_m)
     overlap = there.near(cells @ R.T + t, reach) >= 0
-    return Placed(R, t, match, float((fit[of] * overlap) @ weight), free)
+    return Placed(R, t, match, float((fit[of] * overlap) @ weight), *weak)
 
 
 def _same(R: Floats, t: Floats, other: Placed, seen: Patches, share: float) -> bool:

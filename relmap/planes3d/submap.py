@@ -19,7 +19,9 @@ class Submap:
     poses : list of R (3, 3) and t (3,)
         ``T_submap_robot`` of each of its scans.
     weak : dict of int to (3,) float64
-        Iterations whose place along a direction, robot frame, no plane told.
+        Iterations whose place along a direction, robot frame, planes hardly told.
+    held : set of int
+        Those of them that were taken to go on as before in that direction.
     seen : list of Patches
         What each scan saw, untransformed.
     match : list of (m,) int64
@@ -39,6 +41,7 @@ class Submap:
         self.iteration: list[int] = []
         self.poses: list[Pose] = []
         self.weak: dict[int, Floats] = {}
+        self.held: set[int] = set()
         self.seen: list[Patches] = []
         self.match: list[Ints] = []
         self.number = np.empty(0, dtype=np.int64)
@@ -138,7 +141,7 @@ class Submap:
             numbers = self.number[self.match[k]].tolist()
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
             part.add(iteration, self.seen[k], poses[k], renamed)
-        part.weak, part.share = dict(self.weak), self.share
+        part.weak, part.held, part.share = dict(self.weak), set(self.held), self.share
         return part
 
     def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
@@ -165,7 +168,7 @@ class Submap:
             S, s = part.poses[k]
             there = begin.T @ S, begin.T @ (s - origin)
             both.add(iteration, part.seen[k], there, part.number[part.match[k]])
-        both.weak = self.weak | other.weak
+        both.weak, both.held = self.weak | other.weak, self.held | other.held
         return both
 
 
