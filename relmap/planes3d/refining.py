@@ -55,7 +55,7 @@ def scene(part: Submap) -> Scene:
 def _adjusted(part: Submap) -> Submap:
     seen, state = sightings(part), scene(part)
     share = SYSTEMATIC if part.share is None else part.share
-    free = {part.iteration.index(k): part.weak[k] for k in sorted(part.held)}
+    free = {part.iteration.index(k): part.weak[k] for k in sorted(part.weak)}
     state = PlaneAdjustment(seen, share, free).solve(state)
     share = systematic_share(seen, state)
     state = PlaneAdjustment(seen, share, free).solve(state)
