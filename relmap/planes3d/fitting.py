@@ -48,11 +48,10 @@ class Surfaces:
         self.planes = planes
         self.tree = cKDTree(planes.cells)
 
-    def near(self, points: Floats, reach: Floats | float) -> Ints:
+    def near(self, points: Floats, reach: float) -> Ints:
         """Return the plane of the nearest cell of each point (n,); -1 where it is out of reach."""
-        away, cell = self.tree.query(points)
-        plane = np.append(self.planes.cell_patch, -1)[cell]
-        return np.where(away <= reach, plane, -1)
+        cell = self.tree.query(points, distance_upper_bound=reach)[1]
+        return np.asarray(np.append(self.planes.cell_patch, -1)[cell])
 
 
 def matched(
@@ -134,21 +133,15 @@ def fitted(
     free : (3,) float64 or None, is_held : bool
         As `Placed` has them.
     """
+    from relmap.planes3d.fitting_kernels import placement_equations
+
     rows = np.flatnonzero(match >= 0)
-    n, d = planes.normal[match[rows]], planes.offset[match[rows]]
-    u, v, c = seen.axes[rows, 0], seen.axes[rows, 1], seen.centre[rows]
+    n = planes.normal[match[rows]]
+    there = np.column_stack([n, planes.offset[match[rows]]])
     root = np.sqrt(_information(seen, rows, planes, match))
+    axes, centre = seen.axes[rows], seen.centre[rows]
     for _ in range(ROUNDS):
-        ru, rv, rc = u @ R.T, v @ R.T, c @ R.T
-        off = np.stack([(ru * n).sum(1), (rv * n).sum(1), ((rc + t) * n).sum(1) - d]) * root.T
-        size = np.sqrt((off**2).sum(axis=0))
-        weight = 1 / (1 + (size / np.maximum(DOUBTFUL, 2 * np.median(size))) ** 2)
-        turn = np.stack([np.cross(ru, n), np.cross(rv, n), np.cross(rc, n)]) * root.T[..., None]
-        shift = np.zeros_like(turn)
-        shift[2] = n * root[:, 2:]
-        J = np.concatenate([turn, shift], axis=2)
-        H = np.einsum("kra,kr,krb->ab", J, np.broadcast_to(weight, off.shape), J)
-        g = np.einsum("kra,kr->a", J, off * weight)
+        H, g = placement_equations(R, t, axes, centre, there, root, DOUBTFUL)
         # A little that holds where nothing tells.
         hold = np.repeat([np.trace(H[:3, :3]), np.trace(H[3:, 3:])], 3) * 1e-12 + 1e-30
         step = -np.linalg.solve(H + np.diag(hold), g)

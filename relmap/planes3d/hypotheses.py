@@ -173,10 +173,15 @@ def _fitted(R: Floats, a: Floats, b: Floats, weight: Floats) -> Floats:
 def _ways(
     seen: Patches, there: Patches, pairs: Ints, held: Floats, weight: Floats
 ) -> list[tuple[Floats, float]]:
-    """Return ways from candidate matches (p, 2) of parallel planes, and their supports."""
+    """Return ways from candidate matches (p, 2) of parallel planes, and their supports.
+
+    Three matches fix a way; two do, held where they do not.
+    """
+    from relmap.planes3d.fitting_kernels import crossings
+
     i, j = pairs.T
     normal, off = there.normal[j], there.offset[j] - seen.offset[i]
-    ways, gate = _crossings(normal, off, i, held), tolerance(seen, i)
+    ways, gate = crossings(normal, off, i, held, FLAT_CORNER, SKEW), tolerance(seen, i)
     fits = np.abs(ways @ normal.T - off) < gate
     # A plane of the scan counts once, whatever number of planes it may be.
     own, place = np.unique(i, return_inverse=True)
@@ -191,21 +196,3 @@ def _ways(
         away = ((ways[left] - ways[left[0]]) ** 2).sum(axis=1)
         left = left[away > (2 * np.median(gate)) ** 2]
     return kept
-
-
-def _crossings(normal: Floats, off: Floats, of: Ints, held: Floats) -> Floats:
-    """Return the ways (w, 3) that three matches fix, and that two do, held where they do not."""
-    ways = [np.empty((0, 3))]
-    for count, least in ((3, FLAT_CORNER), (2, SKEW)):
-        sets = np.array(list(itertools.combinations(range(len(of)), count)), dtype=np.int64)
-        sets = sets.reshape(-1, count)
-        sets = sets[(np.diff(np.sort(of[sets], axis=1), axis=1) > 0).all(axis=1)]
-        n = normal[sets]
-        gram = n @ n.transpose(0, 2, 1)
-        sound = np.linalg.det(gram) > least**2
-        n, gram, sets = n[sound], gram[sound], sets[sound]
-        short = off[sets] - n @ held
-        ways.append(
-            held + np.einsum("sci,sc->si", n, np.linalg.solve(gram, short[..., None])[..., 0])
-        )
-    return np.concatenate(ways)

@@ -200,7 +200,9 @@ class Plane3dMapper:
 
     def _tie(self, part: Submap, other: Submap) -> bool:
         """Tie a submap to another, if it shows the same place; tell whether it does."""
-        placed = place(part.all_planes(), Surfaces(other.all_planes()), None, Held(np.zeros(3), np.inf))
+        placed = place(
+            part.all_planes(), Surfaces(other.all_planes()), None, Held(np.zeros(3), np.inf)
+        )
         if placed is None or placed.free is not None or placed.n_planes < SURE:
             return False
         match = placed.named(other.number).match.tolist()

@@ -13,6 +13,8 @@ from relmap.segmentation.space import Patches
 
 JUDGED = 10
 """Hypotheses that are fitted, those that lay most surfaces of the scan near those of the map."""
+HOPELESS = 0.5
+"""Those that lay a smaller share of what the best one does there are not."""
 SAMPLE, ROUGHLY = 400, 150
 """Cells of a scan that judge, and that choose whom to judge."""
 OVERLAP = 1.5
@@ -146,6 +148,7 @@ def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Flo
     side = np.einsum("hci,hci->hc", normal, there.planes.normal[plane]) > SIDE
     share = np.round(((plane >= 0) & side) @ weight, 9)
     order = np.argsort(-share, kind="stable")[:JUDGED]
+    order = order[share[order] >= HOPELESS * share.max(initial=0.0)]
     return [(tried.R[k], tried.t[k]) for k in order]
 
 

@@ -15,7 +15,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
 from relmap.segmentation.space.patches import Patches, no_patches
-from relmap.segmentation.space.voxels import Voxels, moments_of, principal, voxels_of
+from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
 
 VOXEL = 0.04
 """Size of a voxel, as a share of the median range."""
@@ -110,10 +110,13 @@ class PatchSegmenter:
         if len(left) < self.min_points:
             return self
         cells, of = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
-        size_m = self.voxel_m or self._size(points[left], range_m[left], middle_m)
+        size_m, *of_points = self._cells(points[left], range_m[left], middle_m)
         for scale in SCALES:
-            voxels = voxels_of(points[left], range_m[left], scale * size_m, middle_m)
-            found, noise_m, labels = self._planes_in(points[left], range_m[left], voxels)
+            near, away = points[left], range_m[left]
+            if scale != 1:
+                of_points = list(cells_of(near, away, scale * size_m, middle_m))
+            voxels = voxels_of(near, *of_points, scale * size_m, middle_m)
+            found, noise_m, labels = self._planes_in(near, away, voxels)
             first = int(self.labels_.max(initial=-1)) + 1
             self.noise_m_[left] = noise_m
             self.labels_[left] = np.where(found >= 0, first + found, -1)
@@ -126,15 +129,19 @@ class PatchSegmenter:
         self._condense(points, np.concatenate(cells), np.concatenate(of), size_m)
         return self
 
-    def _size(self, points: Floats, range_m: Floats, middle_m: float) -> float:
-        """Return a size of voxels that hold enough points, but for a few, metres."""
-        size_m = VOXEL * middle_m
-        while size_m * COARSER < COARSEST * middle_m:
-            voxels = voxels_of(points, range_m, size_m, middle_m)
-            if np.median(voxels.moments[voxels.of, 0]) >= SPARSE:
-                break
-            size_m *= COARSER
-        return size_m
+    def _cells(self, points: Floats, range_m: Floats, middle_m: float) -> tuple[float, Ints, Ints]:
+        """Return a size of voxels that hold enough points, metres, with these as `cells_of` does.
+
+        A few may hold less.
+        """
+        size_m = self.voxel_m or VOXEL * middle_m
+        while True:
+            keys, of = cells_of(points, range_m, size_m, middle_m)
+            larger_m = size_m * COARSER
+            enough = np.median(np.bincount(of)[of]) >= SPARSE
+            if self.voxel_m or enough or larger_m >= COARSEST * middle_m:
+                return size_m, keys, of
+            size_m = larger_m
 
     def _planes_in(
         self, points: Floats, range_m: Floats, voxels: Voxels

@@ -74,8 +74,8 @@ class Voxels:
         return at, np.maximum.accumulate(np.maximum(sigma, ROUNDING * at))
 
 
-def voxels_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -> Voxels:
-    """Return the voxels of points (n, 3), robot frame, metres.
+def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -> tuple[Ints, Ints]:
+    """Return the keys (v,) of the voxels of points (n, 3), and the voxel (n,) of each.
 
     They grow with the root of the range, as points lie farther apart and noise grows, and have
     their size at the range in the middle.
@@ -84,6 +84,11 @@ def voxels_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -
     cell = np.floor(points * scale[:, None]).astype(np.int64) + (1 << (_BITS - 1))
     key = (cell[:, 0] << (2 * _BITS)) | (cell[:, 1] << _BITS) | cell[:, 2]
     keys, of = np.unique(key, return_inverse=True)
+    return keys, of
+
+
+def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: float) -> Voxels:
+    """Return the voxels of points (n, 3), robot frame, metres, as `cells_of` has them."""
     step = AROUND @ np.array([1 << (2 * _BITS), 1 << _BITS, 1])
     there = keys[:, None] + step
     place = np.minimum(np.searchsorted(keys, there), len(keys) - 1)
