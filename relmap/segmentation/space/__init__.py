@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
+from relmap.segmentation.space.levelling import level_scan, vertical
 from relmap.segmentation.space.patches import Patches
 from relmap.segmentation.space.segmenter import PatchSegmenter
 
-__all__ = ["PatchSegmenter", "Patches"]
+__all__ = ["PatchSegmenter", "Patches", "level_scan", "vertical"]

@@ -1,0 +1,115 @@
+"""Clouds of a tilted sensor, levelled and reduced to what a 2-D laser would see of the walls.
+
+The vertical is the direction that most planes of a cloud are either parallel or perpendicular to:
+the normal of floor and ceiling, and the common axis of the walls.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.segmentation.space.patches import Patches
+from relmap.segmentation.space.segmenter import PatchSegmenter
+
+TILT = np.cos(np.deg2rad(40.0))
+"""The z axis of the sensor is within this angle of the vertical (cosine)."""
+SKEW = np.sin(np.deg2rad(20.0))
+"""Two walls with normals closer to parallel than this (sine) do not determine the vertical."""
+ALIKE, UPRIGHT = np.sin(np.deg2rad(4.0)), np.sin(np.deg2rad(10.0))
+"""Deviation of level and upright planes that determine the vertical, and of walls that are kept."""
+LEAST = 0.5
+"""Least fraction of the surface that is level or upright."""
+ROUNDS = 3
+"""Refinements of the vertical."""
+BEAMS = 720
+"""Directions in which the farthest wall is kept."""
+NOTHING = np.empty((0, 2))
+
+
+def vertical(patches: Patches) -> Floats | None:
+    """Return the vertical from the planes of one cloud.
+
+    Parameters
+    ----------
+    patches : Patches
+        Sensor frame.
+
+    Returns
+    -------
+    (3,) float64 or None
+        Unit vector within 40 degrees of z; None if no direction has half of the surface parallel or
+        perpendicular to it, or if the planes do not determine one.
+    """
+    size = np.bincount(patches.cell_patch, minlength=len(patches)).astype(np.float64)
+    candidates = _candidates(patches.normal)
+    if not len(candidates):
+        return None
+    fits = _level_or_upright(patches.normal, candidates) @ size
+    up, best = candidates[int(fits.argmax())], float(fits.max())
+    if best < LEAST * size.sum():
+        return None
+    for _ in range(ROUNDS):
+        along = np.abs(patches.normal @ up)
+        weight = size * (along < ALIKE) - size * (along > np.sqrt(1 - ALIKE**2))
+        moment = (patches.normal * weight[:, None]).T @ patches.normal
+        axis = np.linalg.eigh(moment)[1][:, 0]
+        up = axis * np.sign(axis @ up)
+    return np.asarray(up)
+
+
+def level_scan(points: Floats, segmenter: PatchSegmenter) -> Floats:
+    """Reduce a cloud to a level 2-D scan of its walls.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, sensor frame, metres
+    segmenter : PatchSegmenter
+
+    Returns
+    -------
+    (b, 2) float64, metres
+        Level frame with its origin at the sensor: x ahead, y left. In each of 720 directions a
+        point of the farthest wall, from right to left. Empty without a vertical.
+    """
+    patches = segmenter.fit(points).patches_
+    up = vertical(patches) if len(patches) else None
+    if up is None:
+        return NOTHING
+    walls = np.append(np.abs(patches.normal @ up) < UPRIGHT, False)
+    rows = np.flatnonzero(walls[segmenter.labels_])
+    x = np.array([1.0, 0.0, 0.0]) - up[0] * up
+    axes = np.stack([x / np.linalg.norm(x), np.cross(up, x) / np.linalg.norm(x)])
+    return _beams(points[rows] @ axes.T, segmenter.labels_[rows])
+
+
+def _candidates(normal: Floats) -> Floats:
+    """Return normals and axes of two planes each that may be vertical, (c, 3), upwards."""
+    a, b = np.triu_indices(len(normal), 1)
+    axis = np.cross(normal[a], normal[b])
+    sine = np.linalg.norm(axis, axis=1)
+    axis = axis[sine > SKEW] / sine[sine > SKEW, None]
+    candidates = np.concatenate([normal, axis])
+    candidates = candidates * np.where(candidates[:, 2:] < 0, -1.0, 1.0)
+    return np.asarray(candidates[candidates[:, 2] > TILT])
+
+
+def _level_or_upright(normal: Floats, up: Floats) -> Floats:
+    """Tell which planes (m,) are level or upright for verticals (c, 3); (c, m)."""
+    along = np.abs(up @ normal.T)
+    return np.asarray((along < ALIKE) | (along > np.sqrt(1 - ALIKE**2)), dtype=np.float64)
+
+
+def _beams(points: Floats, wall: Ints) -> Floats:
+    """Return a point of the farthest wall in each direction: that of middle range among its own."""
+    range_m = np.hypot(*points.T)
+    share = (np.arctan2(points[:, 1], points[:, 0]) + np.pi) / (2 * np.pi)
+    beam = np.minimum((BEAMS * share).astype(np.int64), BEAMS - 1)
+    order = np.lexsort((range_m, beam))
+    last = np.append(np.flatnonzero(np.diff(beam[order])), len(order) - 1)[: len(order)]
+    farthest = np.full(BEAMS, -1)
+    farthest[beam[order][last]] = wall[order][last]
+    order = order[wall[order] == farthest[beam[order]]]
+    first = np.flatnonzero(np.diff(beam[order], prepend=-1))
+    count = np.diff(np.append(first, len(order)))
+    return np.asarray(points[order[first + count // 2]])
