@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 Association = Literal["nearest", "known"]
 Variant = Literal["points", "planes"]
 Odometry = Literal["auto", "none"]
+Level = Literal["auto", "none"]
 Mapped = Literal["points", "planes", "planes3d"]
 """Variants of `relmap map`; other verbs accept the first two."""
 

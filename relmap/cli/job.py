@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from relmap.cli.arguments import Association, Interval, Odometry, Variant
+from relmap.cli.arguments import Association, Interval, Level, Odometry, Variant
 from relmap.core.errors import RelmapError
 from relmap.io.results import MAPPER
 
@@ -39,6 +39,10 @@ class Job:
         For walls: whether to draw the whole run.
     odometry : "auto" or "none"
         Whether to use the odometry of the log, if any.
+    level : "auto" or "none"
+        For walls, whether to level clouds that show floors, ceilings or tilted walls.
+    segmenter : str or None
+        For walls, the method of the segmenter; the default if None.
     columns : dict of str to str, or None
         Column names of a table.
     topics : tuple of str
@@ -66,6 +70,8 @@ class Job:
     animate: bool = False
     sigmas: tuple[float, ...] | None = None
     odometry: Odometry = "none"
+    level: Level = "none"
+    segmenter: str | None = None
     columns: dict[str, str] | None = None
     topics: tuple[str, ...] = ()
     live: bool = False
@@ -86,6 +92,8 @@ class Job:
             "animate": self.animate,
             "sigmas": self.sigmas,
             "odometry": self.odometry,
+            "level": self.level,
+            "segmenter": self.segmenter,
             "columns": self.columns,
             "topics": self.topics,
         }
@@ -96,6 +104,8 @@ class Job:
         words = ["relmap", "map", self.source.name, "-o", "RESULT"]
         if self.variant == "planes":
             words += ["--variant", "planes"]
+        if self.segmenter is not None:
+            words += ["--segmenter", self.segmenter]
         if self.association == "known":
             words += ["--association", "known"]
         if self.interval is not None:
@@ -140,6 +150,8 @@ class Job:
                 animate=bool(run["animate"]),
                 sigmas=tuple(map(float, run.get("sigmas") or ())) or None,
                 odometry="auto" if run.get("odometry") == "auto" else "none",
+                level="auto" if run.get("level") == "auto" else "none",
+                segmenter=run.get("segmenter"),
                 columns=dict(run["columns"]) if run.get("columns") else None,
                 topics=tuple(map(str, run.get("topics") or ())),
                 journal=path.absolute(),

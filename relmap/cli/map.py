@@ -150,6 +150,19 @@ _Odometry = Annotated[
         "odometry.tum; or none, as in the paper."
     ),
 ]
+_Level = Annotated[
+    args.Level | None,
+    typer.Option(
+        help="For walls: level clouds that show floors, ceilings or tilted walls by their planes, "
+        "and reduce them to 2-D scans of the walls (auto, the default); or refuse them (none)."
+    ),
+]
+_Segmenter = Annotated[
+    Literal["em", "ransac", "mixture", "ransac3d", "patches", "scanlines"] | None,
+    typer.Option(
+        help="For walls: how points become walls. Default: scanlines for 2-D scans, em for clouds."
+    ),
+]
 _Columns = Annotated[
     dict[str, str] | None,
     typer.Option(
@@ -221,10 +234,14 @@ def map_command(
     voxel: _Voxel = None,
     live: _Live = False,
     live_file: _LiveFile = None,
+    level: _Level = None,
+    segmenter: _Segmenter = None,
 ) -> None:
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
     args.refuse(voxel is not None and variant != "planes3d", "--voxel requires --variant planes3d")
+    for name, given in (("--level", level), ("--segmenter", segmenter)):
+        args.refuse(given is not None and not planes, f"{name} requires --variant planes")
     if variant == "planes3d":
         sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
         others = (known, registration, config, journal, onto, animate, columns, topic, live)
@@ -250,6 +267,8 @@ def map_command(
             animate=animate,
             sigmas=_sigmas(planes, range_sigma, bearing_sigma, elevation_sigma),
             odometry=odometry,
+            level=level or "auto",
+            segmenter=segmenter,
             columns=columns,
             topics=tuple(topic or ()),
             live=live or live_file is not None,

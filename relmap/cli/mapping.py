@@ -72,7 +72,23 @@ def _log_of(job: Job) -> Log:
         raise RelmapError(f"--association known needs ids, and {source} has none")
     if job.odometry == "auto" and log.odometry is None and log.no_odometry:
         typer.echo(f"relmap: {source}: mapped without odometry: {log.no_odometry}", err=True)
+    log = _level(job, log)
     return log if job.sigmas is None else _with_noise(log, job.sigmas)
+
+
+def _level(job: Job, log: Log) -> Log:
+    """Return a log levelled if requested and needed."""
+    from relmap.datasets.scans import ScanLog
+    from relmap.evaluation.levelling import levelled, shows_floors
+    from relmap.segmentation.segmenter import SPATIAL
+
+    if job.level == "none" or job.segmenter in SPATIAL or not isinstance(log, ScanLog):
+        return log
+    if not shows_floors(log):
+        return log
+    message = "clouds are levelled by their floor and walls, and reduced to 2-D scans of the walls"
+    typer.echo(f"relmap: {job.source}: {message}", err=True)
+    return levelled(log)
 
 
 def _with_noise(log: Log, sigmas: tuple[float, ...]) -> Log:
@@ -162,6 +178,7 @@ def _about(job: Job, log: Log) -> dict[str, Any]:
         "columns": job.columns,
         "topics": list(job.topics),
         "variant": job.variant,
+        **({"level": job.level, "segmenter": job.segmenter} if job.variant == "planes" else {}),
         "seed": 0 if job.variant == "planes" else None,
     }
     about |= {"onto": None if job.onto is None else str(job.onto), "tied_at": None}
@@ -214,7 +231,7 @@ def _bench(
 
     every = frame_step(len(log)) if job.animate else 0
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
-    bench = BenchRecorder(None, segmenter_for(log.sensor), truth, every, log.sensor, before_s)
+    bench = BenchRecorder(None, segmenter_for(log.sensor, job.segmenter), truth, every, log.sensor, before_s)
     return bench, partial(bench.see_again, log)
 
 

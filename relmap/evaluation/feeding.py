@@ -169,9 +169,9 @@ def preparation(
     return lambda points_robot: segment_scan(used, points_robot, view)
 
 
-def segmenter_for(view: SensorView) -> PlaneSegmenter:
-    """Return a segmenter with the known limits of the sensor."""
-    return PlaneSegmenter(view_rad=view.view_rad, range_m=view.range_m)
+def segmenter_for(view: SensorView, method: str | None = None) -> PlaneSegmenter:
+    """Return a segmenter with the known limits of the sensor; `method` as for `PlaneSegmenter`."""
+    return PlaneSegmenter(method, view_rad=view.view_rad, range_m=view.range_m)
 
 
 def segment_scan(

@@ -37,9 +37,9 @@ def require_upright(xyz: Floats) -> None:
     if share > MOST_SHARE:
         raise RelmapError(
             f"{share:.0%} of a scan's points lie on surfaces that are not upright, such as floors, "
-            "ceilings or scans of a tilted sensor; expected walls: map such clouds with --variant "
-            "planes3d (Plane3dMapper), or level the scan and cut it to a band between floor and "
-            "ceiling"
+            "ceilings or scans of a tilted sensor; expected walls: level such clouds with --level "
+            "auto (relmap.segmentation.space.level_scan), or map them with --variant planes3d "
+            "(Plane3dMapper)"
         )
 
 

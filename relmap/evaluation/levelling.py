@@ -1,0 +1,54 @@
+"""Logs of clouds from a carried or tilted sensor, as the mapper of walls can use them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from relmap.core.arrays import Floats
+from relmap.core.errors import RelmapError
+from relmap.datasets.scans import ScanLog
+from relmap.segmentation.segmenter import CHECKED
+from relmap.segmentation.space import PatchSegmenter, level_scan
+from relmap.segmentation.upright import MOST_SHARE, tilted_share
+
+
+def shows_floors(log: ScanLog) -> bool:
+    """Tell whether the first clouds of a log show floors, ceilings or tilted walls.
+
+    Raises
+    ------
+    RelmapError
+        If a scan of the log is damaged.
+    """
+    return log.dimension == 3 and any(tilted_share(cloud) > MOST_SHARE for cloud in _first(log))
+
+
+def levelled(log: ScanLog) -> ScanLog:
+    """Return a log of clouds as one of level 2-D scans of their walls; see `level_scan`.
+
+    The vertical is estimated in each cloud on its own.
+
+    Raises
+    ------
+    RelmapError
+        If a scan of the log is damaged, or none of the first clouds has a vertical and walls.
+    """
+    segmenter = PatchSegmenter()
+    if not any(len(level_scan(cloud, segmenter)) for cloud in _first(log)):
+        raise RelmapError(
+            "the clouds cannot be levelled: their planes have no common vertical within 40 degrees "
+            "of the sensor's z axis, or no walls; map them with --variant planes3d (Plane3dMapper)"
+        )
+    read = log.points_of
+    return replace(log, dimension=2, points_of=lambda index: level_scan(read(index), segmenter))
+
+
+def _first(log: ScanLog) -> list[Floats]:
+    """Return the first clouds that hold any points."""
+    found: list[Floats] = []
+    for scan in log.scans():
+        if len(scan.points_robot):
+            found.append(scan.points_robot)
+        if len(found) == CHECKED:
+            break
+    return found
