@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.space import Patches
 
 Pose = tuple[Floats, Floats]
+NOWHERE, NOTHING = np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
 
 class Submap:
@@ -23,7 +26,7 @@ class Submap:
     held : set of int
         Those of them that were taken to go on as before in that direction.
     seen : list of Patches
-        What each scan saw, untransformed.
+        What each scan saw, untransformed; without cells, see `scan`.
     match : list of (m,) int64
         The landmark of each patch of a scan.
     number : (l,) int64
@@ -52,6 +55,7 @@ class Submap:
         self._normal = np.empty((0, 3))
         self._cells = np.empty((0, 3))
         self._cell_of = np.empty(0, dtype=np.int64)
+        self._untransformed: list[tuple[Floats, Ints]] = []
         self._known: set[tuple[int, ...]] = set()
 
     def __len__(self) -> int:
@@ -79,13 +83,21 @@ class Submap:
         self.last = np.append(self.last, np.full(len(new), iteration))
         np.add.at(self.scatter, match, moved(seen.scatter, R, t))
         self.last[match] = iteration
-        self._add_cells(seen.cells @ R.T + t, match[seen.cell_patch], seen.cell_m)
+        fresh = self._add_cells(seen.cells @ R.T + t, match[seen.cell_patch], seen.cell_m)
+        # Cells where planes were seen before are not kept: memory grows with the map alone.
+        self._untransformed.append((seen.cells[fresh], seen.cell_patch[fresh]))
         self.iteration.append(iteration)
         self.poses.append(pose)
-        self.seen.append(seen)
+        self.seen.append(replace(seen, cells=NOWHERE, cell_patch=NOTHING))
         self.match.append(match)
 
-    def _add_cells(self, cells: Floats, of: Ints, cell_m: float) -> None:
+    def scan(self, k: int) -> Patches:
+        """Return what a scan saw, untransformed, with the cells that it saw first."""
+        cells, patch = self._untransformed[k]
+        return replace(self.seen[k], cells=cells, cell_patch=patch)
+
+    def _add_cells(self, cells: Floats, of: Ints, cell_m: float) -> list[int]:
+        """Add cells (c, 3) of landmarks (c,); return those that are new."""
         keys = np.column_stack([of, np.floor(cells / cell_m).astype(np.int64)])
         fresh = []
         for row, key in enumerate(map(tuple, keys.tolist())):
@@ -94,6 +106,7 @@ class Submap:
                 fresh.append(row)
         self._cells = np.concatenate([self._cells, cells[fresh]])
         self._cell_of = np.append(self._cell_of, of[fresh])
+        return fresh
 
     @property
     def trajectory(self) -> Floats:
@@ -140,7 +153,7 @@ class Submap:
         for k, iteration in enumerate(self.iteration):
             numbers = self.number[self.match[k]].tolist()
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
-            part.add(iteration, self.seen[k], poses[k], renamed)
+            part.add(iteration, self.scan(k), poses[k], renamed)
         part.weak, part.held, part.share = dict(self.weak), set(self.held), self.share
         return part
 
@@ -167,7 +180,7 @@ class Submap:
         for iteration, part, k in scans:
             S, s = part.poses[k]
             there = begin.T @ S, begin.T @ (s - origin)
-            both.add(iteration, part.seen[k], there, part.number[part.match[k]])
+            both.add(iteration, part.scan(k), there, part.number[part.match[k]])
         both.weak, both.held = self.weak | other.weak, self.held | other.held
         return both
 
