@@ -19,7 +19,7 @@ from relmap.core.errors import RelmapError
 Sensor = Literal["lidar", "depth"]
 RINGS, BEAMS, HIGHEST_RAD, LOWEST_RAD = 32, 300, np.deg2rad(40.0), np.deg2rad(-40.0)
 """Rings of the lidar, beams per ring, and elevations of the outermost rings."""
-ROWS, COLUMNS, FOCAL = 72, 96, 80.0
+ROWS, COLUMNS, FOCAL = 120, 160, 104.0
 """Of the depth camera: pixels, and its focal length in pixels."""
 FARTHEST_M = 30.0
 SQUARE_M = 0.1
