@@ -1,4 +1,4 @@
-"""Planes in space: logs of lidars and depth cameras, and variants of them that nothing was tuned on.
+"""Planes in space: logs of lidars and depth cameras, and variants that nothing was tuned on.
 
     OMP_NUM_THREADS=1 python benchmarks/space.py DATA [--log 'hall*'] [--peers]
 
@@ -25,6 +25,8 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
 
@@ -114,50 +116,50 @@ def hall(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
     """Yield the hall and variants of it."""
     whole = read(data, HALL)
     yield "hall", lambda: whole
-    yield "hall/reversed", lambda: whole.only(slice(None, None, -1))
+    yield "hall/reversed", partial(whole.only, slice(None, None, -1))
     for step in (2, 3, 4):
-        yield f"hall/every-{step}", lambda: whole.only(slice(None, None, step))
+        yield f"hall/every-{step}", partial(whole.only, slice(None, None, step))
     for degrees in (20, 90, 180):
-        yield f"hall/tilted-{degrees}", lambda: whole.tilted(np.deg2rad(degrees))
+        yield f"hall/tilted-{degrees}", partial(whole.tilted, np.deg2rad(degrees))
     for sigma in (0.01, 0.03, 0.1):
-        yield f"hall/noise-{sigma}", lambda: whole.changed(noise(sigma))
+        yield f"hall/noise-{sigma}", partial(whole.changed, noise(sigma))
     for share in (0.25, 0.1, 0.03):
-        yield f"hall/points-{share}", lambda: whole.changed(thinned(share))
+        yield f"hall/points-{share}", partial(whole.changed, thinned(share))
     for degrees in (90, 60, 30):
-        yield f"hall/view-{2 * degrees}", lambda: whole.changed(view(np.deg2rad(degrees)))
-    yield "hall/near-12m", lambda: whole.changed(view(np.pi, 12.0))
-    yield "hall/near-6m", lambda: whole.changed(view(np.pi, 6.0))
+        yield f"hall/view-{2 * degrees}", partial(whole.changed, view(np.deg2rad(degrees)))
+    yield "hall/near-12m", partial(whole.changed, view(np.pi, 12.0))
+    yield "hall/near-6m", partial(whole.changed, view(np.pi, 6.0))
 
 
 def kitchen(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
     """Yield the kitchen and variants of it."""
     whole = read(data, KITCHEN)
     yield "kitchen", lambda: whole
-    yield "kitchen/reversed", lambda: whole.only(slice(None, None, -1))
-    yield "kitchen/first-half", lambda: whole.only(slice(0, 175))
-    yield "kitchen/second-half", lambda: whole.only(slice(175, None))
+    yield "kitchen/reversed", partial(whole.only, slice(None, None, -1))
+    yield "kitchen/first-half", partial(whole.only, slice(0, 175))
+    yield "kitchen/second-half", partial(whole.only, slice(175, None))
     for step in (3, 5, 10, 20, 40):
-        yield f"kitchen/every-{step}", lambda: whole.only(slice(None, None, step))
-        yield f"kitchen/every-{step}+{step // 2}", lambda: whole.only(slice(step // 2, None, step))
+        yield f"kitchen/every-{step}", partial(whole.only, slice(None, None, step))
+        yield f"kitchen/every-{step}+{step // 2}", partial(whole.only, slice(step // 2, None, step))
     tenth = whole.only(slice(3, None, 7))
-    yield "kitchen/every-7-reversed", lambda: tenth.only(slice(None, None, -1))
+    yield "kitchen/every-7-reversed", partial(tenth.only, slice(None, None, -1))
     for sigma in (0.01, 0.03):
-        yield f"kitchen/every-7-noise-{sigma}", lambda: tenth.changed(noise(sigma, True))
+        yield f"kitchen/every-7-noise-{sigma}", partial(tenth.changed, noise(sigma, True))
     for share in (0.25, 0.05):
-        yield f"kitchen/every-7-points-{share}", lambda: tenth.changed(thinned(share))
-    yield "kitchen/every-7-tilted-180", lambda: tenth.tilted(np.pi)
-    yield "kitchen/every-7-view-30", lambda: tenth.changed(view(np.deg2rad(15)))
+        yield f"kitchen/every-7-points-{share}", partial(tenth.changed, thinned(share))
+    yield "kitchen/every-7-tilted-180", partial(tenth.tilted, np.pi)
+    yield "kitchen/every-7-view-30", partial(tenth.changed, view(np.deg2rad(15)))
 
 
 def blocks(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
     """Yield the blocks and variants of them."""
     whole = read(data, BLOCKS)
     yield "blocks", lambda: whole
-    yield "blocks/reversed", lambda: whole.only(slice(None, None, -1))
-    yield "blocks/every-2", lambda: whole.only(slice(None, None, 2))
-    yield "blocks/points-0.3", lambda: whole.changed(thinned(0.3))
-    yield "blocks/noise-0.05", lambda: whole.changed(noise(0.05))
-    yield "blocks/tilted-90", lambda: whole.tilted(np.deg2rad(90))
+    yield "blocks/reversed", partial(whole.only, slice(None, None, -1))
+    yield "blocks/every-2", partial(whole.only, slice(None, None, 2))
+    yield "blocks/points-0.3", partial(whole.changed, thinned(0.3))
+    yield "blocks/noise-0.05", partial(whole.changed, noise(0.05))
+    yield "blocks/tilted-90", partial(whole.tilted, np.deg2rad(90))
 
 
 def storeys(_: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
@@ -165,8 +167,8 @@ def storeys(_: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
     for sensor, sigmas in (("lidar", (0.0, 0.01, 0.02, 0.05)), ("depth", (0.0, 0.01, 0.02))):
         for sigma in sigmas:
             for seed in (0, 7) if sigma else (0,):
-                yield f"storey/{sensor}-{sigma}-seed-{seed}", lambda: stored(sensor, sigma, seed)
-        yield f"storey/{sensor}-20-scans", lambda: stored(sensor, 0.01, 1, 20)
+                yield f"storey/{sensor}-{sigma}-seed-{seed}", partial(stored, sensor, sigma, seed)
+        yield f"storey/{sensor}-20-scans", partial(stored, sensor, 0.01, 1, 20)
 
 
 def main() -> None:
@@ -232,7 +234,7 @@ def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Arra
         off = np.linalg.inv(np.linalg.inv(true[:-1]) @ true[1:]) @ np.linalg.inv(at[:-1]) @ at[1:]
         shift = np.linalg.norm(off[:, :3, 3], axis=1)
         turn = Rotation.from_matrix(off[:, :3, :3]).magnitude()
-        named = np.array([bool(weak & {a, b}) for a, b in zip(part.iteration, part.iteration[1:])])
+        named = np.array([bool(weak & {a, b}) for a, b in pairwise(part.iteration)])
         bad = (shift > WRONG_M) | (turn > WRONG_RAD)
         wrong += int((bad & ~named.astype(bool)).sum())
         turns.append(turn)
@@ -240,7 +242,7 @@ def _steps(parts: list[Submap], poses: Array, weak: set[int]) -> tuple[int, Arra
 
 
 def _peer(peer: type[KissIcp] | type[SmallGicp], clouds: Clouds) -> str:
-    farthest = max((float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.points))
+    farthest = max(float(np.linalg.norm(cloud, axis=1).max()) for cloud in clouds.points)
     method, began = peer(farthest), perf_counter()
     for cloud in clouds.points:
         method.update(cloud)

@@ -209,3 +209,27 @@ def test_settings_that_make_no_sense_are_refused() -> None:
     for world in worlds:
         with pytest.raises(RelmapError):
             simulate_storey(**world)
+
+
+def test_a_depth_camera_is_mapped_in_one_piece() -> None:
+    world = simulate_storey("depth", 0.005, 60)
+    mapper = mapped(world.scans[:14])
+    assert len(mapper.submaps) == 1
+    assert np.abs(mapper.trajectory - from_first(world.trajectory[:14])).max() < 0.05
+
+
+def test_a_leap_in_two_directions_only_is_not_believed() -> None:
+    scans = [hall(0.2 * k) for k in range(4)]
+    elsewhere = hall(0.0) @ np.diag([1.0, 1.0, 1.0]) + [0.0, 0.0, 12.0]
+    mapper = mapped([*scans, elsewhere])
+    assert len(mapper.submaps) == 2
+
+
+def test_standing_still_takes_no_more_cells() -> None:
+    scan = simulate_storey("lidar", 0.0, 1).scans[0]
+    mapper = mapped([scan] * 4)
+    part = mapper.submaps[0]
+    counts = [len(part.scan(k).cells) for k in range(4)]
+    assert counts[0] > 300
+    # A few on the border of two squares.
+    assert sum(counts[1:]) < 0.1 * counts[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -80,8 +81,13 @@ def test_path_is_that_of_the_truth(storey: Path, capsys: pytest.CaptureFixture[s
     (storey / "result" / "evaluation.json").unlink()
     assert evaluation["ate_m"] < 0.003
     assert evaluation["counts"] == {"poses": 10}
-    assert set(evaluation) == {"ate_m", "rpe_m", "counts", "notes"}
-    assert "ATE" in capsys.readouterr().out
+    figures = {"plane_recall", "plane_precision", "plane_rmse_m", "doubled_area"}
+    assert set(evaluation) == {"ate_m", "rpe_m", "counts", "notes"} | figures
+    assert evaluation["plane_precision"] == 1
+    assert evaluation["plane_recall"] > 0.75
+    assert evaluation["plane_rmse_m"] < 0.003
+    assert evaluation["doubled_area"] < 0.02
+    assert "planes found" in capsys.readouterr().out
 
 
 def test_scans_and_voxel(storey: Path, tmp_path: Path) -> None:
@@ -146,3 +152,14 @@ def test_real_clouds(
         open_scans(shared_data / name).between(*map(int, scans.split(":")))
     )
     assert evaluation["ate_m"] < limit_m
+
+
+def test_a_damaged_outline_is_named(
+    storey: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(storey / "result", tmp_path / "result")
+    table = tmp_path / "result" / "planes.csv"
+    table.write_text(table.read_text().replace(";", ";x ", 1))
+    arguments = ["evaluate", tmp_path / "result", "--truth", storey / "world"]
+    assert main([str(argument) for argument in arguments]) == 2
+    assert "field outline" in capsys.readouterr().err

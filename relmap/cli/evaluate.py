@@ -46,7 +46,7 @@ The figures:
   plane_recall        planes in space: fraction of the true planes, of which two scans saw at least
                       0.25 m2, that are mapped (within 0.05 m and 5 degrees)
   plane_precision     planes in space: fraction of the mapped planes over 0.25 m2 that are true
-  plane_rmse_m        planes in space: distance of the outlines of mapped planes from the true planes
+  plane_rmse_m        planes in space: distance of mapped outlines from the true planes
   doubled_area        planes in space: fraction of the mapped area that is mapped twice
   landmark_rmse_m     root mean square error of the mapped landmarks, after rigid alignment
   coverage            fraction of the landmarks seen at least ten times that are in the map

@@ -67,6 +67,8 @@ Examples:
   relmap map hall -o result --variant planes3d
 """
 
+FOR_WALLS = "--level and --segmenter require --variant planes"
+
 _Variant = Annotated[
     args.Mapped,
     typer.Option(
@@ -240,8 +242,7 @@ def map_command(
     """Map a log; the help text explains the arguments."""
     planes, known = variant == "planes", association == "known"
     args.refuse(voxel is not None and variant != "planes3d", "--voxel requires --variant planes3d")
-    for name, given in (("--level", level), ("--segmenter", segmenter)):
-        args.refuse(given is not None and not planes, f"{name} requires --variant planes")
+    args.refuse((level or segmenter) and not planes, FOR_WALLS)
     if variant == "planes3d":
         sigmas_given = (range_sigma, bearing_sigma, elevation_sigma)
         others = (known, registration, config, journal, onto, animate, columns, topic, live)

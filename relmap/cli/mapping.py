@@ -208,6 +208,11 @@ def _write(folder: Path, run: Run, job: Job) -> None:
     from relmap.plots.run import write_map_png
 
     result, picture = run.result, folder / MAP_PNG
+    if isinstance(result, PlaneResult) and not result.drawn:
+        raise RelmapError(
+            f"{job.source}: no wall was found in any scan; expected scans of upright walls, metres "
+            "(for planes of any direction: --variant planes3d)"
+        )
     write_result(folder, result)
     atomic_write(folder / REPORT, report_page(result, job.command, job.source.name))
     if not isinstance(result, PlaneResult):
@@ -231,7 +236,9 @@ def _bench(
 
     every = frame_step(len(log)) if job.animate else 0
     before_s, truth = log.stamps_s[:n_seen].tolist(), _truth_beside(job.at(job.source))
-    bench = BenchRecorder(None, segmenter_for(log.sensor, job.segmenter), truth, every, log.sensor, before_s)
+    bench = BenchRecorder(
+        None, segmenter_for(log.sensor, job.segmenter), truth, every, log.sensor, before_s
+    )
     return bench, partial(bench.see_again, log)
 
 

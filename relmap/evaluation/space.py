@@ -109,15 +109,16 @@ def surface_points(table: Plane3dTable, k: int) -> Floats:
     """Return points (n, 3) all over the outline of a plane, at least its corners' middle."""
     outline = table.outline[k]
     if len(outline) < 3:
-        return table.centre[k][None]
+        return np.asarray(table.centre[k][None])
     axes = _along(table.normal[k])
     flat = (outline - table.centre[k]) @ axes.T
     size = np.ptp(flat, axis=0)
     step = max(SAMPLE_M, float(np.sqrt(size.prod() / MOST_SAMPLES)))
-    x, y = (np.arange(low + step / 2, high, step) for low, high in zip(flat.min(0), flat.max(0)))
+    x, y = (np.arange(axis.min() + step / 2, axis.max(), step) for axis in flat.T)
     grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     grid = grid[_within(grid, flat)]
-    return np.asarray(table.centre[k] + (grid if len(grid) else flat.mean(0, keepdims=True)) @ axes)
+    points = grid if len(grid) else flat.mean(axis=0, keepdims=True)
+    return np.asarray(table.centre[k] + points @ axes)
 
 
 def _inside(points: Floats, table: Plane3dTable, k: int) -> Bools:

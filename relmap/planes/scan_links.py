@@ -320,7 +320,7 @@ class ScanLinks:
             Scans whose links are no longer accepted; see `cut`.
         """
         name = np.arange(self._n_submaps)
-        if not len(self.beams):
+        if not (len(self.beams) and self._n_submaps):
             return name, np.empty(0, dtype=np.int64)
         links, cut = judged_links(self._scans, *self._known())
         for link in links:

@@ -5,11 +5,31 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.linalg.compiling import compiled
+from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import medians
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+@helper
+def _add_row(
+    R: Array, t: Array, arm: Array, plane: Array, root: float, with_way: bool, off: Array, J: Array
+) -> None:
+    """Set the residual (1,) of a direction or point (3,), and its Jacobian (6,)."""
+    x = np.zeros(3)
+    for a in range(3):
+        for b in range(3):
+            x[a] += R[a, b] * arm[b]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        J[a] = (x[b] * plane[c] - x[c] * plane[b]) * root
+        off[0] += x[a] * plane[a] * root
+        if with_way:
+            off[0] += t[a] * plane[a] * root
+            J[3 + a] = plane[a] * root
+    if with_way:
+        off[0] -= plane[3] * root
 
 
 @compiled
@@ -40,23 +60,10 @@ def placement_equations(
     n_rows = len(centre)
     off, J = np.zeros((n_rows, 3)), np.zeros((n_rows, 3, 6))
     size = np.zeros(n_rows)
-    x = np.zeros(3)
     for r in range(n_rows):
         for k in range(3):
-            for a in range(3):
-                x[a] = 0.0
-                for b in range(3):
-                    x[a] += R[a, b] * (axes[r, k, b] if k < 2 else centre[r, b])
-            for a in range(3):
-                b, c = (a + 1) % 3, (a + 2) % 3
-                J[r, k, a] = (x[b] * planes[r, c] - x[c] * planes[r, b]) * root[r, k]
-                off[r, k] += x[a] * planes[r, a]
-                if k == 2:
-                    off[r, k] += t[a] * planes[r, a]
-                    J[r, k, 3 + a] = planes[r, a] * root[r, k]
-            if k == 2:
-                off[r, k] -= planes[r, 3]
-            off[r, k] *= root[r, k]
+            arm = axes[r, k] if k < 2 else centre[r]
+            _add_row(R, t, arm, planes[r], root[r, k], k == 2, off[r, k : k + 1], J[r, k])
             size[r] += off[r, k] ** 2
         size[r] = np.sqrt(size[r])
     limit = max(doubtful, 2 * medians(np.zeros(n_rows, np.int64), size)[0])
@@ -69,6 +76,21 @@ def placement_equations(
                 for b in range(6):
                     H[a, b] += weight * J[r, k, a] * J[r, k, b]
     return H, g
+
+
+@helper
+def _way_of_two(
+    a: Array, b: Array, off_a: float, off_b: float, held: Array, area: float, way: Array
+) -> None:
+    """Set the way (3,) nearest to the held one on which two matches agree."""
+    cosine = 0.0
+    for d in range(3):
+        off_a -= a[d] * held[d]
+        off_b -= b[d] * held[d]
+        cosine += a[d] * b[d]
+    along_a, along_b = (off_a - cosine * off_b) / area, (off_b - cosine * off_a) / area
+    for d in range(3):
+        way[d] = held[d] + along_a * a[d] + along_b * b[d]
 
 
 @compiled
@@ -99,15 +121,7 @@ def crossings(
             cz = a[0] * b[1] - a[1] * b[0]
             area = cx * cx + cy * cy + cz * cz
             if area > least_two**2:
-                short_a, short_b = off[i], off[j]
-                for d in range(3):
-                    short_a -= a[d] * held[d]
-                    short_b -= b[d] * held[d]
-                cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-                along_a = (short_a - cosine * short_b) / area
-                along_b = (short_b - cosine * short_a) / area
-                for d in range(3):
-                    ways[found, d] = held[d] + along_a * a[d] + along_b * b[d]
+                _way_of_two(a, b, off[i], off[j], held, area, ways[found])
                 found += 1
             for k in range(j + 1, count):
                 if of[k] == of[i] or of[k] == of[j]:

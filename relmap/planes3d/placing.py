@@ -162,12 +162,12 @@ def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -
         match, off = matched(R, t, seen, there, loose)
     if not fixes_turn(there.planes.normal[match[match >= 0]]):
         return None
-    R, t, *weak = fitted(R, t, seen, there.planes, match, held, last=True)
+    R, t, free, is_held = fitted(R, t, seen, there.planes, match, held, last=True)
     fit = np.where(match >= 0, 1 - off**2, 0.0)
     cells, of, weight = _sample(seen, SAMPLE)
     reach = OVERLAP * max(there.planes.cell_m, seen.cell_m)
     overlap = there.near(cells @ R.T + t, reach) >= 0
-    return Placed(R, t, match, float((fit[of] * overlap) @ weight), *weak)
+    return Placed(R, t, match, float((fit[of] * overlap) @ weight), free, is_held)
 
 
 def _same(R: Floats, t: Floats, other: Placed, seen: Patches, share: float) -> bool:

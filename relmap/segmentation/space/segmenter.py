@@ -110,12 +110,12 @@ class PatchSegmenter:
         if len(left) < self.min_points:
             return self
         cells, of = [np.empty((0, 3))], [np.empty(0, dtype=np.int64)]
-        size_m, *of_points = self._cells(points[left], range_m[left], middle_m)
+        size_m, keys, of_points = self._cells(points[left], range_m[left], middle_m)
         for scale in SCALES:
             near, away = points[left], range_m[left]
             if scale != 1:
-                of_points = list(cells_of(near, away, scale * size_m, middle_m))
-            voxels = voxels_of(near, *of_points, scale * size_m, middle_m)
+                keys, of_points = cells_of(near, away, scale * size_m, middle_m)
+            voxels = voxels_of(near, keys, of_points, scale * size_m, middle_m)
             found, noise_m, labels = self._planes_in(near, away, voxels)
             first = int(self.labels_.max(initial=-1)) + 1
             self.noise_m_[left] = noise_m

@@ -1,0 +1,75 @@
+"""Figures of planes in space, on tables made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap.evaluation.space import Faces, doubled_area, judge_planes
+from relmap.planes3d.table import Plane3dTable
+
+SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+
+
+def table(*squares: tuple[list[float], float]) -> Plane3dTable:
+    """Return level planes: the corner and the size of each."""
+    n = len(squares)
+    outline = [np.array(corner) + size * SQUARE for corner, size in squares]
+    centre = np.array([each.mean(axis=0) for each in outline]).reshape(-1, 3)
+    number, flat = np.arange(n), np.zeros(n)
+    return Plane3dTable(
+        plane=number,
+        normal=np.tile([0.0, 0, 1], (n, 1)),
+        offset=centre[:, 2],
+        centre=centre,
+        sd=flat,
+        area_m2=np.array([size**2 for _, size in squares]),
+        outline=outline,
+        observations=number,
+        first_iteration=number,
+        last_iteration=number,
+        status=np.full(n, "static"),
+        submap=np.zeros(n, dtype=np.int64),
+    )
+
+
+def faces(*corners: NDArray[np.float64], seen_m2: float = 1.0) -> Faces:
+    n = len(corners)
+    return Faces(np.arange(n), np.array(corners), np.full(n, seen_m2))
+
+
+POSES = np.tile(np.eye(4), (3, 1, 1))
+
+
+def test_planes_found_right_and_off() -> None:
+    truth = faces(2 * SQUARE, 2 * SQUARE + np.array([0, 0, 5]), 2 * SQUARE + np.array([0, 0, 9]))
+    mapped = table(([0, 0, 0.01], 2.0), ([0, 0, 5.03], 2.0), ([0, 0, 7.0], 2.0), ([9, 9, 9], 0.1))
+    told = judge_planes(mapped, truth, POSES, POSES)
+    assert told["plane_recall"] == pytest.approx(2 / 3)
+    assert told["plane_precision"] == pytest.approx(2 / 3)
+    assert told["plane_rmse_m"] == pytest.approx(np.sqrt((0.01**2 + 0.03**2) / 2))
+    assert told["doubled_area"] == 0
+
+
+def test_what_was_hardly_seen_is_not_due() -> None:
+    told = judge_planes(table(([0, 0, 0], 1.0)), faces(SQUARE, seen_m2=0.2), POSES, POSES)
+    assert told["plane_recall"] is None
+    assert told["plane_precision"] == 1
+
+
+def test_the_map_is_aligned_by_its_poses() -> None:
+    moved = POSES.copy()
+    moved[:, :3, 3] = [3.0, -2.0, 1.0]
+    told = judge_planes(table(([0, 0, 0], 1.0)), faces(SQUARE + np.array([3, -2, 1])), POSES, moved)
+    assert told["plane_recall"] == 1
+
+
+def test_doubled_area_counts_planes_on_one_another() -> None:
+    assert doubled_area(table(([0, 0, 0], 1.0), ([0.5, 0, 0.02], 1.0))) == pytest.approx(0.5)
+    assert doubled_area(table(([0, 0, 0], 1.0), ([0.5, 0, 0.2], 1.0))) == 0
+    assert doubled_area(table()) is None
+
+
+def test_without_faces_the_rest_is_told() -> None:
+    assert judge_planes(table(([0, 0, 0], 1.0)), None, POSES, POSES) == {"doubled_area": 0}

@@ -1,0 +1,114 @@
+"""Clouds of a tilted sensor: the vertical, level 2-D scans, and floor plans from them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from relmap.cli import main
+from relmap.datasets import write_scans_npz
+from relmap.segmentation.space import PatchSegmenter, level_scan, vertical
+from relmap.simulation.storey import Storey, simulate_storey
+
+
+@pytest.fixture(scope="module")
+def storey() -> Storey:
+    return simulate_storey("lidar", 0.01, 12)
+
+
+def test_vertical_is_that_of_floor_and_walls(storey: Storey) -> None:
+    for scan, pose in zip(storey.scans, storey.trajectory, strict=True):
+        up = vertical(PatchSegmenter().fit(scan).patches_)
+        assert up is not None
+        assert pose[:3, :3][2] @ up > np.cos(np.deg2rad(0.3))
+
+
+def test_level_scan_shows_the_farthest_walls(storey: Storey) -> None:
+    points = level_scan(storey.scans[0], PatchSegmenter())
+    pose = storey.trajectory[0]
+    assert 300 < len(points) <= 720
+    assert (np.diff(np.arctan2(points[:, 1], points[:, 0])) > 0).all()
+    ahead = pose[:3, 0] - pose[2, 0] * np.array([0.0, 0.0, 1.0])
+    yaw = np.arctan2(ahead[1], ahead[0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    there = points @ np.array([[c, s], [-s, c]]) + pose[:2, 3]
+    walls = np.stack([there[:, 0], there[:, 1], there[:, 0] - 6, there[:, 1] - 7, there[:, 0] - 12])
+    assert (np.abs(walls).min(axis=0) < 0.05).mean() > 0.9
+
+
+def test_what_shows_no_walls_has_no_level_scan() -> None:
+    floor = np.random.default_rng(0).uniform(-4, 4, (4000, 3)) * [1, 1, 0] - [0, 0, 1.2]
+    assert len(level_scan(floor, PatchSegmenter())) == 0
+    anything = np.random.default_rng(1).uniform(-4, 4, (300, 3))
+    assert len(level_scan(anything, PatchSegmenter())) == 0
+
+
+def test_a_carried_lidar_gives_a_floor_plan(
+    storey: Storey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_scans_npz(tmp_path / "scans.npz", storey.scans, storey.stamps_s)
+    source, planes = str(tmp_path / "scans.npz"), ["--variant", "planes"]
+    assert main(["map", source, "-o", str(tmp_path / "none"), *planes, "--level", "none"]) == 2
+    refused = capsys.readouterr().err
+    assert "--level" in refused
+    assert "not upright" in refused
+    out = tmp_path / "plan"
+    assert main(["map", source, "-o", str(out), *planes]) == 0
+    assert "levelled" in capsys.readouterr().err
+    path = np.loadtxt(out / "trajectory.tum")[:, 1:3]
+    true = storey.trajectory[:, :2, 3]
+    assert len(path) == len(true)
+    lengths = (np.linalg.norm(np.diff(each, axis=0), axis=1) for each in (path, true))
+    assert np.abs(np.subtract(*lengths)).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("high", "told"), [(0.0, "no wall was found in any scan"), (2.4, "cannot be levelled")]
+)
+def test_clouds_without_walls_are_refused_in_one_line(
+    high: float, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    floors = [rng.uniform(-4, 4, (4000, 3)) * [1, 1, 0] - [0, 0, 1.2] for _ in range(2)]
+    clouds = [np.concatenate([floor, floor + np.array([0, 0, high])]) for floor in floors]
+    write_scans_npz(tmp_path / "scans.npz", clouds, np.arange(2.0))
+    arguments = [str(tmp_path / "scans.npz"), "-o", str(tmp_path / "out"), "--variant", "planes"]
+    assert main(["map", *arguments]) == 2
+    assert told in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", [["--level", "auto"], ["--segmenter", "em"]])
+def test_options_of_walls_are_refused_for_others(
+    option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["map", "log", "-o", str(tmp_path / "out"), "--variant", "planes3d"]
+    assert main([*arguments, *option]) == 2
+    assert "require --variant planes" in capsys.readouterr().err
+
+
+def test_a_segmenter_can_be_chosen(tmp_path: Path) -> None:
+    world = ["--sampling", "laser", "--points", "181", "--iterations", "4"]
+    assert main(["simulate", "building", "-o", str(tmp_path / "world"), *world]) == 0
+    arguments = ["--variant", "planes", "--segmenter", "ransac"]
+    assert main(["map", str(tmp_path / "world"), "-o", str(tmp_path / "out"), *arguments]) == 0
+    assert '"segmenter": "ransac"' in (tmp_path / "out" / "summary.json").read_text()
+
+
+def test_a_real_hall_gives_a_floor_plan(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hall = shared_data / "lidar3d-hall"
+    if not hall.is_dir():
+        pytest.skip("lidar3d-hall is not there")
+    out = tmp_path / "plan"
+    arguments = ["--variant", "planes", "--scans", "0:8"]
+    assert main(["map", str(hall), "-o", str(out), *arguments]) == 0
+    assert "submaps" not in capsys.readouterr().out
+    assert main(["evaluate", str(out), "--truth", str(hall)]) == 0
+    evaluation = json.loads((out / "evaluation.json").read_text())
+    assert len(np.loadtxt(out / "trajectory.tum")) == 8
+    assert evaluation["ate_m"] < 0.03
