@@ -26,6 +26,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from functools import partial
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from time import perf_counter
@@ -178,7 +179,10 @@ def main() -> None:
     parser.add_argument("--log", default="*", help="a log, or several as by '*'; else all")
     parser.add_argument("--peers", action="store_true", help="KISS-ICP and small_gicp beside it")
     given = parser.parse_args()
-    peers = [KissIcp, SmallGicp] if given.peers else []
+    known = {"kiss_icp": KissIcp, "small_gicp": SmallGicp} if given.peers else {}
+    peers = [peer for name, peer in known.items() if find_spec(name)]
+    if len(peers) < len(known):
+        print("KISS-ICP or small_gicp is not installed (pip install 'relmap[peers]'): left out")
     names = "".join(f" {peer.__name__} |" for peer in peers)
     print(f"| log | scans | submaps | largest | weak | right | ATE | turn | wrong | planes "
           f"| double | ms | last |{names}")  # fmt: skip
