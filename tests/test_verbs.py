@@ -142,7 +142,7 @@ def test_compare_without_truth(
     run = ["compare", str(logs / source), "--methods", method, "--association", "nearest"]
     assert main([*run, "-o", str(out)]) == 0
     assert capsys.readouterr().out.endswith(
-        f"wrote comparison.csv, 1 trajectory and 2 pictures to {out}\n"
+        f"wrote comparison.csv, 1 trajectory and map and 2 pictures to {out}\n"
     )
     (row,) = table(out / "comparison.csv")
     assert row["ate_m"] == row["landmark_rmse_m"] == row["relation_m"] == ""
