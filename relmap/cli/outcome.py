@@ -119,7 +119,11 @@ def on_odometry(odometry: dict[str, Any] | None) -> str:
         return "; odometry contradicts the observations and was not used"
     alone, left_out = (odometry[key]["count"] for key in ("tied_by_it_alone", "left_out"))
     told = f"; {alone} scans are linked by odometry alone" if alone else ""
-    return told + (f"; odometry was rejected at {left_out} scans" if left_out else "")
+    told += f"; odometry was rejected at {left_out} scans" if left_out else ""
+    worst_m = odometry["largest_sd_m"]
+    if alone and worst_m is not None:
+        told += f"; the least certain landmark has a standard deviation of {worst_m:.2g} m"
+    return told
 
 
 def untied(submaps: int) -> str:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.core.association.loops import TIED, Loop, LoopFinder
+from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import merge_doubles
-from relmap.core.association.revisits import RevisitFinder, lying_together, seen_with_both
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.strays import find_strays
 from relmap.core.association.tying import CLEAR, tie_submaps
@@ -22,6 +20,7 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
+from relmap.core.revisiting import close_revisits, merge_in_place
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
@@ -75,50 +74,25 @@ def tie(engine: RelativeMapper) -> None:
     merger.sightings = Sightings(rows, engine.table)
     for _ in tie_submaps(engine.map, noise_m):
         merge_doubles(engine.table, merger, engine.merge)
-    for loop in _loops(engine, noise_m):
-        pairs = loop.pairs[merger.allowed(loop.pairs)]
-        if len(pairs) > CLEAR * len(loop.pairs):
-            bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
-            engine.merge_pairs(pairs)
-            merge_doubles(engine.table, merger, engine.merge)
-    _merge_in_place(engine)
-    if engine.refined:  # Until then, landmarks at the same position need not be the same landmark.
+    if is_bridged(engine):
+        close_revisits(engine)
+        merge_in_place(engine)
+    else:
+        _close_loops(engine, rows, noise_m)
+    if engine.refined:  # Before that what lies together may not be one.
         merge_doubles(engine.table, merger, engine.merge)
     merger.sightings = None
 
 
-def _merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
-    """Merge coinciding landmarks, never seen together, of a map that odometry connects.
-
-    Finally this includes landmarks whose merges were undone earlier but which still coincide.
-    """
-    if not is_bridged(engine):
-        return
-    merger, found = engine.merger, True
-    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
-    while found:
-        noise_m = max(refined.noise_m for refined in engine.refined)
-        pairs = lying_together(engine.table, noise_m)
-        if not at_last:
-            pairs = pairs[merger.allowed(pairs)]
-        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
-        pairs = pairs[np.array(apart, dtype=bool)]
-        landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
-        both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
-        found = engine.merge_pairs(pairs[both >= TIED]) > 0
-
-
-def _loops(engine: RelativeMapper, noise_m: float) -> Iterator[Loop]:
-    """Yield places that the map shows twice; merge each before the search for the next."""
-    finder: LoopFinder | RevisitFinder = LoopFinder(engine.table, noise_m)
-    use = engine.odometry
-    if use is not None and use.is_used:
-        noise_m = max(refined.noise_m for refined in engine.refined)
-        motions = engine.motions.over(engine.store.n_iterations)
-        way_m = float(np.nanmedian(np.linalg.norm(motions[:, :3, 3], axis=1)))
-        finder = RevisitFinder(engine.table, noise_m, use.noise, way_m)
+def _close_loops(engine: RelativeMapper, rows: SegmentRows, noise_m: float) -> None:
+    """Close loops that drift has left open, one after the other."""
+    finder = LoopFinder(engine.table, noise_m)
     while (loop := finder.next()) is not None:
-        yield loop
+        pairs = loop.pairs[engine.merger.allowed(loop.pairs)]
+        if len(pairs) > CLEAR * len(loop.pairs):
+            bend(engine.map, rows, pairs, loop.placement.R, loop.placement.t)
+            engine.merge_pairs(pairs)
+            merge_doubles(engine.table, engine.merger, engine.merge)
 
 
 def find_again(engine: RelativeMapper) -> None:
@@ -173,7 +147,7 @@ def _repair(engine: RelativeMapper) -> None:
     undone = undo(engine)
     if is_bridged(engine):
         _refine(engine, to_the_last=False)
-        _merge_in_place(engine, at_last=True)
+        merge_in_place(engine, at_last=True)
     rare = _rare(engine) & ~grouped
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):
@@ -205,9 +179,12 @@ def leave_out_rare(engine: RelativeMapper) -> None:
 
 
 def _rare(engine: RelativeMapper) -> NDArray[np.bool_]:
-    """Return which landmarks (m,) are mapped with fewer observations than a group needs."""
-    table, rows = engine.table, engine.rows
-    seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=len(table))
+    """Tell which landmarks (m,) are mapped though they were seen less often than a group needs."""
+    table, rows, n = engine.table, engine.rows, len(engine.table)
+    if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
+        seen = np.bincount(table.now(engine.kept.landmark), minlength=n)
+    else:
+        seen = np.bincount(table.now(rows.landmark), rows.n_seen, minlength=n)
     return np.asarray((table.weight > 0) & (seen < engine.config.group_after))
 
 

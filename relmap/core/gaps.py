@@ -15,7 +15,7 @@ from relmap.core.motion_noise import MotionNoise
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.bridging import Bridged, bridge, measured_motions, noise_of
 from relmap.core.refinement.chained import Sigmas
-from relmap.core.refinement.chaining import Solved, join_parts, solve_part
+from relmap.core.refinement.chaining import PartSolver, Solved, join_parts
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import AGREEING
 from relmap.core.refinement.joint import STEADY
@@ -30,10 +30,11 @@ def is_bridged(engine: RelativeMapper) -> bool:
     return engine.odometry is not None and engine.odometry.is_used
 
 
-def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
+def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool = False) -> bool:
     """Put what odometry ties in one frame, where all that was seen agrees best with it.
 
-    Tells whether there was anything to do: where landmarks tie every scan, odometry adds nothing.
+    With `is_open`, loops were found that are still open.  Tells whether there was
+    anything to do: where landmarks tie every scan, odometry adds nothing.
     """
     if not len(engine.motions):
         return False
@@ -43,24 +44,24 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     odometry = engine.motions.over(engine.store.n_iterations)
     measured = measured_motions(odometry, rows)
     noise, slipped = noise_of(odometry, measured, rows)
-    use = OdometryUse.of(noise, slipped)
+    before, use = engine.odometry, OdometryUse.of(noise, slipped)
+    if before is not None:
+        use = replace(use, drift=before.drift)
     if noise.is_wrong or not len(engine.kept):
         engine.odometry = use
         return False
     believed = noise.corrected(odometry)
-    believed[slipped] = np.nan
-    bridged = bridge(engine.table, rows, np.where(slipped[:, None, None], measured, believed))
-    before = engine.odometry
-    hanging, sigmas = bridged.hanging, None
+    start, sigmas = None, None
     if before is not None and before.is_used:
-        hanging, sigmas = before.hanging, Sigmas(*before.sigmas.tolist())
+        start, sigmas = before.poses if engine.refined else None, Sigmas(*before.sigmas.tolist())
+    motions = np.where(slipped[:, None, None], measured.motion, believed)
+    bridged = bridge(engine.table, rows, motions, start)
+    hanging = bridged.hanging if before is None or sigmas is None else before.hanging
     if not len(hanging):
         engine.odometry = use
         return False
-    solve = _solver(engine, rows, believed, noise, sigmas, to_the_last)
-    solved = solve(bridged)
-    while engine.association.has_ids and (joined := join_parts(bridged, solved)) is not None:
-        bridged, solved = joined, solve(joined)
+    solve = _solver(engine, rows, believed, noise, sigmas, to_the_last, is_open).solve
+    bridged, solved = _solved(bridged, solve, engine.association.has_ids)
     cleared = _at_rest(engine, solved)
     if len(cleared):
         engine.table.dynamic[cleared] = False
@@ -70,6 +71,16 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False) -> bool:
     return True
 
 
+def _solved(
+    bridged: Bridged, solve: Callable[[Bridged], list[Solved]], has_ids: bool
+) -> tuple[Bridged, list[Solved]]:
+    """Return the parts of a run, those joined that ids tie."""
+    solved = solve(bridged)
+    while has_ids and (joined := join_parts(bridged, solved)) is not None:
+        bridged, solved = joined, solve(joined)
+    return bridged, solved
+
+
 def _solver(
     engine: RelativeMapper,
     rows: SegmentRows,
@@ -77,44 +88,29 @@ def _solver(
     noise: MotionNoise,
     sigmas: Sigmas | None,
     to_the_last: bool,
-) -> Callable[[Bridged], list[Solved]]:
-    """Return what solves each part of a run that is bridged, the smallest first; see `solve_part`.
-
-    Parameters
-    ----------
-    believed : (k, 4, 4) float64
-        Odometry without constant errors; NaN where it is not known or not believed.
-    """
+    is_open: bool,
+) -> PartSolver:
+    """Return what solves the parts of a run; `believed` is odometry without constant errors."""
     mature = to_the_last and not engine.association.has_ids
-    fewest = engine.config.group_after // 2 if mature else AGAIN
-    roots, noise_m = None, engine.averaging.noise.sigma_m
+    roots = None
     if len(engine.weighed):
         # Observations before the first odometry are not kept.
         covariance = engine.weighed.covariance[len(engine.weighed) - len(engine.kept) :]
         roots = np.linalg.inv(np.linalg.cholesky(covariance))
-
-    def solve(bridged: Bridged) -> list[Solved]:
-        found = (
-            solve_part(
-                engine.table,
-                rows,
-                engine.kept,
-                roots,
-                bridged,
-                part,
-                believed,
-                noise,
-                noise_m,
-                sigmas,
-                to_the_last,
-                fewest,
-            )
-            for part in np.unique(bridged.part).tolist()
-        )
-        solved = [part for part in found if part is not None]
-        return sorted(solved, key=lambda part: len(part.refined.landmarks))
-
-    return solve
+    return PartSolver(
+        engine.table,
+        rows,
+        engine.kept,
+        roots,
+        believed,
+        noise,
+        engine.averaging.noise.sigma_m,
+        sigmas,
+        to_the_last,
+        engine.config.group_after // 2 if mature else AGAIN,
+        is_open,
+        engine.association.has_ids,
+    )
 
 
 def _at_rest(engine: RelativeMapper, solved: list[Solved]) -> NDArray[np.int64]:
@@ -151,7 +147,9 @@ def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
         own = refined.landmarks
         engine.map.place(engine.map.new_submap(), own, refined.positions, seen[own])
         table.highest_level[own] = np.maximum(table.highest_level[own], 1)
-    engine.refined = [part.refined for part in solved]
+    drift = 1.0 if engine.odometry is None else engine.odometry.drift
+    scaled = (replace(part.refined, spread=part.refined.spread.scaled(drift)) for part in solved)
+    engine.refined = list(scaled)
 
 
 def _told(

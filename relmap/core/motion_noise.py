@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
@@ -72,11 +72,21 @@ class MotionNoise:
         way = np.linalg.norm(odometry[:, :3, 3], axis=1)
         return np.hypot(self.sigma_way * way, self.sigma_m), np.full(len(way), self.sigma_rad)
 
-    def slipped(self, odometry: Array, measured: Array) -> NDArray[np.bool_]:
-        """Tell in which steps (k,) odometry went another way than what was measured (k, 4, 4)."""
+    def slipped(
+        self, odometry: Array, measured: Array, sd_m: ArrayLike = 0.0, sd_rad: ArrayLike = 0.0
+    ) -> NDArray[np.bool_]:
+        """Tell in which steps (k,) odometry went another way than what was measured (k, 4, 4).
+
+        Parameters
+        ----------
+        odometry, measured : (k, 4, 4) float64
+        sd_m, sd_rad : (k,) float64
+            Standard deviations of what was measured: of a coordinate, metres, and of the angle.
+        """
         off_m, off_rad = _apart(self.corrected(odometry), measured)
         sigma_m, sigma_rad = self.sigmas(odometry)
-        return np.asarray((off_m > SLIPPED * sigma_m) | (off_rad > SLIPPED * sigma_rad))
+        is_far = off_m > SLIPPED * np.hypot(sigma_m, sd_m)
+        return np.asarray(is_far | (off_rad > SLIPPED * np.hypot(sigma_rad, sd_rad)))
 
 
 def motion_noise(odometry: Array, measured: Array) -> MotionNoise | None:

@@ -85,6 +85,9 @@ class OdometryUse:
         ``T_map_robot`` where it is used; NaN in other submaps.
     sigmas : (3,) float64
         Noise of observations, and of odometry's ways and turns, over what `noise` has them.
+    drift : float
+        How many times farther the map had drifted where places were seen again than noise explains.
+        Covariances are for drift as large everywhere.
     """
 
     noise: MotionNoise
@@ -93,6 +96,7 @@ class OdometryUse:
     hanging: NDArray[np.int64]
     poses: NDArray[np.float64]
     sigmas: NDArray[np.float64]
+    drift: float = 1.0
 
     @classmethod
     def of(cls, noise: MotionNoise, slipped: NDArray[np.bool_]) -> OdometryUse:

@@ -69,7 +69,7 @@ def summary_of(
         "undone_merges": mapper.n_undone,
         "submaps": len(result.submaps),
     }
-    told["odometry"] = _odometry(mapper.odometry, offset)
+    told["odometry"] = _odometry(mapper.odometry, result, offset)
     if isinstance(mapper, PlaneMapper):
         weak = (mapper.weak_links + offset).tolist()
         return told | {"weak_links": weak, "steps": _steps(mapper.submaps, log)}
@@ -78,7 +78,7 @@ def summary_of(
     return told
 
 
-def _odometry(use: OdometryUse | None, offset: int) -> dict[str, Any] | None:
+def _odometry(use: OdometryUse | None, result: Result, offset: int) -> dict[str, Any] | None:
     """Return how odometry was used, and its estimated quality; None if there was none."""
     if use is None:
         return None
@@ -88,9 +88,25 @@ def _odometry(use: OdometryUse | None, offset: int) -> dict[str, Any] | None:
         "scale": float(use.noise.scale),
         "sigma_share_of_way": float(use.noise.sigma_way),
         "sigma_rad": float(use.noise.sigma_rad),
-        "tied_by_it_alone": ends_of(use.hanging + offset, "iterations"),
+        "drift_over_noise": float(use.drift),
+        "largest_sd_m": _largest_sd(result) if use.is_used else None,
+        "tied_by_it_alone": ends_of(use.hanging + offset, "iterations")
+        | {"stretches": _stretches(use.hanging + offset)},
         "left_out": ends_of(use.left_out + offset, "iterations"),
     }
+
+
+def _stretches(numbers: Ints) -> list[list[int]]:
+    """Return the first and the last of each run of consecutive numbers (n,), ascending."""
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
+    return [[int(run[0]), int(run[-1])] for run in runs if len(run)]
+
+
+def _largest_sd(result: Result) -> float | None:
+    """Return the standard deviation of the landmark that is known worst; None if none is known."""
+    sd = np.empty(0) if isinstance(result, PlaneResult) else result.landmarks.sd
+    known = sd[np.isfinite(sd)]
+    return float(known.max()) if len(known) else None
 
 
 def _rejected_rows(mapper: PointMapper, log: ObservationLog | ScanLog, offset: int) -> Ints:

@@ -19,6 +19,7 @@ from relmap.plots.path import broken_at_gaps, broken_at_jumps
 from relmap.plots.sheet import BLUE, RED, Sheet, to_png
 
 GROUP = "#7f7f7f"
+ODOMETRY = "#8e44ad"
 WEAK_COLOUR = "#e67e22"
 WEAK = 2.0
 """Residual, relative to its expectation from noise, above which a place is marked."""
@@ -102,9 +103,29 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
         return
     whole = broken_at_gaps(result.stamps_s, position)
     axes.plot(*whole.T, color=BLUE, linewidth=1.4, zorder=7, label="path of the robot")
+    alone = on_odometry_alone(result)
+    if len(alone):
+        steps = position[np.column_stack([alone - 1, alone])]
+        lines: dict[str, Any] = {"colors": ODOMETRY, "linewidths": 2.2, "zorder": 7}
+        label = "tied by odometry alone"
+        axes.add_collection(LineCollection(list(steps), label=label, **lines))
     style: dict[str, Any] = {"color": BLUE, "markersize": 6, "zorder": 8, "linestyle": ""}
     axes.plot(*position[0], "o", label="start", **style)
     axes.plot(*position[-1], "s", label="end", **style)
+
+
+def on_odometry_alone(result: Result) -> NDArray[np.int64]:
+    """Return the rows (k,) of the poses that odometry alone ties to the one before.
+
+    Of a result that was read it is not known which iteration each pose is of: none.
+    """
+    told = result.summary.get("odometry")
+    if told is None or result.iterations is None:
+        return np.empty(0, dtype=np.int64)
+    stretches = [np.arange(a, b + 1) for a, b in told["tied_by_it_alone"]["stretches"]]
+    alone = np.isin(result.iterations, np.concatenate([[-1], *stretches]))
+    alone[1:] &= np.diff(result.iterations) == 1
+    return np.flatnonzero(alone[1:]) + 1
 
 
 def _draw_groups(

@@ -115,6 +115,8 @@ class Constellation(Numbered):
                 self._n_unique += is_unique
                 if is_unique and tracks is self._tracks:
                     self.guide.learn(placement)
+                elif tracks is self._tracks and self._is_unlikely(placement, tracks):
+                    placement = self._guided(tracks, points_robot)
             elif self.guide.knows and tracks is self._tracks:
                 placement = self._guided(tracks, points_robot)
             if placement is not None:
@@ -130,6 +132,11 @@ class Constellation(Numbered):
                     self._alone.remove(since)
                 return carried.kept(carried.missed <= self._max_missed)
         return None
+
+    def _is_unlikely(self, placement: Placement, tracks: LiveTracks) -> bool:
+        """Tell whether odometry contradicts a placement that chance may have made."""
+        noise_m = max(self._scale.noise_m or self._scale.gate_m, TINY_M)
+        return self.guide.knows and self.guide.contradicts(placement, tracks.expected, noise_m)
 
     def _guided(self, tracks: LiveTracks, points_robot: Floats) -> Placement:
         """Return the tracks as predicted by odometry, corrected by the few that are in view."""

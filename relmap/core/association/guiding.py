@@ -22,6 +22,8 @@ FIRST, EVERY = 16, 128
 most that are waited for."""
 SIGMAS = 4.0
 """Standard deviations within which a landmark is looked for."""
+UNLIKELY = 6.0
+"""Standard deviations beyond which a placement that chance may have made is not believed."""
 ALONE = 0.5
 """A match counts where no other is within twice as far."""
 
@@ -70,6 +72,14 @@ class OdometryGuide:
         sigma_m, sigma_rad = self.noise.sigmas(self._since[None])
         away = np.linalg.norm(points, axis=1)
         return np.asarray(np.hypot(sigma_m[0], sigma_rad[0] * away) * np.sqrt(self._steps))
+
+    def contradicts(self, placement: Placement, points: Array, noise_m: float) -> bool:
+        """Tell whether a placement brings points (n, d) where the robot hardly can have gone."""
+        off = np.linalg.norm(
+            placement.apply(points) - self.predicted(points.shape[1]).apply(points), axis=1
+        )
+        sigma = np.hypot(self.sigma_at(points), noise_m)
+        return bool(np.median(off / sigma) > UNLIKELY)
 
     def learn(self, placement: Placement) -> None:
         """Compare odometry with a placement that many landmarks support."""

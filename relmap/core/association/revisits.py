@@ -1,11 +1,16 @@
 """Places that a map tied by odometry shows twice: found where its drift may have taken them.
 
-Few landmarks are in view there, some seen once or twice, so triangles of neighbours find nothing.
-How noisy odometry is bounds how far a place may be off, and so what may be what; the largest set
-of candidate matches whose distances agree is believed where it is unlike chance and has no rival.
+Few landmarks are in view at once, some seen once or twice, so triangles of neighbours find nothing.
+What one stretch of the run saw is compared as a whole with what was seen before.  The covariance of
+the chain of poses bounds how far off that may be.  The placement that most landmarks agree on is
+believed where it is unlike chance and has no rival.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,126 +19,248 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import bdtrc
 
-from relmap.core.association.loops import TIED, Loop
-from relmap.core.association.placement import consistent_placements
-from relmap.core.association.tying import BY_CHANCE, CLEAR, NEIGHBOURHOOD, OVERLAP
-from relmap.core.motion_noise import MotionNoise
+from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import nearest
+from relmap.core.association.placement import Placement, consistent_placements
+from relmap.core.association.search import settled
+from relmap.core.association.tying import BY_CHANCE, CLEAR
 from relmap.core.refinement.condensing import LENGTH
+from relmap.core.refinement.drift import Drift
 from relmap.core.state.table import NONE, LandmarkState
 
 SOLID = 3
 """Observations without which a landmark says nothing of a place."""
 FEWEST = 5
 """Matches below which a place is not looked at."""
-SIGMAS = 3.0
-"""How far off a place may be, in standard deviations of odometry over the way since."""
+MOST = 40
+"""Landmarks of a stretch that are compared, those known best from its end."""
+FARTHEST = 1.5, 4.0, 12.0
+"""How far off a place may be, in standard deviations: each is tried where nothing is found within
+the one before.  Errors of real sensors are alike for long, so that chains drift farther than
+independent errors would take them."""
 TOLERANCE = 5.0
 """How far apart the landmarks of two visits may lie, in standard deviations of an observation."""
+WIDER = 2.0
+"""How many times farther before the map is refined with them."""
 APART = 2.5
 """How far off any other landmark must be, in the distance within which they are one."""
 MOST_PAIRS = 800
-"""Candidate matches that are looked at; where there are more, those that lie nearest."""
+"""Candidate matches in space that are looked at; where there are more, those that lie nearest."""
+FINE = 4.0
+"""Placements that differ, per tolerance of a shift."""
+STRIDE = 2 * LENGTH
+"""Iterations from one stretch to the next."""
+LOCAL = 0.5
+"""How well the landmarks of a stretch must be known from its end, in tolerances."""
+PEAKS = 12
+"""Placements with the most votes that are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """What one stretch of a run saw, and what it may have seen before.
+
+    Attributes
+    ----------
+    pose : int
+    new, old : (n,), (m,) int64
+        Landmarks.
+    points, there : (n, d), (m, d) float64, metres
+        Where they lie, in the frame of the pose.
+    reach_m : (m,) float64
+        How far off each of the older ones may be.
+    sd_m : (m,) float64
+        Its standard deviation.
+    turn_rad : float
+        How much turned they may be.
+    """
+
+    pose: int
+    new: Ints
+    old: Ints
+    points: Floats
+    there: Floats
+    reach_m: Floats
+    sd_m: Floats
+    turn_rad: float
+
+
+@dataclass(frozen=True, eq=False)
+class Revisit:
+    """A place that was seen twice.
+
+    Attributes
+    ----------
+    pairs : (k, 2) int64
+        Landmarks of one visit, and those of the other that they are.
+    chance : float
+        How often chance makes one so sure, over the whole map.
+    surprise : float
+        How far the map had drifted, in standard deviations.
+    """
+
+    pairs: Ints
+    chance: float
+    surprise: float
 
 
 class RevisitFinder:
-    """Finds revisits in a map, one after the other; each landmark is looked at once.
+    """Finds places that a part of a map shows twice, all at once.
 
     Parameters
     ----------
     table : LandmarkState
+    landmarks : (m,) int64
+        Those of the part.
+    drift : Drift
     noise_m : float
         Standard deviation of an observed coordinate.
-    noise : MotionNoise
-        Of odometry, in each iteration.
-    way_m : float
-        Typical way from one iteration to the next, metres.
     """
 
-    def __init__(
-        self, table: LandmarkState, noise_m: float, noise: MotionNoise, way_m: float
-    ) -> None:
-        self._table = table
-        self._tolerance_m = TOLERANCE * noise_m
-        self._turn = noise.sigma_rad
-        self._shift_m = float(np.hypot(noise.sigma_way * way_m, noise.sigma_m))
-        self._had = np.zeros(len(table), dtype=bool)
+    def __init__(self, table: LandmarkState, landmarks: Ints, drift: Drift, noise_m: float) -> None:
+        self._table, self._landmarks, self._drift = table, landmarks, drift
+        self._seen_from: dict[int, tuple[Floats, Floats]] = {}
+        self._tolerance_m = WIDER * TOLERANCE * noise_m
+        own = table.observations[landmarks] >= SOLID
+        own &= (table.submap[landmarks] != NONE) & (table.now(landmarks) == landmarks)
+        self._own = np.flatnonzero(own)
+        at = drift.state.positions[self._own]
+        apart = nearest(cKDTree(at), at, 2)[0] if len(at) > 1 else np.full((1, 2), np.inf)
+        self._apart_m = float(np.median(apart[:, 1]))
 
-    def next(self) -> Loop | None:
-        """Return a revisit that is not known yet; None where no more are found."""
-        table = self._table
-        own = np.flatnonzero((table.submap != NONE) & (table.observations >= SOLID))
-        for seed in own[np.argsort(table.since[own], kind="stable")].tolist():
-            if not self._had[seed]:
-                found = self._revisit(own[table.submap[own] == table.submap[seed]], seed)
-                if found is not None:
-                    return found
-        return None
+    def revisits(self) -> list[Revisit]:
+        """Return the revisits that are not known yet, the surest first, none against another."""
+        every = (self._within(sigmas) for sigmas in FARTHEST)
+        return next((found for found in every if found), [])
 
-    def _revisit(self, own: NDArray[np.int64], seed: int) -> Loop | None:
-        table = self._table
-        in_view = table.since[own] <= table.last[seed]
-        together = own[in_view & (table.last[own] >= table.since[seed])]
-        apart = np.linalg.norm(table.position[together] - table.position[seed], axis=1)
-        around = together[np.argsort(apart, kind="stable")[:NEIGHBOURHOOD]]
-        self._had[around[: max(1, len(around) // OVERLAP)]] = True
-        self._had[seed] = True
-        new = around[table.since[around] == table.first[around]]
-        if len(new) < FEWEST or len(around) - len(new) >= TIED:
-            return None
-        points, old = table.position[new], own[table.last[own] < table.since[new].min()]
-        pairs, reach_m = self._candidates(new, old)
-        if len(pairs) < FEWEST:
-            return None
-        there = table.position[old]
-        fit_m = self._tolerance_m
-        found = consistent_placements(points, there, pairs, fit_m, fit_m)
-        best = next(found, None)
-        if best is None or len(best[1]) < FEWEST:
-            return None
-        rival = next(found, None)
-        n_rival = 0 if rival is None else len(rival[1])
-        placement, matches = best
-        if n_rival > CLEAR * len(matches) or not self._is_sure(points, there, reach_m, matches):
-            return None
-        return Loop(np.column_stack([new[matches[:, 0]], old[matches[:, 1]]]), placement)
+    def _within(self, sigmas: float) -> list[Revisit]:
+        """Return those where the map has drifted by so many standard deviations at most."""
+        found: list[Revisit] = []
+        n_poses = len(self._drift.state.t)
+        for pose in range(STRIDE, n_poses + STRIDE - 1, STRIDE):
+            stretch = self._stretch(min(pose, n_poses - 1), sigmas)
+            revisit = self._revisit(stretch) if stretch is not None else None
+            found += [] if revisit is None else [revisit]
+        sure, taken = [], np.full(len(self._table), NONE)
+        for revisit in sorted(found, key=lambda revisit: revisit.chance):
+            new, old = revisit.pairs.T
+            if ((taken[new] == NONE) | (taken[new] == old)).all():
+                taken[new] = old
+                sure.append(revisit)
+        return sure
 
-    def _candidates(
-        self, new: NDArray[np.int64], old: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int64], float]:
-        """Return which may be which, as rows (p, 2), and how far off the place may be, metres."""
-        table = self._table
-        away = table.position[new][:, None] - table.position[old][None]
-        apart = np.linalg.norm(away, axis=2)
-        steps = (table.since[new][:, None] - table.last[old][None]).clip(0)
-        between = table.position[own_between(table, old, new)] - table.position[new].mean(axis=0)
-        lever_m = float(np.linalg.norm(between, axis=1).max(initial=0.0))
-        drift_m = SIGMAS * np.sqrt(steps) * np.hypot(self._turn * lever_m, self._shift_m)
-        near = np.argwhere(apart <= drift_m + self._tolerance_m)
-        if len(near) > MOST_PAIRS:
-            order = np.argsort(apart[near[:, 0], near[:, 1]], kind="stable")[:MOST_PAIRS]
-            near = near[np.sort(order)]
-        reach_m = float(drift_m[near[:, 0], near[:, 1]].max()) if len(near) else 0.0
-        return near, reach_m
+    def _stretch(self, pose: int, sigmas: float) -> Stretch | None:
+        """Return what was seen up to a pose; None where that is too little, or known already."""
+        drift = self._drift
+        if pose not in self._seen_from:
+            self._seen_from[pose] = drift.from_pose(pose)
+        sd_m, turn = self._seen_from[pose]
+        near = self._own[sd_m[self._own] <= LOCAL * self._tolerance_m]
+        new = near[np.argsort(sd_m[near], kind="stable")[:MOST]]
+        old = self._own[sd_m[self._own] > self._tolerance_m]
+        if len(new) < FEWEST or len(old) < FEWEST:
+            return None
+        R, t = drift.state.R[pose], drift.state.t[pose]
+        points, there = ((drift.state.positions[of] - t) @ R for of in (new, old))
+        reach = sigmas * sd_m[old] + self._tolerance_m
+        extent_m = np.linalg.norm(points, axis=1).max()
+        near = np.linalg.norm(there, axis=1) <= reach + extent_m
+        if near.sum() < FEWEST:
+            return None
+        old, there = old[near], there[near]
+        turn_rad = float(sigmas * turn[old].max())
+        return Stretch(pose, new, old, points, there, reach[near], sd_m[old], turn_rad)
 
-    def _is_sure(
-        self,
-        points: NDArray[np.float64],
-        there: NDArray[np.float64],
-        reach_m: float,
-        matches: NDArray[np.int64],
-    ) -> bool:
-        """Tell whether chance hardly brings so many of the points (n, d) onto what was there."""
-        d, tolerance_m = points.shape[1], self._tolerance_m
-        middle = points.mean(axis=0)
-        extent_m = float(np.linalg.norm(points - middle, axis=1).max())
-        near = np.linalg.norm(there - middle, axis=1) <= reach_m + extent_m
-        room = (2 * (reach_m + extent_m)) ** d
-        share = min(1.0, near.sum() * (2 * tolerance_m) ** d / room)
-        turns = max(1.0, 2 * np.pi * extent_m / tolerance_m) ** (2 * d - 3)
-        trials = max(1.0, 2 * reach_m / tolerance_m) ** d * turns * len(self._had) / NEIGHBOURHOOD
-        fixed = d
-        chance = trials * float(bdtrc(len(matches) - fixed - 1, len(points) - fixed, share))
-        return bool(chance <= BY_CHANCE)
+    def _revisit(self, stretch: Stretch) -> Revisit | None:
+        """Return the revisit that a stretch shows for sure; None where there is none."""
+        places = _places(stretch, self._tolerance_m)
+        if not places or len(places[0][1]) < FEWEST:
+            return None
+        placement, matches = places[0]
+        chance = self._chance(stretch, placement, matches)
+        rival = max((_elsewhere(other, matches) for _, other in places[1:]), default=0)
+        if chance > BY_CHANCE or rival > CLEAR * len(matches):
+            return None
+        off_m = np.linalg.norm(
+            placement.apply(stretch.points[matches[:, 0]]) - stretch.there[matches[:, 1]], axis=1
+        )
+        # Of the others some may lie beside what they are; they are merged once the map is solved.
+        new, old = matches[off_m <= max(np.median(off_m), self._tolerance_m / WIDER)].T
+        middle = stretch.points[new].mean(axis=0)
+        drifted_m = float(np.linalg.norm(placement.apply(middle) - middle))
+        pairs = self._landmarks[np.column_stack([stretch.new[new], stretch.old[old]])]
+        return Revisit(pairs, chance, drifted_m / float(np.median(stretch.sd_m[old])))
+
+    def _chance(self, stretch: Stretch, placement: Placement, matches: Ints) -> float:
+        """Return how often chance brings so many landmarks onto others, over the whole map.
+
+        Many may lie within the tolerance, or fewer much nearer.
+        """
+        n, d = stretch.points.shape
+        extent_m = float(np.linalg.norm(stretch.points - stretch.points.mean(0), axis=1).max())
+        here, there = stretch.points[matches[:, 0]], stretch.there[matches[:, 1]]
+        off_m = np.linalg.norm(placement.apply(here) - there, axis=1)
+        reach_m, turned_m = stretch.reach_m.max(), min(stretch.turn_rad, np.pi) * extent_m
+        chance = []
+        for tolerance_m in (self._tolerance_m, self._tolerance_m / WIDER):
+            # Half of the landmarks have another within `apart_m`, so many of which lie nearer.
+            share = min(0.5, float(np.log(2) * (tolerance_m / self._apart_m) ** d))
+            trials = max(1.0, FINE * reach_m / tolerance_m) ** d
+            trials *= max(1.0, FINE * turned_m / tolerance_m) ** (2 * d - 3)
+            trials *= max(1.0, len(self._own) / n)
+            agreeing = int(np.sum(off_m <= tolerance_m))
+            chance.append(trials * float(bdtrc(agreeing - 1, n, share)))
+        return float(len(chance) * min(chance))
+
+
+def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]]:
+    """Return placements on what was there, the best first, each with its matches (k, 2)."""
+    points, there = stretch.points, stretch.there
+    if points.shape[1] == 3:
+        apart = np.linalg.norm(points[:, None] - there[None], axis=2)
+        order = np.argsort(apart, axis=None, kind="stable")[:MOST_PAIRS]
+        pairs = np.column_stack(np.unravel_index(order, apart.shape))
+        pairs = pairs[apart[pairs[:, 0], pairs[:, 1]] <= stretch.reach_m[pairs[:, 1]]]
+        every = consistent_placements(points, there, pairs, tolerance_m, tolerance_m)
+        return list(islice(every, 2))
+    found: list[tuple[Placement, Ints]] = []
+    tree = cKDTree(there)
+    for guess in _voted(stretch, tolerance_m):
+        placement = settled(points, there, guess, tolerance_m)
+        if placement is None:
+            continue
+        distance, index = nearest(tree, placement.apply(points))
+        far, row = distance[:, 0], index[:, 0]
+        order = np.argsort(far, kind="stable")
+        _, first = np.unique(row[order], return_index=True)
+        of = np.sort(order[first])
+        of = of[far[of] <= tolerance_m]
+        matches: Ints = np.column_stack([of, row[of]])
+        if not any(_elsewhere(matches, other) == 0 for _, other in found):
+            found.append((placement, matches))
+    found.sort(key=lambda place: -len(place[1]))
+    return found
+
+
+def _elsewhere(matches: Ints, others: Ints) -> int:
+    """Return how many of some matches (k, 2) are not among others."""
+    return len(matches) - len({*map(tuple, matches.tolist())} & {*map(tuple, others.tolist())})
+
+
+def _voted(stretch: Stretch, tolerance_m: float) -> Iterator[Placement]:
+    """Yield the placements in the plane that most pairs of landmarks vote for (Ballard, 1981)."""
+    from relmap.core.association.voting_kernels import most_voted
+
+    middle = stretch.points.mean(axis=0)
+    points, there = stretch.points - middle, stretch.there - middle
+    extent_m = float(np.linalg.norm(points, axis=1).max())
+    most, step = min(stretch.turn_rad, np.pi), 2 * tolerance_m / extent_m
+    angles = np.linspace(-most, most, 1 + 2 * int(np.ceil(most / step)))
+    votes, shifts = most_voted(points, there, stretch.reach_m, angles, 2 * tolerance_m)
+    for peak in np.argsort(-votes, axis=None, kind="stable")[:PEAKS].tolist():
+        cos, sin = np.cos(angles[peak // 2]), np.sin(angles[peak // 2])
+        R = np.array([[cos, -sin], [sin, cos]])
+        yield Placement(R, shifts[peak // 2, peak % 2] + middle - R @ middle, 0)
 
 
 def lying_together(table: LandmarkState, noise_m: float) -> NDArray[np.int64]:
@@ -187,12 +314,3 @@ def seen_with_both(
     seen.data[:] = 1
     with_new, with_old = (((seen[of] @ seen.T) > 0).astype(np.int32) for of in pairs.T)
     return np.asarray(with_new.multiply(with_old).sum(axis=1), dtype=np.int64).ravel()
-
-
-def own_between(
-    table: LandmarkState, old: NDArray[np.int64], new: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Return the landmarks that were first seen between some old ones and some new ones."""
-    begin = table.last[old].min(initial=table.since[new].min())
-    first, mapped = table.first, table.submap == table.submap[new[0]]
-    return np.flatnonzero(mapped & (first >= begin) & (first <= table.since[new].max()))

@@ -34,6 +34,15 @@ def limit_of(residual: Floats, dimension: int, size: float) -> float:
     return max(OUTLIER * scale, EXACT * size, 1e-300)
 
 
+def huber(residual: Floats, limit: float) -> Floats:
+    """Return weights (n,), 1 up to the limit, whose pull stays the same beyond it (Huber, 1964).
+
+    A loop that closes metres off bends under them.  Where pulls fall, a chain tears at its weakest
+    link instead.
+    """
+    return np.asarray(limit / np.maximum(residual, limit))
+
+
 def lenient(residual: Floats, limit: float) -> Floats:
     """Return weights (n,), 1 up to the limit, beyond it Cauchy weights.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,10 @@ Indices = NDArray[np.int64]
 UNSURE, STILL_M = 0.5, 0.01
 """Standard deviation, as a share of the way, beyond which landmarks say nothing of odometry; and
 that of a robot that stands, metres."""
+
+
+LARGEST = -2
+"""In the place of a submap: what was solved for before, whatever submaps it is in now."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +44,46 @@ class Bridged:
     hanging: Indices
 
 
-def measured_motions(odometry: Array, rows: SegmentRows) -> Array:
-    """Return the motion to each iteration (k, 4, 4) by landmarks alone; NaN if unknown.
+class Measured(NamedTuple):
+    """The motion to each iteration by landmarks alone; NaN where these do not fix it.
+
+    Attributes
+    ----------
+    motion : (k, 4, 4) float64
+    sd_m, sd_rad : (k,) float64
+        Standard deviations of a coordinate, metres, and of the angle, radians.
+    """
+
+    motion: Array
+    sd_m: Array
+    sd_rad: Array
+
+
+def measured_motions(odometry: Array, rows: SegmentRows) -> Measured:
+    """Return the motions by landmarks alone.
 
     Both iterations must be in one segment, and fixed well enough to say whether odometry is right.
     """
-    k, d = len(rows.iteration_segment), rows.points.shape[1]
-    placed = np.tile(np.eye(4), (k, 1, 1))
-    placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
-    found = np.full((k, 4, 4), np.nan)
+    k, placed = len(rows.iteration_segment), _placed(rows)
+    found = Measured(np.full((k, 4, 4), np.nan), np.full(k, np.nan), np.full(k, np.nan))
     segment = rows.iteration_segment
     tied = 1 + np.flatnonzero((segment[1:] == segment[:-1]) & (segment[1:] != NOWHERE))
     motions = np.linalg.inv(placed[tied - 1]) @ placed[tied]
-    variance = _variances(rows)
-    sure = _is_sure(odometry[tied], variance[tied - 1] + variance[tied])
-    found[tied[sure]] = motions[sure]
+    each_m, each_rad = _variances(rows)
+    squares_m, squares_rad = each_m[tied - 1] + each_m[tied], each_rad[tied - 1] + each_rad[tied]
+    sure = _is_sure(odometry[tied], squares_m)
+    tied = tied[sure]
+    found.motion[tied] = motions[sure]
+    found.sd_m[tied], found.sd_rad[tied] = np.sqrt(squares_m[sure]), np.sqrt(squares_rad[sure])
     return found
+
+
+def _placed(rows: SegmentRows) -> Array:
+    """Return the pose of each iteration (k, 4, 4) in the frame of its segment."""
+    d = rows.points.shape[1]
+    placed = np.tile(np.eye(4), (len(rows.iteration_segment), 1, 1))
+    placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
+    return placed
 
 
 def _is_sure(odometry: Array, variance: Array) -> NDArray[np.bool_]:
@@ -66,10 +95,11 @@ def _is_sure(odometry: Array, variance: Array) -> NDArray[np.bool_]:
     return np.asarray(np.sqrt(variance) <= np.maximum(UNSURE * way, STILL_M))
 
 
-def _variances(rows: SegmentRows) -> Array:
-    """Return the variance (k,) of a coordinate of the robot in each iteration, square metres.
+def _variances(rows: SegmentRows) -> tuple[Array, Array]:
+    """Return the variances (k,) of a coordinate of the robot in each iteration, and of its angle.
 
-    Of a fit to what was seen there: its mean, and its turn by the lever to the robot.
+    Square metres and square radians, of a fit to what was seen there: its mean, and its turn by
+    the lever to the robot.
     """
     k = len(rows.iteration_segment)
     noise = rows.squares.sum() / max(int(rows.freedoms.sum()), 1)
@@ -79,19 +109,20 @@ def _variances(rows: SegmentRows) -> Array:
     middle = sums_each(points, at, k) / counts[:, None]
     spread = np.bincount(at, np.sum((points - middle[at]) ** 2, axis=1), minlength=k)
     lever = np.sum((middle - rows.t) ** 2, axis=1)
-    return np.asarray(noise * (1 / counts + lever / np.maximum(spread, 1e-12)))
+    turn = noise / np.maximum(spread, 1e-12)
+    return np.asarray(noise / counts + lever * turn), np.asarray(turn)
 
 
 def noise_of(
-    odometry: Array, measured: Array, rows: SegmentRows
+    odometry: Array, measured: Measured, rows: SegmentRows
 ) -> tuple[MotionNoise, NDArray[np.bool_]]:
     """Return the noise of odometry, measured by landmarks, and which steps (k,) it got wrong.
 
     Wrong steps are found one by one.  The noise is measured over whole segments, where that of
     the landmarks themselves counts less.
     """
-    single = motion_noise(odometry, measured) or MotionNoise()
-    slipped = single.slipped(odometry, measured)
+    single = motion_noise(odometry, measured.motion) or MotionNoise()
+    slipped = single.slipped(odometry, measured.motion, measured.sd_m, measured.sd_rad)
     believed = odometry.copy()
     believed[slipped] = np.nan
     composed, seen, steps = _stretches(believed, rows)
@@ -109,7 +140,6 @@ def noise_of(
 
 def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]:
     """Return odometry over whole segments (s, 4, 4), the same by landmarks, and their steps."""
-    d = rows.points.shape[1]
     segment = rows.iteration_segment
     inside = np.flatnonzero(segment != NOWHERE)
     _, first, counts = np.unique(segment[inside], return_index=True, return_counts=True)
@@ -120,14 +150,15 @@ def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]
     composed = np.tile(np.eye(4), (len(first), 1, 1))
     for step in range(1, steps + 1):
         composed = composed @ odometry[first + step]
-    placed = np.tile(np.eye(4), (len(segment), 1, 1))
-    placed[:, :d, :d], placed[:, :d, 3] = rows.R, rows.t
-    seen, variance = np.linalg.inv(placed[first]) @ placed[first + steps], _variances(rows)
+    placed, (variance, _) = _placed(rows), _variances(rows)
+    seen = np.linalg.inv(placed[first]) @ placed[first + steps]
     sure = _is_sure(composed, variance[first] + variance[first + steps])
     return composed[sure], seen[sure], max(steps, 1)
 
 
-def bridge(table: LandmarkState, rows: SegmentRows, motions: Array) -> Bridged:
+def bridge(
+    table: LandmarkState, rows: SegmentRows, motions: Array, solved: Array | None = None
+) -> Bridged:
     """Lay all scans in one frame: by submaps where these fix them, else by odometry.
 
     Parameters
@@ -136,10 +167,16 @@ def bridge(table: LandmarkState, rows: SegmentRows, motions: Array) -> Bridged:
     rows : SegmentRows
     motions : (k, 4, 4) float64
         Odometry, without its constant errors; NaN where it is not known.
+    solved : (k, 4, 4) float64, optional
+        Poses that were solved for before the map changed, in the frame of its largest submap; NaN
+        in others.
     """
     k = len(motions)
     poses, part = np.tile(np.eye(4), (k, 1, 1)), np.zeros(k, dtype=np.int64)
     own, submap_of = _poses_in_submaps(table, rows)
+    if solved is not None and len(solved) == k:
+        known = np.isfinite(solved[:, 0, 0])
+        own[known], submap_of[known] = solved[known], LARGEST
     frames: dict[int, tuple[int, Array]] = {}
     for i in range(k):
         submap = int(submap_of[i])

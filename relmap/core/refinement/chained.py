@@ -8,7 +8,7 @@ noisy the observations are, is estimated from what is left (variance components;
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ CONSTANT = 0.03
 """Standard deviation of odometry's errors of scale, and of the turn it misses on each metre, before
 anything is known of them."""
 
+SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 LOOSE, STIFF = 1e-14, 1e3
 """What holds everything a little, and the pose that makes the frame, as shares of what holds most.
 """
@@ -106,6 +107,9 @@ class ChainProblem:
         About where landmarks are.
     anchor : int
         The iteration whose placement makes the frame.
+    turns_whole : bool
+        Whether a step that turns one part of the chain moves all that hangs on it, so that long
+        chains bend in few steps.  Else all move by shifts of their own.
     """
 
     def __init__(
@@ -116,7 +120,9 @@ class ChainProblem:
         positions: Array,
         anchor: int,
         pattern: Pattern | None = None,
+        turns_whole: bool = True,
     ) -> None:
+        self.turns_whole = turns_whole
         n, d = chain.points.shape
         m, k, q = len(positions), len(chain.motion) + 1, 3 if d == 3 else 1
         self.chain, self.sigmas, self._anchor, self._q = chain, sigmas, anchor, q
@@ -141,6 +147,11 @@ class ChainProblem:
         )
         self._of_moved = np.concatenate([pose[self.moved], pose[self.moved + 1], constant], axis=1)
         self._constant = first[-1] + np.arange(q + 2)
+        # Where each landmark was seen in the middle of all times.
+        self._base = np.zeros(m, dtype=np.int64)
+        order = np.argsort(chain.landmark, kind="stable")
+        begin, end = (np.searchsorted(chain.landmark[order], np.arange(m), of) for of in SIDES)
+        self._base = chain.iteration[order][(begin + end) // 2]
         self._at_seen = self.pattern.lower(self._of_seen)
         self._at_moved = self.pattern.lower(self._of_moved)
 
@@ -179,15 +190,31 @@ class ChainProblem:
     def stepped(
         self, state: Chained, equations: NormalEquations, step: Array, weight: Array
     ) -> Chained:
-        """Return the state after a step."""
+        """Return the state after a step.
+
+        Positions follow from the steps between neighbours, so that a part of the chain turns as a
+        whole: shifts of its own would stretch it, and steps would have to be short.
+        """
         moves = equations.eliminated_steps(step)
         turn, shift = moves[:, : self._q], moves[:, self._q :]
-        return Chained(
-            state.positions + step[self.unknown],
-            rotations(turn) @ state.R,
-            state.t + shift,
-            state.constant + step[self._constant],
-        )
+        R, constant = rotations(turn) @ state.R, state.constant + step[self._constant]
+        if not self.turns_whole:
+            return Chained(state.positions + step[self.unknown], R, state.t + shift, constant)
+
+        def placed(base: Indices, points: Array, moved: Array) -> Array:
+            """Return points (n, d), moved a little, as they lie from where their bases come to."""
+            away = points - state.t[base]
+            own = np.einsum("nij,nj->ni", derivatives(away), moves[base])
+            back = np.swapaxes(state.R[base], 1, 2)
+            local = np.einsum("nij,nj->ni", back, away + moved - own)
+            return np.asarray(np.einsum("nij,nj->ni", R[base], local))
+
+        each = np.arange(len(R) - 1)
+        t = np.concatenate([np.zeros((1, R.shape[1])), placed(each, state.t[1:], shift[1:])])
+        t = np.cumsum(t, axis=0)
+        t += state.t[self._anchor] + shift[self._anchor] - t[self._anchor]
+        ways = placed(self._base, state.positions, step[self.unknown])
+        return Chained(ways + t[self._base], R, t, constant)
 
     def inverse(self, state: Chained, weight: Array) -> Array:
         """Return the covariances of all unknowns that are tied, as the pattern lays them out."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
-from relmap.core.geometry.robust import OUTLIER, lenient, limit_of, strict
+from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, strict
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.bridging import Bridged
 from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
@@ -22,7 +22,7 @@ from relmap.core.refinement.residuals import (
     merge_residuals,
     segment_residuals,
 )
-from relmap.core.refinement.settling import WORTH_SAYING, Settled, size_of
+from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled, size_of
 from relmap.core.state.kept import KeptObservations
 from relmap.core.state.table import LandmarkState
 
@@ -40,6 +40,8 @@ GUESS_M = 0.1
 """Noise of an observed coordinate where nothing is known of it yet."""
 SETTLED = 0.02
 """Change of the noise, as a share, that makes no difference."""
+BENT = 3.5
+"""Standard deviations beyond which residuals pull no harder, until a loop is closed."""
 DOUBT = 0.25
 """Weight below which a step of odometry is not believed."""
 
@@ -66,32 +68,19 @@ class Solved:
     sigmas: Sigmas
 
 
-def solve_part(
-    table: LandmarkState,
-    rows: SegmentRows,
-    kept: KeptObservations,
-    roots: Array | None,
-    bridged: Bridged,
-    part: int,
-    motions: Array,
-    noise: MotionNoise,
-    noise_m: float,
-    sigmas: Sigmas | None,
-    to_the_last: bool,
-    fewest: int,
-) -> Solved | None:
-    """Return a part of the run as all that was seen and odometry have it; None where nothing was.
+@dataclass(frozen=True, eq=False)
+class PartSolver:
+    """Solves parts of a run by all that was seen and by odometry.
 
-    Parameters
+    Attributes
     ----------
-    table, rows, kept
+    table : LandmarkState
+    rows : SegmentRows
+    kept : KeptObservations
     roots : (n, d, d) float64, optional
         Roots of the information of each observation, where covariances came.
-    bridged : Bridged
-        Where to start from.
-    part : int
     motions : (k, 4, 4) float64
-        Odometry without its constant errors; NaN where it is not known or not believed.
+        Odometry without its constant errors; NaN where it is not known.
     noise : MotionNoise
     noise_m : float
         About that of an observed coordinate; NaN if nothing is known of it.
@@ -101,51 +90,97 @@ def solve_part(
         Whether what fits nowhere is let go, and the least cost is found to the last digit.
     fewest : int
         Observations below which a landmark is left out.
+    is_open : bool
+        Whether loops were found that are still open where the parts are laid.
+    has_ids : bool
+        Whether ids came.  Parts of the chain do not turn as a whole then: wrong ids would turn
+        them, and MRCLAM's maps got worse by half.
     """
-    iterations = np.flatnonzero(bridged.part == part)
-    every = table.now(kept.landmark)
-    there = (bridged.part[kept.iteration] == part) & ~table.dynamic[every]
-    often = np.bincount(every[there], minlength=len(table)) >= fewest
-    chosen = np.flatnonzero(there & often[every])
-    if not len(chosen):
-        return None
-    landmarks, of = np.unique(every[chosen], return_inverse=True)
-    begin = np.searchsorted(iterations, kept.iteration[chosen])
-    sigma = noise_m if np.isfinite(noise_m) and noise_m > 0 else GUESS_M
-    points = kept.location[chosen]
-    d = points.shape[1]
-    root = (
-        np.broadcast_to(np.eye(d) / sigma, (len(chosen), d, d)) if roots is None else roots[chosen]
-    )
-    between = motions[iterations[1:]].copy()
-    between[np.diff(iterations) != 1] = np.nan
-    chain = Chain(points, of, begin, root, between)
-    poses = bridged.poses[iterations]
-    state = _start(chain, poses, len(landmarks))
-    settled, problem = _settled(
-        chain, noise.sigmas(between), state, int(begin[0]), sigmas, to_the_last
-    )
-    state, anchor = settled.state, int(begin[0])
-    R, t = state.R[anchor], state.t[anchor]
-    placed = np.tile(np.eye(4), (len(iterations), 1, 1))
-    placed[:, :d, :d], placed[:, :d, 3] = R.T @ state.R, (state.t - t) @ R
-    seen_m = sigma * problem.sigmas.seen
-    segments, merges = _residuals(rows, table, landmarks, (state.positions - t) @ R, seen_m)
-    spread = Spread(problem, settled, np.ones(len(landmarks), dtype=bool), R)
-    refined = Refined(
-        landmarks,
-        (state.positions - t) @ R,
-        int(iterations[anchor]),
-        seen_m,
-        segments,
-        merges,
-        spread,
-        converged=settled.converged,
-    )
-    way, turn = problem.parts[1:]
-    weight = np.minimum(settled.weight[way], settled.weight[turn])
-    doubted = iterations[problem.moved[weight < DOUBT] + 1]
-    return Solved(refined, placed, iterations, doubted, problem.sigmas)
+
+    table: LandmarkState
+    rows: SegmentRows
+    kept: KeptObservations
+    roots: Array | None
+    motions: Array
+    noise: MotionNoise
+    noise_m: float
+    sigmas: Sigmas | None
+    to_the_last: bool
+    fewest: int
+    is_open: bool
+    has_ids: bool
+
+    def solve(self, bridged: Bridged) -> list[Solved]:
+        """Return the parts of a run, the smallest first, solved from where they are laid."""
+        found = (self._part(bridged, part) for part in np.unique(bridged.part).tolist())
+        solved = [part for part in found if part is not None]
+        return sorted(solved, key=lambda part: len(part.refined.landmarks))
+
+    def _part(self, bridged: Bridged, part: int) -> Solved | None:
+        """Return one part; None where nothing was seen in it."""
+        iterations = np.flatnonzero(bridged.part == part)
+        chain, landmarks = self._chain(bridged, part, iterations)
+        if not len(landmarks):
+            return None
+        anchor = int(chain.iteration[0])
+        start = _start(chain, bridged.poses[iterations], len(landmarks))
+        odds = self.noise.sigmas(chain.motion)
+        settled, problem = _settled(
+            chain, odds, start, anchor, self.sigmas, self.to_the_last, self.is_open, self.has_ids
+        )
+        refined, placed = self._refined(settled, problem, landmarks, iterations)
+        way, turn = problem.parts[1:]
+        weight = np.minimum(settled.weight[way], settled.weight[turn])
+        doubted = iterations[problem.moved[weight < DOUBT] + 1]
+        return Solved(refined, placed, iterations, doubted, problem.sigmas)
+
+    def _chain(self, bridged: Bridged, part: int, iterations: Indices) -> tuple[Chain, Indices]:
+        """Return what there is to know of a part, and the landmarks (m,) that it is about."""
+        kept = self.kept
+        every = self.table.now(kept.landmark)
+        there = (bridged.part[kept.iteration] == part) & ~self.table.dynamic[every]
+        often = np.bincount(every[there], minlength=len(self.table)) >= self.fewest
+        chosen = np.flatnonzero(there & often[every])
+        landmarks, of = np.unique(every[chosen], return_inverse=True)
+        points, sigma_m = kept.location[chosen], self._sigma_m
+        n, d = points.shape
+        alike = np.broadcast_to(np.eye(d) / sigma_m, (n, d, d))
+        root = alike if self.roots is None else self.roots[chosen]
+        between = self.motions[iterations[1:]].copy()
+        between[np.diff(iterations) != 1] = np.nan
+        begin = np.searchsorted(iterations, kept.iteration[chosen])
+        return Chain(points, of, begin, root, between), landmarks
+
+    def _refined(
+        self,
+        settled: Settled[Chained],
+        problem: ChainProblem,
+        landmarks: Indices,
+        iterations: Indices,
+    ) -> tuple[Refined, Array]:
+        """Return the map, and the poses (k, 4, 4), in the frame of the first that saw anything."""
+        state, anchor = settled.state, int(problem.chain.iteration[0])
+        R, t = state.R[anchor], state.t[anchor]
+        d = len(t)
+        placed = np.tile(np.eye(4), (len(iterations), 1, 1))
+        placed[:, :d, :d], placed[:, :d, 3] = R.T @ state.R, (state.t - t) @ R
+        positions, seen_m = (state.positions - t) @ R, self._sigma_m * problem.sigmas.seen
+        segments, merges = _residuals(self.rows, self.table, landmarks, positions, seen_m)
+        refined = Refined(
+            landmarks,
+            positions,
+            int(iterations[anchor]),
+            seen_m,
+            segments,
+            merges,
+            Spread(problem, settled, np.ones(len(landmarks), dtype=bool), R),
+            converged=settled.converged,
+        )
+        return refined, placed
+
+    @property
+    def _sigma_m(self) -> float:
+        return self.noise_m if np.isfinite(self.noise_m) and self.noise_m > 0 else GUESS_M
 
 
 def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
@@ -192,37 +227,50 @@ def _settled(
     anchor: int,
     sigmas: Sigmas | None,
     to_the_last: bool,
+    is_open: bool,
+    has_ids: bool,
 ) -> tuple[Settled[Chained], ChainProblem]:
     """Return the state of the least robust cost, and estimate the noise from its residuals."""
     known = sigmas is not None
-    problem = ChainProblem(chain, odds, sigmas or Sigmas(), state.positions, anchor)
+    problem = ChainProblem(
+        chain, odds, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
+    )
+    if is_open:
+        weigh = _weighing(problem, huber, BENT)
+        state = gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
     for _ in range(TIMES):
-        found = gauss_newton(problem, state, _weighing(problem, lenient), FEW_ROUNDS, unsure=ROUGH)
+        weigh = _weighing(problem, lenient, OUTLIER)
+        found = gauss_newton(problem, state, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
         state = found.state
         if known and (found.converged or not to_the_last):
             break
         sigmas, before = problem.components(state, found.weight), problem.sigmas
         known = max(abs(np.log(a / b)) for a, b in zip(sigmas, before, strict=True)) < SETTLED
-        problem = ChainProblem(chain, odds, sigmas, state.positions, anchor, problem.pattern)
+        problem = ChainProblem(
+            chain, odds, sigmas, state.positions, anchor, problem.pattern, not has_ids
+        )
     if to_the_last:
-        found = gauss_newton(problem, state, _weighing(problem, strict), ROUNDS, unsure=FINE)
+        found = gauss_newton(
+            problem, state, _weighing(problem, strict, OUTLIER), ROUNDS, unsure=FINE, faint=FAINT
+        )
     converged = found.converged or found.gain <= WORTH_SAYING
     return Settled(found.state, found.weight, converged or not to_the_last), problem
 
 
-def _weighing(problem: ChainProblem, function: Callable[[Array, float], Array]) -> Weigh:
+def _weighing(
+    problem: ChainProblem, function: Callable[[Array, float], Array], outlier: float
+) -> Weigh:
     """Return weights by what noise explains of observations, and of odometry: each by itself."""
-    d = problem.chain.points.shape[1]
+    d, share = problem.chain.points.shape[1], outlier / OUTLIER
+
+    def limit(residual: Array, least: float) -> float:
+        return max(share * limit_of(residual, d, 0.0), least)
 
     def weigh(residual: Array) -> Array:
         seen, *odometry = (residual[part] for part in problem.parts)
-        return np.concatenate(
-            [
-                function(seen, limit_of(seen, d, 0.0)),
-                # Where it is all there is, nothing is left of it.
-                *(function(part, max(limit_of(part, d, 0.0), OUTLIER)) for part in odometry),
-            ]
-        )
+        # Where odometry is all there is, nothing is left of it.
+        each = [function(part, limit(part, outlier)) for part in odometry]
+        return np.concatenate([function(seen, limit(seen, 0.0)), *each])
 
     return weigh
 

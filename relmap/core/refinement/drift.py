@@ -1,0 +1,61 @@
+"""How far landmarks may be from where a chain of poses has them, as seen from one of the poses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats
+from relmap.core.geometry.motions import derivatives
+from relmap.core.refinement.chained import Chained, ChainProblem
+from relmap.core.refinement.settling import Settled
+
+
+class Drift:
+    """Uncertainty of what a chain has solved, relative to poses of the chain.
+
+    It grows along the chain until a loop closes, which nothing but the whole covariance knows.
+
+    Parameters
+    ----------
+    problem : ChainProblem
+    settled : Settled
+    """
+
+    def __init__(self, problem: ChainProblem, settled: Settled[Chained]) -> None:
+        self.state = settled.state
+        self._problem, pattern = problem, problem.pattern
+        self._factor = problem.equations(self.state, settled.weight, True, 0.0).matrix
+        pattern.factorise(self._factor)
+        inverse = pattern.inverse(self._factor)
+        self._own = pattern.parts(inverse, problem.unknown)
+        turns = problem.pose[:, : problem.pose.shape[1] - self.state.t.shape[1]]
+        self._turns, self._own_turn = turns, pattern.parts(inverse, turns)
+        # Observations are in the order of time.
+        chain, self.last = problem.chain, np.zeros(len(problem.unknown), dtype=np.int64)
+        self.last[chain.landmark] = chain.iteration
+        self.first = np.zeros_like(self.last)
+        self.first[chain.landmark[::-1]] = chain.iteration[::-1]
+
+    def from_pose(self, pose: int) -> tuple[Floats, Floats]:
+        """Return the standard deviations (m,) of landmarks and of directions there, from a pose.
+
+        Metres, along the axis that is known worst; and radians, of the robot's direction against
+        that when it last saw the landmark.
+        """
+        problem, pattern, state = self._problem, self._problem.pattern, self.state
+        own = problem.pose[pose]
+        columns = np.zeros((pattern.n_unknowns, len(own)))
+        for k, unknown in enumerate(own):
+            right = np.zeros(pattern.n_unknowns)
+            right[unknown] = 1.0
+            columns[:, k] = pattern.solve(self._factor, right)
+        by_pose = -derivatives(state.positions - state.t[pose])
+        of_pose, mixed = columns[own], columns[problem.unknown]
+        across = by_pose @ np.swapaxes(mixed, 1, 2)
+        found = by_pose @ of_pose @ np.swapaxes(by_pose, 1, 2) + self._own
+        found = found + across + np.swapaxes(across, 1, 2)
+        sd_m = np.sqrt(np.linalg.eigvalsh(found)[:, -1].clip(0))
+        q = self._turns.shape[1]
+        turned = columns[self._turns[self.last]][:, :, :q]
+        turn = of_pose[:q, :q] + self._own_turn[self.last] - turned - np.swapaxes(turned, 1, 2)
+        return sd_m, np.sqrt(np.linalg.eigvalsh(turn)[:, -1].clip(0))

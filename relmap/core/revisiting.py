@@ -1,0 +1,75 @@
+"""What a map that odometry ties shows twice is made one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from relmap.core.arrays import Ints
+from relmap.core.association.loops import TIED
+from relmap.core.association.revisits import RevisitFinder, lying_together, seen_with_both
+from relmap.core.association.sightings import Sightings, rows_of_tracks
+from relmap.core.association.tying import CLEAR
+from relmap.core.gaps import bridge_gaps
+from relmap.core.mapper import RelativeMapper
+from relmap.core.refinement.drift import Drift
+from relmap.core.state.table import LandmarkState
+
+ROUNDS = 10
+"""How often revisits are looked for: each that is closed leaves less drift, which shows others."""
+
+
+def close_revisits(engine: RelativeMapper) -> None:
+    """Merge what was seen again after drifting, and solve the map with it, as long as any is."""
+    for _ in range(ROUNDS):
+        surprises = _merge_revisits(engine)
+        if not surprises or engine.odometry is None:
+            return
+        drift = float(np.sqrt(np.mean(np.square(surprises)) / engine.kept.location.shape[1]))
+        engine.odometry = replace(engine.odometry, drift=max(drift, engine.odometry.drift))
+        bridge_gaps(engine, is_open=True)
+
+
+def _merge_revisits(engine: RelativeMapper) -> list[float]:
+    """Merge the landmarks of all revisits that are sure; return how surprising these were."""
+    surprises, table = [], engine.table
+    sightings = Sightings(rows_of_tracks(engine.rows, table), table)
+    for refined in engine.refined:
+        drift = Drift(refined.spread.problem, refined.spread.settled)
+        finder = RevisitFinder(table, refined.landmarks, drift, refined.noise_m)
+        for revisit in finder.revisits():
+            pairs = table.now(revisit.pairs)
+            pairs = pairs[pairs[:, 0] != pairs[:, 1]]
+            pairs = pairs[engine.merger.allowed(pairs)]
+            apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
+            pairs = _newer_first(table, pairs[np.array(apart, dtype=bool)])
+            if len(pairs) > CLEAR * len(revisit.pairs):
+                engine.merge_pairs(pairs)
+                surprises.append(revisit.surprise)
+    return surprises
+
+
+def _newer_first(table: LandmarkState, pairs: Ints) -> Ints:
+    """Return pairs (k, 2) of landmarks with the one that was seen first in the second place."""
+    swap = table.first[pairs[:, 0]] < table.first[pairs[:, 1]]
+    return np.where(swap[:, None], pairs[:, ::-1], pairs)
+
+
+def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
+    """Merge landmarks of a map that odometry ties and that lie in one place, seen apart.
+
+    At last also those that were parted on the way, and lie together all the same.
+    """
+    merger, found = engine.merger, True
+    sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
+    while found:
+        noise_m = max(refined.noise_m for refined in engine.refined)
+        pairs = lying_together(engine.table, noise_m)
+        if not at_last:
+            pairs = pairs[merger.allowed(pairs)]
+        apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
+        pairs = pairs[np.array(apart, dtype=bool)]
+        landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
+        both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
+        found = engine.merge_pairs(pairs[both >= TIED]) > 0

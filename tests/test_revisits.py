@@ -1,0 +1,135 @@
+"""Long chains of odometry: steps that turn a part as a whole, and places that are seen again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from relmap import PointMapper
+from relmap.core.association.voting_kernels import most_voted
+from relmap.core.geometry.alignment import fit_rigid
+from relmap.core.geometry.motions import derivatives
+from relmap.core.geometry.robust import huber
+from relmap.core.motion_noise import MotionNoise
+from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
+
+Array = NDArray[np.float64]
+SEES_M, STEP_M, NOISE_M = 2.5, 0.4, 0.02
+
+
+def turned(yaw: float) -> Array:
+    return np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+
+
+def motion(x_m: float, yaw: float) -> Array:
+    found = np.eye(4)
+    found[:2, :2], found[0, 3] = turned(yaw), x_m
+    return found
+
+
+def straight_chain(n: int) -> tuple[ChainProblem, Chained]:
+    """Return poses along a line, with a landmark beside each that the next one sees too."""
+    R, t = np.tile(np.eye(2), (n, 1, 1)), np.zeros((n, 2))
+    t[:, 0] = np.arange(n)
+    positions: Array = t + np.array([0.3, 1.0])
+    landmark = np.concatenate([np.arange(n), np.arange(n - 1)])
+    iteration = np.concatenate([np.arange(n), np.arange(1, n)])
+    order = np.argsort(iteration, kind="stable")
+    landmark, iteration = landmark[order], iteration[order]
+    points = positions[landmark] - t[iteration]
+    root = np.tile(np.eye(2) / NOISE_M, (len(points), 1, 1))
+    chain = Chain(points, landmark, iteration, root, np.tile(motion(1.0, 0.0), (n - 1, 1, 1)))
+    odds = np.full(n - 1, 0.05), np.full(n - 1, 0.01)
+    problem = ChainProblem(chain, odds, Sigmas(), positions, anchor=0)
+    return problem, Chained(positions, R, t, np.zeros(3))
+
+
+def test_a_step_turns_the_rest_of_a_chain_as_a_whole() -> None:
+    n, knee, turn = 30, 10, 0.5
+    problem, state = straight_chain(n)
+    step = np.zeros(problem.pattern.n_unknowns)
+    for unknowns, places in ((problem.unknown, state.positions), (problem.pose[:, 1:], state.t)):
+        away = places[knee:] - state.t[knee]
+        step[unknowns[knee:]] = derivatives(away)[:, :, 0] * turn
+    step[problem.pose[knee:, 0]] = turn
+    weight = np.ones(len(problem.residuals(state)))
+    equations = problem.equations(state, weight, False, 0.0)
+    left = problem.residuals(problem.stepped(state, equations, step, weight))
+    seen, way, turns = problem.parts
+    at = problem.chain.iteration
+    # Beyond the knee nothing is stretched, as shifts of their own would: by 12 % of each way.
+    assert left[seen][at > knee].max() < 1e-6
+    assert np.delete(left[way], knee - 1).max() < 1e-6
+    assert np.flatnonzero(left[turns] > 1e-6).tolist() == [knee - 1]
+
+
+def test_the_pull_of_hubers_weights_stays_the_same() -> None:
+    residual = np.array([0.5, 2.0, 4.0, 400.0])
+    assert (huber(residual, 2.0) * residual).tolist() == [0.5, 2.0, 2.0, 2.0]
+
+
+def test_what_is_measured_badly_is_no_slip() -> None:
+    noise = MotionNoise(sigma_way=0.01, sigma_m=0.001, sigma_rad=0.001)
+    odometry, measured = motion(1.0, 0.0)[None], motion(1.0, 0.05)[None]
+    assert noise.slipped(odometry, measured).tolist() == [True]
+    assert noise.slipped(odometry, measured, 0.0, np.array([0.02])).tolist() == [False]
+
+
+@pytest.mark.parametrize("yaw", [0.3, -0.7])
+def test_votes_find_a_turn_and_a_shift(yaw: float) -> None:
+    rng = np.random.default_rng(3)
+    there = rng.uniform(-20, 20, (200, 2))
+    points = (there[:12] - [3.0, -2.0]) @ turned(yaw)
+    angles = np.linspace(-1, 1, 201)
+    reach = np.full(len(there), 6.0)
+    votes, shift = most_voted(points, there, reach, angles, 0.4)
+    best = int(np.argmax(votes[:, 0]))
+    assert votes[best, 0] >= 12
+    assert abs(angles[best] - yaw) < 0.02
+    assert np.abs(shift[best, 0] - [3.0, -2.0]).max() <= 0.4
+    assert votes[best, 1] < 6
+
+
+def rounds(rng: np.random.Generator) -> tuple[Array, list[Array]]:
+    """Return landmarks along a square corridor of 80 m, and the poses (k, 4, 4) of two rounds."""
+    side, corners = 20.0, np.array([[0, 0], [20, 0], [20, 20], [0, 20]])
+    along = rng.uniform(0, 4 * side, 130)
+    leg, rest = (along // side).astype(int), along % side
+    ahead = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    across = rng.uniform(0.4, 1.8, len(along)) * rng.choice([-1, 1], len(along))
+    landmarks = corners[leg] + rest[:, None] * ahead[leg] + across[:, None] * ahead[leg - 1]
+    poses = [np.eye(4)]
+    per_side = round(side / STEP_M)
+    for k in range(1, 8 * per_side + 30):
+        poses.append(poses[-1] @ motion(STEP_M, np.pi / 2 if k % per_side == 0 else 0.0))
+    return landmarks, poses
+
+
+def test_a_loop_that_drift_left_open_by_metres_is_closed() -> None:
+    rng = np.random.default_rng(5)
+    landmarks, poses = rounds(rng)
+    mapper, seen = PointMapper(), []
+    for k, pose in enumerate(poses):
+        local = (landmarks - pose[:2, 3]) @ pose[:2, :2]
+        near = np.flatnonzero((np.linalg.norm(local, axis=1) < SEES_M) & (local[:, 0] > 0))
+        local = local[near] + rng.normal(0, NOISE_M, (len(near), 2))
+        moved = np.linalg.inv(poses[k - 1]) @ pose if k else None
+        if moved is not None:
+            moved = moved @ motion(rng.normal(0, 0.005), 0.004 + rng.normal(0, 0.01))
+        numbers = mapper.update(local, odometry=moved)
+        seen += list(zip(numbers.tolist(), near.tolist(), strict=True))
+    mapper.finish()
+    mapper.refine()
+    found = mapper.map
+    number, true = np.array(seen).T
+    now = mapper.landmarks_of(number)
+    of = np.array([np.bincount(true[now == one]).argmax() for one in found.landmark_ids])
+    R, t = fit_rigid(found.positions[:, :2], landmarks[of])
+    off = np.linalg.norm(found.positions[:, :2] @ R.T + t - landmarks[of], axis=1)
+    assert len(mapper.submaps) == 1
+    assert len(of) <= 1.1 * len(np.unique(of))
+    assert np.sqrt(np.mean(off**2)) < 0.25
+    assert mapper.odometry is not None
+    assert mapper.odometry.is_used
+    assert mapper.odometry.drift >= 1.0
