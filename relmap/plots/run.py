@@ -107,7 +107,7 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
     if len(alone):
         steps = position[np.column_stack([alone - 1, alone])]
         lines: dict[str, Any] = {"colors": ODOMETRY, "linewidths": 2.2, "zorder": 7}
-        label = "tied by odometry alone"
+        label = "linked by odometry alone"
         axes.add_collection(LineCollection(list(steps), label=label, **lines))
     style: dict[str, Any] = {"color": BLUE, "markersize": 6, "zorder": 8, "linestyle": ""}
     axes.plot(*position[0], "o", label="start", **style)
