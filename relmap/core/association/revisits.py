@@ -129,7 +129,7 @@ class RevisitFinder:
         self._apart_m = float(np.median(apart[:, 1]))
 
     def revisits(self) -> list[Revisit]:
-        """Return the revisits that are not known yet, the most certain first, none in conflict with another."""
+        """Return the revisits that are new, the most certain first, without conflicts."""
         every = (self._within(sigmas) for sigmas in FARTHEST)
         return next((found for found in every if found), [])
 
