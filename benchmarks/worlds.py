@@ -1,11 +1,13 @@
 """Own association in worlds that are hard to associate: the map against batch least squares.
 
-    python benchmarks/worlds.py [--only NAME[,NAME]] [--seeds N]
+    python benchmarks/worlds.py [--only NAME[,NAME]] [--seeds N] [--covariances]
 
 Each line is a world and a seed: the landmark RMSE of all submaps, each aligned by itself, as a
-multiple of that of batch least squares over all observations with the true ids (worst: of the worst
-submap of ten landmarks); landmarks per true one; purity; the share of the landmarks seen ten times
-that is mapped, in all submaps and in the largest; submaps of ten landmarks; seconds.
+multiple of that of unweighted batch least squares over all observations with the true ids (worst:
+of the worst submap of ten landmarks); landmarks per true one; purity, and that of an oracle, which
+assigns each scan to the true landmarks from the true pose and covariances and so is about the
+limit; the fraction of the landmarks seen ten times that is mapped, in all submaps and in the
+largest; submaps of ten landmarks; seconds.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
@@ -71,7 +74,7 @@ def least_squares(world: World) -> dict[int, NDArray[np.float64]]:
     pose = np.unique(world.log.iteration[used], return_inverse=True)[1]
     try:
         batch = Batch(points[used], pose, landmark)
-        found = batch_least_squares(batch, world.landmarks_map[ids, :d])
+        found = batch_least_squares(batch, world.landmarks_map[ids, :d], iterations=1000)
     except RelmapError:
         return {}
     return dict(zip(ids.tolist(), found, strict=True))
@@ -83,12 +86,35 @@ def squares(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArr
     return np.asarray(np.sum((positions @ R.T + t - truth) ** 2, axis=1))
 
 
-def judge(world: World) -> dict[str, float]:
+def oracle_purity(world: World) -> float:
+    """Return the purity of the best assignment to the true landmarks from the true poses."""
+    d, scans = world.log.points_robot.shape[1], world.log.iteration
+    n_right = 0
+    for iteration, T in enumerate(world.trajectory):
+        rows = np.flatnonzero(scans == iteration)
+        if not len(rows):
+            continue
+        there = ((world.landmarks_map - T[:3, 3]) @ T[:3, :3])[:, :d]
+        off = world.log.points_robot[rows][:, None] - there
+        information = np.linalg.inv(world.covariances[rows])
+        row, landmark = linear_sum_assignment(np.einsum("nmi,nij,nmj->nm", off, information, off))
+        n_right += np.sum(world.landmark_ids[landmark] == world.true_ids[rows[row]])
+    return float(n_right / np.sum(world.true_ids >= 0))
+
+
+def judge(world: World, with_covariances: bool) -> dict[str, float]:
     """Map a world by own association and judge the map."""
     limit, truth, d = least_squares(world), world.landmarks_map, world.log.points_robot.shape[1]
     begin = perf_counter()
     mapper = PointMapper()
-    labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
+    ends = np.cumsum([len(scan.points_robot) for scan in world.log.scans()])
+    noise = np.split(world.covariances, ends[:-1]) if with_covariances else [None] * len(ends)
+    labels = np.concatenate(
+        [
+            mapper.update(scan.points_robot, covariances=covariances)
+            for scan, covariances in zip(world.log.scans(), noise, strict=True)
+        ]
+    )
     mapper.finish()
     mapper.refine()
     seconds = perf_counter() - begin
@@ -119,6 +145,7 @@ def judge(world: World) -> dict[str, float]:
         "worst": max(ratios, default=np.nan),
         "per true": len(all_ids) / max(len(set(all_ids)), 1),
         "purity": purity(now, world.true_ids) or np.nan,
+        "oracle": oracle_purity(world),
         "mapped": len(mapped) / len(often),
         "largest": largest / len(often),
         "submaps": len(ratios),
@@ -131,17 +158,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", help="names, separated by commas", default=",".join(WORLDS))
     parser.add_argument("--seeds", default="0,1,2,3,4")
+    parser.add_argument("--covariances", action="store_true", help="give the mapper the noise")
     given = parser.parse_args()
-    header = ("ratio", "worst", "per true", "purity", "mapped", "largest", "submaps", "s")
+    header = ("ratio", "worst", "per true", "purity", "oracle", "mapped", "largest", "submaps", "s")
     print(f"{'world':16} seed" + "".join(f"{name:>9}" for name in header))
     for name in given.only.split(","):
         for seed in map(int, given.seeds.split(",")):
             spec = WorldSpec(**WORLDS[name], seed=seed)  # type: ignore[arg-type]
-            found = judge(simulate_world(spec))
-            cells = (
-                f"{found[key]:9.{4 if key == 'purity' else 0 if key == 'submaps' else 2}f}"
-                for key in header
-            )
+            found = judge(simulate_world(spec), given.covariances)
+            places = {"purity": 4, "oracle": 4, "submaps": 0}
+            cells = (f"{found[key]:9.{places.get(key, 2)}f}" for key in header)
             print(f"{name:16} {seed:4}" + "".join(cells), flush=True)
 
 

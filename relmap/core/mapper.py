@@ -97,7 +97,7 @@ class RelativeMapper:
         iteration = self.store.n_iterations
         self.motions.append(odometry, iteration)
         # Register: match observations to those of earlier scans, untransformed (section II).
-        found = self.association.match(seen, ids, iteration, odometry)
+        found = self.association.match(seen, ids, iteration, odometry, covariances)
         self.refined = []
         self.odometry = None
         rows = self.model.rows(seen, found)
@@ -108,6 +108,8 @@ class RelativeMapper:
         if covariances is not None:
             named = found >= 0
             self.weighed.append(landmarks, seen[named], covariances[named], iteration)
+        else:
+            self.association.weigh_own(landmarks, seen, iteration, self.weighed)
         if len(self.motions) and len(landmarks) and not self.model.keeps_observations:
             named = found >= 0
             self.kept.append(found[named], seen[named], iteration)

@@ -130,7 +130,7 @@ class PointMapper(Mapper):
     def _has_covariances(self) -> bool | None:
         """Whether covariances are given with observations; None before the first one."""
         if len(self.engine.weighed):
-            return True
+            return not self.engine.association.estimates_covariances
         return False if len(self.engine.table) else None
 
     @property

@@ -15,6 +15,7 @@ from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     from relmap.core.model import LandmarkModel
+    from relmap.core.state.weighed import WeighedObservations
 
 
 class DataAssociation:
@@ -45,6 +46,7 @@ class DataAssociation:
         ids: NDArray[np.int64] | None,
         iteration: int,
         motion: NDArray[np.float64] | None = None,
+        covariances: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
         """Return the landmark of each observation (n,) of an iteration; negative if unknown.
 
@@ -64,7 +66,30 @@ class DataAssociation:
             raise RelmapError(f"ids {given} earlier scans; give them with every scan or none")
         if isinstance(self.registration, Constellation):
             self.registration.guide.note(motion)
+            self.registration.weigh(covariances)
         return self.registration.match(seen, ids)
+
+    def weigh_own(
+        self,
+        landmarks: NDArray[np.int64],
+        seen: Any,
+        iteration: int,
+        weighed: WeighedObservations,
+    ) -> None:
+        """Add observations without covariances to `weighed` if their noise is unequal."""
+        if isinstance(self.registration, Constellation):
+            self.registration.weigh_own(landmarks, seen, iteration, weighed)
+
+    def weigh_again(self, weighed: WeighedObservations) -> None:
+        """Replace estimated covariances of all observations by the latest estimate."""
+        if isinstance(self.registration, Constellation):
+            self.registration.weigh_again(weighed)
+
+    @property
+    def estimates_covariances(self) -> bool:
+        """Whether observations are weighed by covariances that were estimated here."""
+        registration = self.registration
+        return isinstance(registration, Constellation) and registration.estimates_covariances
 
     @property
     def is_known(self) -> bool | None:

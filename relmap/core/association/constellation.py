@@ -12,11 +12,14 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered
+from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
+from relmap.core.association.metric import stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import ENOUGH, TrackPlacing
 from relmap.core.association.scale import Scale, spacing_of
 from relmap.core.association.tracks import LiveTracks
+from relmap.core.state.weighed import WeighedObservations
 
 CONTINUITY = 0.15
 """Largest displacement of a moving landmark in one iteration, in spacings."""
@@ -46,7 +49,7 @@ class Constellation(Numbered):
     _stray_since: int | None
     STATE = (
         "n_landmarks _tracks _stray _scale _idle _n_scans _n_open _n_unique _alone _tracks_since "
-        "_stray_since guide"
+        "_stray_since guide _estimated"
     )
 
     def __init__(self, max_missed: int) -> None:
@@ -59,6 +62,7 @@ class Constellation(Numbered):
         self._alone = []
         self._tracks_since = self._stray_since = None
         self.guide = OdometryGuide()
+        self._estimated = EstimatedCovariances()
 
     def match(self, points_robot: Floats, ids: Ints | None) -> Ints:
         """Match points (n, d) to the live tracks; unmatched points are new landmarks."""
@@ -79,6 +83,25 @@ class Constellation(Numbered):
             self.guide.forget()
         self._n_scans += 1
         return landmarks
+
+    def weigh(self, covariances: Floats | None) -> None:
+        """Use the covariances (n, d, d) of the next scan, robot frame; None if unknown."""
+        self._scale.rays.given = covariances
+
+    def weigh_own(
+        self, landmarks: Ints, points_robot: Floats, iteration: int, weighed: WeighedObservations
+    ) -> None:
+        """Add observations without covariances to `weighed` if their noise is unequal."""
+        self._estimated.weigh(landmarks, points_robot, iteration, self._scale.rays, weighed)
+
+    def weigh_again(self, weighed: WeighedObservations) -> None:
+        """Replace estimated covariances of all observations by the latest estimate."""
+        self._estimated.weigh_again(self._scale.rays, weighed)
+
+    @property
+    def estimates_covariances(self) -> bool:
+        """Whether the noise is unequal, and observations are weighed by what is estimated."""
+        return self._estimated.is_in_use
 
     def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Expect landmarks (n,) at points (n, d) in the next scan, and no others."""
@@ -126,7 +149,10 @@ class Constellation(Numbered):
                 rows, found, strayed = self._links(carried, points_robot)
                 landmarks[found] = tracks.landmarks[rows]
                 at_rest = ~strayed
-                self._scale.learn(carried.expected[rows[at_rest]], points_robot[found[at_rest]])
+                there = points_robot[found[at_rest]]
+                own = self._scale.rays.metric(there, found[at_rest])
+                known = rows[at_rest]
+                self._scale.learn(carried.expected[known], there, carried.seen[known], own)
                 carried.see(rows, points_robot[found], strayed)
                 if since is not None:
                     self._alone.remove(since)
@@ -178,7 +204,13 @@ class Constellation(Numbered):
         """
         from relmap.core.association.matching_kernels import claims, nearest_within
 
-        distance, target = nearest_within(points, carried.expected, self._scale.gate_m)
+        gate_m, metric = self._scale.gate_m, self._scale.rays.metric(points)
+        stretch = stretch_of(metric)
+        if metric is None or stretch is None:
+            distance, target = nearest_within(points, carried.expected, gate_m)
+        else:
+            reach_m = gate_m * float(stretch.max())
+            distance, target = nearest_within(points, carried.expected, gate_m, metric, reach_m)
         linked = claims(target, distance, len(points))
         taken = np.zeros(len(points) + 1, dtype=bool)
         taken[target[linked]] = True

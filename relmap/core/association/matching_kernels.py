@@ -6,7 +6,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
-from relmap.core.linalg.small_kernels import unset
+from relmap.core.linalg.small_kernels import square_of, unset
 
 
 @compiled
@@ -55,20 +55,29 @@ def buckets(points: Floats, cell: float) -> tuple[Ints, Ints]:
 
 
 @compiled
-def nearest_within(points: Floats, queries: Floats, reach: float) -> tuple[Floats, Ints]:
+def nearest_within(
+    points: Floats,
+    queries: Floats,
+    reach: float,
+    metric: Floats | None = None,
+    cell: float = 0.0,
+) -> tuple[Floats, Ints]:
     """Return distance and index (k,) of the point (n, d) nearest to each query (k, d).
 
     Only points within reach count; if there is none, the distance is infinite and the index n. Ties
-    go to the first point.
+    go to the first point. With a metric (n, d, d) of the points, reach and distance are in its
+    units, and `cell` is the largest distance of a point within reach, metres.
     """
     n, d = points.shape
-    first, following = buckets(points, reach)
+    side = reach if metric is None else cell
+    first, following = buckets(points, side)
+    apart = np.empty(d)
     distance, index = np.empty(len(queries)), np.empty(len(queries), dtype=np.int64)
     layers = 1 if d == 3 else 0
     for k in range(len(queries)):
         index[k] = n
         z = queries[k, 2] if d == 3 else 0.0
-        cx, cy, cz = queries[k, 0] / reach, queries[k, 1] / reach, z / reach
+        cx, cy, cz = queries[k, 0] / side, queries[k, 1] / side, z / side
         best = reach * reach
         for x in range(int(np.floor(cx)) - 1, int(np.floor(cx)) + 2):
             for y in range(int(np.floor(cy)) - 1, int(np.floor(cy)) + 2):
@@ -77,7 +86,10 @@ def nearest_within(points: Floats, queries: Floats, reach: float) -> tuple[Float
                     while i >= 0:
                         square = 0.0
                         for a in range(d):
-                            square += (points[i, a] - queries[k, a]) ** 2
+                            apart[a] = points[i, a] - queries[k, a]
+                            square += apart[a] ** 2
+                        if metric is not None:
+                            square = square_of(metric[i], apart)
                         if square < best or (square == best and i < index[k]):
                             best, index[k] = square, i
                         i = following[i]

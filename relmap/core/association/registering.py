@@ -12,6 +12,7 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle
+from relmap.core.association.metric import rows_of
 from relmap.core.association.placement import Placement, trimmed_fit
 from relmap.core.association.scale import SIGMAS, WIDER, Scale
 from relmap.core.association.search import log_chance as chance_of
@@ -74,7 +75,7 @@ class TrackPlacing:
         """Find the placement of the tracks' frame in the scan with the most matches."""
         from relmap.core.association.matching_kernels import claims, two_nearest
 
-        n, d = points.shape
+        (n, d), metric = points.shape, self.scale.rays.metric(points)
         missed = int(tracks.missed.min())
         latest = np.flatnonzero(tracks.missed == missed)
         possible = min(len(latest), n)
@@ -87,9 +88,10 @@ class TrackPlacing:
         distances, target = two_nearest(points, tracks.expected[sample])
         distance = np.where(distances[:, 0] > self.scale.spacing_m, np.inf, distances[:, 0])
         claimed = claims(target, distance, n)
-        rows = sample[claimed]
-        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], self.scale.tolerance_m)
-        is_sharp = self.scale.tolerance_m <= SHARP * self.scale.spacing_m
+        rows, tolerance_m = sample[claimed], self.scale.tolerance_m
+        own = rows_of(metric, target[claimed])
+        near = trimmed_fit(tracks.expected[rows], points[target[claimed]], tolerance_m, own)
+        is_sharp = tolerance_m <= SHARP * self.scale.spacing_m
         if near is not None:
             if is_sharp and near.n_agreeing >= max(PLENTY + missed, SHARE * min(len(sample), n)):
                 return near
@@ -97,12 +99,12 @@ class TrackPlacing:
             if alone and self._is_familiar_pair(tracks, rows, distance[claimed]):
                 return near
             here = tracks.expected[sample]
-            near = settled(here, points, near, self.scale.tolerance_m)
+            near = settled(here, points, near, tolerance_m, metric)
             if near is not None and not self._is_unlike_chance(near, here, points, missed):
                 near = None
         if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
             return near
-        far, n_far = self._search(tracks, points)
+        far, n_far = self._search(tracks, points, metric)
         if near is None or not is_sharp or n_far > near.n_agreeing:
             return far
         return near
@@ -122,7 +124,9 @@ class TrackPlacing:
             return self._log_chance(placement.n_agreeing, here, there, moved_m) <= LOG_CHANCE_NEAR
         if placement.n_agreeing < FAR_SHARE * min(len(here), len(there)):
             return False
-        return self._log_chance(placement.n_agreeing, here, there) <= LOG_CHANCE
+        doublings = 1 + np.log2(moved_m / self.scale.spacing_m)
+        chance = self._log_chance(placement.n_agreeing, here, there, moved_m)
+        return bool(chance + np.log(doublings) <= LOG_CHANCE)
 
     def _log_chance(
         self, n_agreeing: int, here: Floats, there: Floats, moved_m: float | None = None
@@ -156,7 +160,9 @@ class TrackPlacing:
         scale.noise_m, scale.wider = learnt, 1.0
         return None
 
-    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int]:
+    def _search(
+        self, tracks: LiveTracks, points: Floats, metric: Floats | None
+    ) -> tuple[Placement | None, int]:
         """Search for the tracks in the scan, for any motion of the robot.
 
         If there are many, only those near the robot are used. Returns the placement, None if it is
@@ -169,8 +175,9 @@ class TrackPlacing:
         recent &= np.linalg.norm(tracks.expected, axis=1) <= within_m
         known = np.flatnonzero(recent)
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:SEARCH]]
-        here, there = tracks.expected[known], points[away <= within_m]
-        found = search(here, there, self.scale.tolerance_m, ENOUGH)
+        seen = np.flatnonzero(away <= within_m)
+        here, there = tracks.expected[known], points[seen]
+        found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(metric, seen))
         if found is None:
             return None, 0
         placement, rival = found

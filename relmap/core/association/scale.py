@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle, nearest
+from relmap.core.association.metric import RayNoise, scaled
 
 COARSE = 0.1
 """Tolerance before the noise is known, in spacings."""
@@ -40,17 +41,21 @@ class Scale:
         Standard deviation of the difference of a coordinate between two scans; None if unknown.
     wider : float
         Factor by which the tolerance is wider before the noise is known.
+    rays : RayNoise
+        Noise as a function of direction and distance.
     """
 
     spacing_m: float
     noise_m: float | None
     wider: float
-    STATE = "spacing_m noise_m wider"
+    rays: RayNoise
+    STATE = "spacing_m noise_m wider rays"
 
     def __init__(self) -> None:
         self.spacing_m = np.inf
         self.noise_m = None
         self.wider = 1.0
+        self.rays = RayNoise()
 
     @property
     def tolerance_m(self) -> float:
@@ -77,12 +82,13 @@ class Scale:
         if self.noise_m is not None:
             self.noise_m = max(self.noise_m, FAINT * self.spacing_m)
 
-    def learn(self, expected: Floats, found: Floats) -> None:
+    def learn(self, expected: Floats, found: Floats, n_seen: Ints, metric: Floats | None) -> None:
         """Update the noise of a coordinate's difference from links of static landmarks."""
         n, d = expected.shape
         if n <= FEW:
             return
-        squares = np.sum((expected - found) ** 2, axis=1)
+        self.rays.learn(expected, found, n_seen)
+        squares = np.sum(scaled(metric, expected - found) ** 2, axis=1)
         variance = middle(squares) / CHI2_MEDIAN[d] * n * d / (n * d - d * (d + 1) / 2)
         if self.noise_m is None:
             self.noise_m = float(np.sqrt(variance))

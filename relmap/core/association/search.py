@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement, trimmed_fit
 
 TRIANGLES = 120
@@ -41,7 +42,11 @@ def log_chance(n: int, n_agreeing: int, share: float, log_placements: float) -> 
 
 
 def search(
-    source: Floats, target: Floats, tolerance_m: float, fewest: int
+    source: Floats,
+    target: Floats,
+    tolerance_m: float,
+    fewest: int,
+    metric: Floats | None = None,
 ) -> tuple[Placement, int] | None:
     """Return the placement with the most matches, and the number of matches of the best rival.
 
@@ -52,6 +57,8 @@ def search(
         Largest distance between the points of a match.
     fewest : int
         Minimum number of matches.
+    metric : (m, d, d) float64, optional
+        Of the targets; the tolerance is in its units.
 
     Returns
     -------
@@ -66,30 +73,34 @@ def search(
     if not len(triangles) or min(len(source), len(target)) < fewest:
         return None
     R, t, matches = placements_by_triangles(
-        source, target, triangles, 1.5 * tolerance_m, fewest, MOST
+        source, target, triangles, 1.5 * tolerance_m, fewest, MOST, metric, stretch_of(metric)
     )
     if not len(R):
         return None
     best = None
     for row in np.argsort(-np.sum(matches >= 0, axis=1), kind="stable")[:RIVALS]:
-        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m)
+        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m, metric)
         if placed is not None and (best is None or placed.n_agreeing > best.n_agreeing):
             best = placed
     if best is None or best.n_agreeing < fewest:
         return None
-    match = _matches(source, target, best, 1.5 * tolerance_m)
+    match = _matches(source, target, best, 1.5 * tolerance_m, metric)
     others = np.sum((matches >= 0) & (matches != match), axis=1)
     rival = 0
     for row in np.argsort(-others, kind="stable")[:RIVALS]:
-        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m)
+        placed = settled(source, target, Placement(R[row], t[row], 0), tolerance_m, metric)
         if placed is not None and others[row]:
-            other = _matches(source, target, placed, tolerance_m)
+            other = _matches(source, target, placed, tolerance_m, metric)
             rival = max(rival, int(np.sum((other >= 0) & (other != match))))
     return best, rival
 
 
 def settled(
-    source: Floats, target: Floats, placement: Placement, tolerance_m: float
+    source: Floats,
+    target: Floats,
+    placement: Placement,
+    tolerance_m: float,
+    metric: Floats | None = None,
 ) -> Placement | None:
     """Fit a placement of points (n, d) to all that it brings onto others (m, d).
 
@@ -99,9 +110,19 @@ def settled(
 
     match, n_agreeing = np.empty(len(source), np.int64), 0
     for _ in range(ROUNDS):
-        n = matched_at(source, target, placement.R, placement.t, 1.5 * tolerance_m, match)
+        n = matched_at(
+            source,
+            target,
+            placement.R,
+            placement.t,
+            1.5 * tolerance_m,
+            match,
+            metric,
+            stretch_of(metric),
+        )
         rows = np.flatnonzero(match >= 0)
-        fitted = trimmed_fit(source[rows], target[match[rows]], tolerance_m)
+        own = rows_of(metric, match[rows])
+        fitted = trimmed_fit(source[rows], target[match[rows]], tolerance_m, own)
         if fitted is None:
             return None
         placement = fitted
@@ -111,12 +132,20 @@ def settled(
     return placement
 
 
-def _matches(source: Floats, target: Floats, placement: Placement, tolerance_m: float) -> Ints:
+def _matches(
+    source: Floats,
+    target: Floats,
+    placement: Placement,
+    tolerance_m: float,
+    metric: Floats | None,
+) -> Ints:
     """Return the target matched to each source point (n,), or -1."""
     from relmap.core.association.search_kernels import matched_at
 
     match = np.empty(len(source), np.int64)
-    matched_at(source, target, placement.R, placement.t, tolerance_m, match)
+    matched_at(
+        source, target, placement.R, placement.t, tolerance_m, match, metric, stretch_of(metric)
+    )
     return match
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.fitting_kernels import fit_rows
-from relmap.core.linalg.compiling import compiled
-from relmap.core.linalg.small_kernels import identity
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import identity, square_of
 
 
 @compiled
@@ -26,17 +26,52 @@ def distances(points: Floats) -> Floats:
 
 
 @compiled
+def _allowances(target: Floats, tolerance_m: float, metric: Floats | None) -> Floats:
+    """Return by how much the mutual distances (m, m) of targets may differ and yet agree."""
+    m, d = target.shape
+    allowed, along = np.empty((m, m)), np.empty(d)
+    for i in range(m):
+        for j in range(m):
+            allowed[i, j] = tolerance_m
+            if metric is not None and i != j:
+                length = 0.0
+                for a in range(d):
+                    along[a] = target[i, a] - target[j, a]
+                    length += along[a] ** 2
+                room = length / square_of(metric[i], along) + length / square_of(metric[j], along)
+                allowed[i, j] = tolerance_m * np.sqrt(room / 2)
+    return allowed
+
+
+@helper
+def _square(x: Floats) -> float:
+    """Return the squared length of a vector (d,)."""
+    square = 0.0
+    for a in range(len(x)):
+        square += x[a] * x[a]
+    return square
+
+
+@compiled
 def matched_at(
-    source: Floats, target: Floats, R: Floats, t: Floats, tolerance_m: float, match: Ints
+    source: Floats,
+    target: Floats,
+    R: Floats,
+    t: Floats,
+    tolerance_m: float,
+    match: Ints,
+    metric: Floats | None = None,
+    stretch: Floats | None = None,
 ) -> int:
     """Enter the target point (m, d) nearest to each placed source point (n, d), or -1.
 
-    Each target is matched at most once, to the nearest; returns the number of matches.
+    Each target is matched at most once, to the nearest in its metric (m, d, d); returns the number
+    of matches. `stretch` (m,) is the largest length of a unit of the metric, metres.
     """
     (n, d), m = source.shape, len(target)
     owner, nearest = np.full(m, -1), np.full(m, tolerance_m * tolerance_m)
     match[:] = -1
-    placed = np.empty(d)
+    placed, apart = np.empty(d), np.empty(d)
     count = 0
     for i in range(n):
         for a in range(d):
@@ -45,10 +80,12 @@ def matched_at(
                 placed[a] += R[a, b] * source[i, b]
         best, at = tolerance_m * tolerance_m, -1
         for k in range(m):
+            limit = best if stretch is None else best * stretch[k] ** 2
             square = (placed[0] - target[k, 0]) ** 2
-            if square < best:
-                for a in range(1, d):
-                    square += (placed[a] - target[k, a]) ** 2
+            if square < limit:
+                for a in range(d):
+                    apart[a] = placed[a] - target[k, a]
+                square = _square(apart) if metric is None else square_of(metric[k], apart)
                 if square < best:
                     best, at = square, k
         if at >= 0 and best < nearest[at]:
@@ -62,7 +99,14 @@ def matched_at(
 
 @compiled
 def placements_by_triangles(
-    source: Floats, target: Floats, triangles: Ints, tolerance_m: float, fewest: int, most: int
+    source: Floats,
+    target: Floats,
+    triangles: Ints,
+    tolerance_m: float,
+    fewest: int,
+    most: int,
+    metric: Floats | None = None,
+    stretch: Floats | None = None,
 ) -> tuple[Floats, Floats, Ints]:
     """Return placements from triangles of source points found among the target points.
 
@@ -77,6 +121,10 @@ def placements_by_triangles(
         Minimum number of matches of a returned placement.
     most : int
         Maximum number of triangle matches tried.
+    metric : (m, d, d) float64, optional
+        Of the targets; the tolerance is in its units.
+    stretch : (m,) float64, optional
+        Largest length of a unit of the metric, metres.
 
     Returns
     -------
@@ -86,6 +134,7 @@ def placements_by_triangles(
     """
     (n, d), m = source.shape, len(target)
     here, there = distances(source), distances(target)
+    allowed = _allowances(target, tolerance_m, metric)
     R, t, matches = np.empty((most, d, d)), np.empty((most, d)), np.empty((most, n), np.int64)
     corners, found, every = np.empty((3, d)), np.empty((3, d)), np.ones(3, np.bool_)
     h, tried, turn = 0, 0, identity(d)
@@ -93,18 +142,19 @@ def placements_by_triangles(
         _enter(source, i, j, p, corners)
         for k in range(m):
             for q in range(m):
-                if k == q or abs(there[k, q] - here[i, j]) > tolerance_m:
+                if k == q or abs(there[k, q] - here[i, j]) > allowed[k, q]:
                     continue
                 for r in range(m):
-                    off = max(abs(there[k, r] - here[i, p]), abs(there[q, r] - here[j, p]))
-                    if off > tolerance_m or r in (k, q):
+                    off = abs(there[k, r] - here[i, p]) - allowed[k, r]
+                    off = max(off, abs(there[q, r] - here[j, p]) - allowed[q, r])
+                    if off > 0 or r in (k, q):
                         continue
                     _enter(target, k, q, r, found)
                     turn, shift, fixed, _ = fit_rows(corners, found, every, turn)
                     if fixed and tried < most:
                         tried += 1
                         n_agreeing = matched_at(
-                            source, target, turn, shift, tolerance_m, matches[h]
+                            source, target, turn, shift, tolerance_m, matches[h], metric, stretch
                         )
                         if n_agreeing >= fewest:
                             R[h], t[h] = turn, shift

@@ -32,6 +32,18 @@ def unset(n: int) -> Ints:
 
 
 @helper
+def square_of(A: Floats, x: Floats) -> float:
+    """Return the squared length of the product of a matrix (n, m) and a vector (m,)."""
+    square = 0.0
+    for i in range(len(A)):
+        entry = 0.0
+        for j in range(len(x)):
+            entry += A[i, j] * x[j]
+        square += entry * entry
+    return square
+
+
+@helper
 def product(A: Floats, B: Floats) -> Floats:
     """Return the product (n, k) of two matrices (n, m) and (m, k)."""
     result = np.empty((len(A), B.shape[1]))

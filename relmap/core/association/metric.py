@@ -1,0 +1,180 @@
+"""Distances in units of the noise, which differs by direction and by distance from the sensor.
+
+Radar, stereo cameras and bearing sensors measure one direction many times better than another, and
+distant landmarks worse than near ones. The gate of data association is then an ellipse rather than
+a circle (Bar-Shalom and Fortmann, "Tracking and Data Association", 1988).  The noise is that of the
+covariances that come with a scan, or else it is estimated from the residuals of matches.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import nnls
+
+from relmap.core.arrays import Floats, Ints
+
+EVERY, SETTLED = 4, 150
+"""Interval of updates, in scans, after so many scans of one each."""
+RARELY = 16
+"""Interval of updates, in scans, while the noise is isotropic and constant."""
+ENOUGH, RECENT = 200, 400
+"""Minimum number of residuals for an estimate, and number of the latest ones that it rests on."""
+MEMORY = 8
+"""Maximum number of observations averaged into a prediction."""
+UNEQUAL = 2.0
+"""Ratio of standard deviations below which the noise counts as isotropic and constant."""
+OUTLIER = 16.0
+"""Largest squared residual, in variances: a larger one is a wrong match."""
+LEAST = 1e-4
+"""Least variance, relative to the largest coefficient."""
+TYPICAL = (0.1, 0.9)
+"""Quantiles of the distance between which the noise is compared."""
+TERMS = 3
+"""Coefficients of the variance, a polynomial in the squared distance."""
+ROUNDS = 3
+"""Rounds of reweighting the residuals by their variances."""
+
+
+class RayNoise:
+    """The variance of matches along and across the ray as a function of the distance.
+
+    Each is ``c0 + c1 r^2 + c2 r^4`` with nonnegative coefficients: constant range noise is the
+    first term, bearing noise the second, the depth noise of a stereo camera the third.
+
+    Attributes
+    ----------
+    given : (n, d, d) float64 or None
+        Covariances of the current scan, robot frame, square metres; they replace the estimate.
+    """
+
+    _is_unequal: bool | None
+    STATE = "_squares _n_scans _coefficients _unit_m _is_unequal"
+
+    def __init__(self) -> None:
+        self.given: Floats | None = None
+        self._squares = np.empty((0, 3))  # distance; squared residual along and across the ray
+        self._n_scans = 0
+        self._coefficients = np.zeros((2, TERMS))
+        self._unit_m = 0.0
+        self._is_unequal = None
+
+    @property
+    def is_unequal(self) -> bool | None:
+        """Whether the noise differs by direction or distance; None before it is known."""
+        return self._is_unequal
+
+    def learn(self, expected: Floats, found: Floats, n_seen: Ints) -> None:
+        """Update the estimate from static landmarks.
+
+        Parameters
+        ----------
+        expected, found : (n, d) float64, robot frame, metres
+            Predicted and observed.
+        n_seen : (n,) int64
+            Observations before.
+        """
+        self._n_scans += 1
+        often = EVERY if self._n_scans > SETTLED else 1
+        if not len(found) or self._n_scans % (RARELY if self._is_unequal is False else often):
+            return
+        distance, ray = _rays(found)
+        self._unit_m = self._unit_m or float(distance.max())
+        off = (expected - found) / np.sqrt(1 + 1 / np.minimum(n_seen, MEMORY))[:, None]
+        along = np.sum(off * ray, axis=1) ** 2
+        across = np.maximum(np.sum(off**2, axis=1) - along, 0) / (found.shape[1] - 1)
+        squares = np.column_stack([distance, along, across])
+        self._squares = np.concatenate([self._squares, squares])[-RECENT:]
+        if len(self._squares) >= ENOUGH:
+            terms = self._terms(self._squares[:, 0])
+            for k in (0, 1):
+                self._coefficients[k] = _fitted(terms, self._squares[:, k + 1])
+            sigma = self._sigmas(np.quantile(self._squares[:, 0], TYPICAL))
+            self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min())
+
+    def metric(self, points: Floats, rows: Ints | None = None) -> Floats | None:
+        """Return the metric at points of the current scan; None if the noise is isotropic.
+
+        Parameters
+        ----------
+        points : (n, d) float64, robot frame, metres
+        rows : (n,) int64, optional
+            Their rows in the scan; all by default.
+
+        Returns
+        -------
+        (n, d, d) float64 or None
+            Symmetric matrices that scale differences such that their noise is isotropic and the
+            same at each point, with a mean log determinant of 0.
+        """
+        if not len(points):
+            return None
+        if self.given is not None:
+            values, vectors = np.linalg.eigh(self.given if rows is None else self.given[rows])
+            sigma = np.sqrt(values)
+            if sigma.max() < UNEQUAL * sigma.min():
+                return None
+        elif self._is_unequal:
+            sigma, vectors = self._estimated(points)
+        else:
+            return None
+        scale = np.exp(np.mean(np.log(sigma))) / sigma
+        return np.asarray((vectors * scale[:, None]) @ np.swapaxes(vectors, 1, 2))
+
+    def covariances(self, points: Floats) -> Floats:
+        """Return estimated covariances (n, d, d) of points (n, d), robot frame, square metres."""
+        sigma, vectors = self._estimated(points)
+        return np.asarray((vectors * sigma[:, None] ** 2) @ np.swapaxes(vectors, 1, 2))
+
+    def _estimated(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return standard deviations (n, d) and directions (n, d, d), in columns, of the noise."""
+        d = points.shape[1]
+        distance, ray = _rays(points)
+        outer = ray[:, :, None] * ray[:, None]
+        vectors = np.linalg.eigh(-outer)[1]  # the ray comes first
+        return self._sigmas(distance)[:, [0] + [1] * (d - 1)], vectors
+
+    def _sigmas(self, distance: Floats) -> Floats:
+        """Return standard deviations (n, 2) along and across the ray at distances (n,), metres."""
+        variances = self._terms(distance) @ self._coefficients.T
+        return np.asarray(np.sqrt(np.maximum(variances, LEAST * self._coefficients.max() + 1e-300)))
+
+    def _terms(self, distance: Floats) -> Floats:
+        """Return the terms (n, 3) of the polynomial at distances (n,), metres."""
+        return np.asarray((distance[:, None] / self._unit_m) ** (2 * np.arange(TERMS)))
+
+
+def _rays(points: Floats) -> tuple[Floats, Floats]:
+    """Return the distances (n,) and the directions (n, d) of points (n, d), robot frame."""
+    distance = np.linalg.norm(points, axis=1)
+    return distance, points / np.maximum(distance, 1e-12)[:, None]
+
+
+def _fitted(terms: Floats, squares: Floats) -> Floats:
+    """Return the coefficients (t,) of the variance of residuals from their squares (n,).
+
+    Weighted, nonnegative least squares; outliers are clipped.
+    """
+    least = max(LEAST * float(squares.mean()), 1e-300)
+    variance, found = np.full(len(squares), max(float(squares.mean()), least)), np.zeros(TERMS)
+    for _ in range(ROUNDS):
+        clipped = np.minimum(squares, OUTLIER * variance) / variance
+        found, _residual = nnls(terms / variance[:, None], clipped)
+        variance = np.maximum(terms @ found, least)
+    return found
+
+
+def rows_of(metric: Floats | None, rows: Ints) -> Floats | None:
+    """Return some rows of a metric (n, d, d); None if there is none."""
+    return None if metric is None else metric[rows]
+
+
+def stretch_of(metric: Floats | None) -> Floats | None:
+    """Return the largest length (n,) of a unit of a metric (n, d, d), metres; None without one."""
+    return None if metric is None else np.asarray(1 / np.linalg.eigvalsh(metric)[:, 0])
+
+
+def scaled(metric: Floats | None, differences: Floats) -> Floats:
+    """Return differences (n, d) in units of a metric (n, d, d); unchanged without one."""
+    if metric is None:
+        return differences
+    return np.asarray(np.einsum("nij,nj->ni", metric, differences))

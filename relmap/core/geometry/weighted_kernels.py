@@ -1,0 +1,107 @@
+"""Rigid fits of matches that are measured unequally well in each direction, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Bools, Floats
+from relmap.core.linalg.compiling import compiled, helper
+from relmap.core.linalg.small_kernels import factorise, identity, product, solve
+
+HELD = 1e-9
+"""What the diagonal is raised by, as a share of itself, where matches leave a direction open."""
+
+
+@compiled
+def weighted_fit(
+    source: Floats,
+    target: Floats,
+    metric: Floats,
+    rows: Bools,
+    R: Floats,
+    t: Floats,
+    rounds: int,
+) -> float:
+    """Improve a placement of some rows of matches (n, d) by Gauss-Newton steps, in place.
+
+    Misfits count in the metric (n, d, d) of their targets.  Returns the length of the last step.
+    """
+    n, d = source.shape
+    q = 3 * d - 3
+    J, off, length = np.zeros((d, q)), np.empty(d), 0.0
+    for a in range(d):
+        J[a, q - d + a] = 1.0
+    for _ in range(rounds):
+        A, b = np.zeros((q, q)), np.zeros(q)
+        for i in range(n):
+            if rows[i]:
+                _enter(J, off, R, t, source[i], target[i])
+                _add(A, b, metric[i], J, off)
+        for a in range(q):
+            A[a, a] += HELD * A[a, a] + 1e-300
+        factorise(A)
+        solve(A, b)
+        turn = _turned(b, d)
+        R[:] = product(turn, R)
+        length = 0.0
+        for a in range(d):
+            off[a] = b[q - d + a]
+            for c in range(d):
+                off[a] += turn[a, c] * t[c]
+        for a in range(d):
+            length += (off[a] - t[a]) ** 2
+            t[a] = off[a]
+    return float(np.sqrt(length))
+
+
+@helper
+def _enter(J: Floats, off: Floats, R: Floats, t: Floats, source: Floats, target: Floats) -> None:
+    """Enter the derivative by a turn of a placed point, and how far off its target it is."""
+    d = len(off)
+    for a in range(d):
+        off[a] = t[a]
+        for c in range(d):
+            off[a] += R[a, c] * source[c]
+    if d == 2:
+        J[0, 0], J[1, 0] = -off[1], off[0]
+    else:
+        J[0, 1], J[0, 2] = off[2], -off[1]
+        J[1, 0], J[1, 2] = -off[2], off[0]
+        J[2, 0], J[2, 1] = off[1], -off[0]
+    for a in range(d):
+        off[a] = target[a] - off[a]
+
+
+@helper
+def _add(A: Floats, b: Floats, metric: Floats, J: Floats, off: Floats) -> None:
+    """Add what one match says to the normal equations."""
+    weighed, (d, q) = product(metric, J), J.shape
+    for a in range(d):
+        left = 0.0
+        for c in range(d):
+            left += metric[a, c] * off[c]
+        for i in range(q):
+            b[i] += weighed[a, i] * left
+            for j in range(i + 1):
+                A[i, j] += weighed[a, i] * weighed[a, j]
+
+
+@helper
+def _turned(b: Floats, d: int) -> Floats:
+    """Return the rotation (d, d) by the angle or the rotation vector that begins b."""
+    turn = identity(d)
+    if d == 2:
+        turn[0, 0] = turn[1, 1] = np.cos(b[0])
+        turn[1, 0], turn[0, 1] = np.sin(b[0]), -np.sin(b[0])
+        return turn
+    angle = np.sqrt(b[0] ** 2 + b[1] ** 2 + b[2] ** 2)
+    if angle < 1e-12:
+        return turn
+    K = np.zeros((3, 3))
+    K[0, 1], K[0, 2], K[1, 2] = -b[2] / angle, b[1] / angle, -b[0] / angle
+    K[1, 0], K[2, 0], K[2, 1] = -K[0, 1], -K[0, 2], -K[1, 2]
+    twice = product(K, K)
+    for a in range(3):
+        for c in range(3):
+            turn[a, c] += np.sin(angle) * K[a, c] + (1 - np.cos(angle)) * twice[a, c]
+    return turn

@@ -1,0 +1,166 @@
+"""Noise that differs by direction and distance: its estimate, its metric, and maps made with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from relmap import PointMapper
+from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.association.matching_kernels import nearest_within
+from relmap.core.association.metric import RayNoise, stretch_of
+from relmap.core.association.placement import trimmed_fit
+from relmap.evaluation.metrics import majority_ids
+from relmap.simulation import World, WorldSpec, simulate_world
+from relmap.simulation.worlds import covariances_of
+from tests.worlds import random_rotation
+
+Array = NDArray[np.float64]
+SIGMA = 0.05
+
+
+def rays_of(noise: str, d: int, rng: np.random.Generator) -> RayNoise:
+    """Return an estimate from static landmarks, predicted from eight observations each."""
+    rays = RayNoise()
+    for _ in range(60):
+        points = rng.uniform(-14, 14, (20, d))
+        roots = np.linalg.cholesky(covariances_of(points, SIGMA, noise))
+        seen = points + (roots @ rng.normal(size=(20, d, 1)))[:, :, 0]
+        mean = points + (roots @ rng.normal(size=(20, d, 1)))[:, :, 0] / np.sqrt(8)
+        rays.learn(mean, seen, np.full(20, 8))
+    return rays
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("noise", ["range", "bearing", "stereo"])
+def test_the_estimate_is_the_noise_of_the_sensor(noise: str, d: int) -> None:
+    rng = np.random.default_rng(3)
+    rays = rays_of(noise, d, rng)
+    points = rng.normal(size=(50, d))
+    points *= (rng.uniform(6, 14, 50) / np.linalg.norm(points, axis=1))[:, None]
+    true = covariances_of(points, SIGMA, noise)
+    ratio = np.linalg.eigvals(np.linalg.solve(true, rays.covariances(points)))
+    assert np.sqrt(ratio.real).min() > 0.6
+    assert np.sqrt(ratio.real).max() < 1.6
+    metric = rays.metric(points)
+    assert metric is not None
+    even = np.linalg.eigvalsh(metric @ true @ metric)
+    assert np.sqrt(even.max() / even.min()) < 2.2
+    np.testing.assert_allclose(np.linalg.slogdet(metric)[1].mean(), 0, atol=1e-9)
+
+
+def test_isotropic_noise_has_no_metric() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rays = rays_of("isotropic", 2, rng)
+        assert rays.is_unequal is False
+        assert rays.metric(rng.normal(size=(9, 2))) is None
+
+
+def random_metric(n: int, d: int, rng: np.random.Generator) -> Array:
+    roots = rng.normal(size=(n, d, d))
+    return np.asarray(roots @ np.swapaxes(roots, 1, 2) + 0.3 * np.eye(d))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_nearest_by_a_metric_is_what_trying_all_finds(d: int) -> None:
+    rng = np.random.default_rng(d)
+    points, queries = rng.uniform(-4, 4, (40, d)), rng.uniform(-4, 4, (60, d))
+    metric, reach = random_metric(40, d, rng), 1.5
+    stretch = stretch_of(metric)
+    assert stretch is not None
+    cell = reach * float(stretch.max())
+    distance, index = nearest_within(points, queries, reach, metric, cell)
+    off = np.einsum("nij,knj->kni", metric, queries[:, None] - points)
+    every = np.linalg.norm(off, axis=2)
+    within = every.min(axis=1) < reach
+    assert 0 < within.sum() < 60
+    np.testing.assert_array_equal(index, np.where(within, every.argmin(axis=1), 40))
+    np.testing.assert_allclose(distance[within], every.min(axis=1)[within])
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_weighted_fit_is_that_of_scipy_without_the_outliers(d: int) -> None:
+    rng = np.random.default_rng(d)
+    source, R, t = rng.uniform(-9, 9, (25, d)), random_rotation(d, 1.0, rng), rng.uniform(-2, 2, d)
+    metric = random_metric(25, d, rng)
+    noise = np.linalg.solve(metric, 0.05 * rng.normal(size=(25, d, 1)))[:, :, 0]
+    target = source @ R.T + t + noise
+    target[:4] += 6.0
+    found = trimmed_fit(source, target, 0.3, metric)
+    assert found is not None
+    assert found.n_agreeing == 21
+
+    def residuals(x: Array) -> Array:
+        if d == 2:
+            turn = Rotation.from_euler("z", x[0]).as_matrix()[:2, :2]
+        else:
+            turn = Rotation.from_rotvec(x[:3]).as_matrix()
+        off = target[4:] - source[4:] @ turn.T - x[-d:]
+        return np.asarray(np.einsum("nij,nj->ni", metric[4:], off).ravel())
+
+    solved = least_squares(residuals, np.zeros(3 * d - 3), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    off = target[4:] - found.apply(source[4:])
+    own = np.sum(np.einsum("nij,nj->ni", metric[4:], off) ** 2)
+    assert own <= 2 * solved.cost * (1 + 1e-6)
+
+
+def mapped(world: World, with_covariances: bool) -> tuple[PointMapper, list[float]]:
+    """Map a world by own association; return the RMSE of the map and that of the batch."""
+    mapper, end, labels = PointMapper(), 0, []
+    for scan in world.log.scans():
+        rows = slice(end, end + len(scan.points_robot))
+        noise = world.covariances[rows] if with_covariances else None
+        labels.append(mapper.update(scan.points_robot, covariances=noise))
+        end = rows.stop
+    mapper.finish()
+    mapper.refine()
+    now = mapper.landmarks_of(np.concatenate(labels))
+    true_of = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))
+    ids = np.array([true_of[label] for label in mapper.map.landmark_ids.tolist()])
+    d = world.log.points_robot.shape[1]
+    seen, of = np.unique(world.true_ids, return_inverse=True)
+    batch = Batch(world.log.points_robot, world.log.iteration, of)
+    limit = batch_least_squares(batch, world.landmarks_map[seen, :d], iterations=1000)
+    limit = limit[np.searchsorted(seen, ids)]
+    there = world.landmarks_map[ids, :d]
+    return mapper, [rmse(mapper.map.positions[:, :d], there), rmse(limit, there)]
+
+
+def rmse(positions: Array, truth: Array) -> float:
+    from relmap.core.geometry.alignment import fit_rigid
+
+    R, t = fit_rigid(positions, truth)
+    return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("with_covariances", [True, False])
+def test_a_stereo_camera_gives_one_map_better_than_unweighted_least_squares(
+    with_covariances: bool,
+) -> None:
+    spec = WorldSpec(
+        noise="stereo", sigma=0.03, space=True, iterations=200, length_m=300.0, seed=11
+    )
+    mapper, (own, limit) = mapped(simulate_world(spec), with_covariances)
+    assert len(mapper.submaps) == 1
+    assert own < limit
+
+
+def test_a_run_that_estimates_its_noise_goes_on_after_loading(tmp_path: Path) -> None:
+    spec = WorldSpec(noise="bearing", iterations=120, length_m=180.0, seed=12)
+    plain, saved = PointMapper(), PointMapper()
+    for k, scan in enumerate(simulate_world(spec).log.scans()):
+        if k in (5, 30, 31, 90):
+            saved.save(tmp_path / "mapper.npz")
+            saved = PointMapper.load(tmp_path / "mapper.npz")
+        labels = plain.update(scan.points_robot)
+        np.testing.assert_array_equal(saved.update(scan.points_robot), labels)
+    for mapper in (plain, saved):
+        mapper.finish()
+        mapper.refine()
+    assert plain.map.positions.tobytes() == saved.map.positions.tobytes()
