@@ -14,7 +14,7 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED, Numbered
 from relmap.core.association.estimated import EstimatedCovariances
 from relmap.core.association.guiding import OdometryGuide
-from relmap.core.association.metric import stretch_of
+from relmap.core.association.metric import rows_of, stretch_of
 from relmap.core.association.placement import Placement
 from relmap.core.association.registering import ENOUGH, TrackPlacing
 from relmap.core.association.scale import Scale, spacing_of
@@ -127,10 +127,11 @@ class Constellation(Numbered):
 
     def _continue(self, points_robot: Floats, landmarks: Ints) -> LiveTracks | None:
         """Enter the landmark of each point that continues a track; return the predicted tracks."""
+        metric = self._scale.rays.metric(points_robot)
         for tracks, since in ((self._tracks, self._tracks_since), (self._stray, self._stray_since)):
             if tracks is None:
                 continue
-            placing = TrackPlacing(self._scale, self._idle)
+            placing = TrackPlacing(self._scale, self._idle, metric)
             seen = len(points_robot) and len(tracks)
             placement = placing.placement(tracks, points_robot) if seen else None
             if placement is not None:
@@ -146,11 +147,11 @@ class Constellation(Numbered):
                 carried = tracks.carried(
                     placement.apply(tracks.expected), placement.apply(tracks.latest)
                 )
-                rows, found, strayed = self._links(carried, points_robot)
+                rows, found, strayed = self._links(carried, points_robot, metric)
                 landmarks[found] = tracks.landmarks[rows]
                 at_rest = ~strayed
                 there = points_robot[found[at_rest]]
-                own = self._scale.rays.metric(there, found[at_rest])
+                own = rows_of(metric, found[at_rest])
                 known = rows[at_rest]
                 self._scale.learn(carried.expected[known], there, carried.seen[known], own)
                 carried.see(rows, points_robot[found], strayed)
@@ -192,7 +193,9 @@ class Constellation(Numbered):
             self._stray, self._idle = None, 0
             self._scale.allow_noise()
 
-    def _links(self, carried: LiveTracks, points: Floats) -> tuple[Ints, Ints, Bools]:
+    def _links(
+        self, carried: LiveTracks, points: Floats, metric: Floats | None
+    ) -> tuple[Ints, Ints, Bools]:
         """Link predicted tracks to the observations near them.
 
         Returns
@@ -204,8 +207,7 @@ class Constellation(Numbered):
         """
         from relmap.core.association.matching_kernels import claims, nearest_within
 
-        gate_m, metric = self._scale.gate_m, self._scale.rays.metric(points)
-        stretch = stretch_of(metric)
+        gate_m, stretch = self._scale.gate_m, stretch_of(metric)
         if metric is None or stretch is None:
             distance, target = nearest_within(points, carried.expected, gate_m)
         else:

@@ -91,14 +91,12 @@ class RayNoise:
             sigma = self._sigmas(np.quantile(self._squares[:, 0], TYPICAL))
             self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min())
 
-    def metric(self, points: Floats, rows: Ints | None = None) -> Floats | None:
-        """Return the metric at points of the current scan; None if the noise is isotropic.
+    def metric(self, points: Floats) -> Floats | None:
+        """Return the metric at the points of the current scan; None if the noise is isotropic.
 
         Parameters
         ----------
         points : (n, d) float64, robot frame, metres
-        rows : (n,) int64, optional
-            Their rows in the scan; all by default.
 
         Returns
         -------
@@ -109,7 +107,7 @@ class RayNoise:
         if not len(points):
             return None
         if self.given is not None:
-            values, vectors = np.linalg.eigh(self.given if rows is None else self.given[rows])
+            values, vectors = np.linalg.eigh(self.given)
             sigma = np.sqrt(values)
             if sigma.max() < UNEQUAL * sigma.min():
                 return None

@@ -56,10 +56,13 @@ class TrackPlacing:
         Scale of the scans so far, updated with each scan.
     idle : int
         Nearly empty scans since the tracks were seen.
+    metric : (n, d, d) float64 or None
+        Of the points of the scan.
     """
 
     scale: Scale
     idle: int
+    metric: Floats | None
 
     def placement(self, tracks: LiveTracks, points: Floats) -> Placement | None:
         """Return the placement that brings tracks onto points (n, d); None if none is certain."""
@@ -75,7 +78,7 @@ class TrackPlacing:
         """Find the placement of the tracks' frame in the scan with the most matches."""
         from relmap.core.association.matching_kernels import claims, two_nearest
 
-        (n, d), metric = points.shape, self.scale.rays.metric(points)
+        (n, d), metric = points.shape, self.metric
         missed = int(tracks.missed.min())
         latest = np.flatnonzero(tracks.missed == missed)
         possible = min(len(latest), n)
@@ -104,7 +107,7 @@ class TrackPlacing:
                 near = None
         if near is not None and is_sharp and near.n_agreeing >= SHARE * min(len(sample), n):
             return near
-        far, n_far = self._search(tracks, points, metric)
+        far, n_far = self._search(tracks, points)
         if near is None or not is_sharp or n_far > near.n_agreeing:
             return far
         return near
@@ -140,7 +143,9 @@ class TrackPlacing:
             moved_m = float(np.ptp(there, axis=0).max())
             placements = (2 * d - 3) * np.log(2 * np.pi)
         placements += d * (d + 1) / 2 * np.log(1 + 2 * moved_m / tolerance_m)
-        share = min(np.log(2) * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
+        # The volume of a gate relative to that of a sphere, in the mean of the points.
+        volume = 1.0 if self.metric is None else float(np.mean(1 / np.linalg.det(self.metric)))
+        share = min(np.log(2) * volume * (tolerance_m / self.scale.spacing_m) ** d, 0.5)
         return chance_of(max(min(len(here), len(there)), n_agreeing), n_agreeing, share, placements)
 
     def _is_familiar_pair(self, tracks: LiveTracks, rows: Ints, distance: Floats) -> bool:
@@ -160,9 +165,7 @@ class TrackPlacing:
         scale.noise_m, scale.wider = learnt, 1.0
         return None
 
-    def _search(
-        self, tracks: LiveTracks, points: Floats, metric: Floats | None
-    ) -> tuple[Placement | None, int]:
+    def _search(self, tracks: LiveTracks, points: Floats) -> tuple[Placement | None, int]:
         """Search for the tracks in the scan, for any motion of the robot.
 
         If there are many, only those near the robot are used. Returns the placement, None if it is
@@ -177,7 +180,7 @@ class TrackPlacing:
         known = known[np.argsort(-tracks.seen[known], kind="stable")[:SEARCH]]
         seen = np.flatnonzero(away <= within_m)
         here, there = tracks.expected[known], points[seen]
-        found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(metric, seen))
+        found = search(here, there, self.scale.tolerance_m, ENOUGH, rows_of(self.metric, seen))
         if found is None:
             return None, 0
         placement, rival = found
