@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from relmap.core.arrays import Floats, Ints
+from relmap.core.association.base import middle
 
 EVERY, SETTLED = 4, 150
 """Interval of updates, in scans, after so many scans of one each."""
@@ -23,6 +24,10 @@ MEMORY = 8
 """Maximum number of observations averaged into a prediction."""
 UNEQUAL = 2.0
 """Ratio of standard deviations below which the noise counts as isotropic and constant."""
+NEGLIGIBLE = 1e-4
+"""Noise, relative to the distance, that is too small to matter to association."""
+CHI2_MEDIAN = 0.455
+"""Median of the square of a standard normal."""
 OUTLIER = 16.0
 """Largest squared residual, in variances: a larger one is a wrong match."""
 LEAST = 1e-4
@@ -87,9 +92,12 @@ class RayNoise:
         if len(self._squares) >= ENOUGH:
             terms = self._terms(self._squares[:, 0])
             for k in (0, 1):
-                self._coefficients[k] = _fitted(terms, self._squares[:, k + 1])
+                self._coefficients[k] = _fitted(
+                    terms, self._squares[:, k + 1], self._coefficients[k]
+                )
             sigma = self._sigmas(np.quantile(self._squares[:, 0], TYPICAL))
-            self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min())
+            is_negligible = sigma.max() < NEGLIGIBLE * self._unit_m
+            self._is_unequal = bool(sigma.max() >= UNEQUAL * sigma.min() and not is_negligible)
 
     def metric(self, points: Floats) -> Floats | None:
         """Return the metric at the points of the current scan; None if the noise is isotropic.
@@ -147,13 +155,14 @@ def _rays(points: Floats) -> tuple[Floats, Floats]:
     return distance, points / np.maximum(distance, 1e-12)[:, None]
 
 
-def _fitted(terms: Floats, squares: Floats) -> Floats:
+def _fitted(terms: Floats, squares: Floats, before: Floats) -> Floats:
     """Return the coefficients (t,) of the variance of residuals from their squares (n,).
 
-    Weighted, nonnegative least squares; outliers are clipped.
+    Weighted, nonnegative least squares, from the coefficients before; outliers are clipped.
     """
-    least = max(LEAST * float(squares.mean()), 1e-300)
-    variance, found = np.full(len(squares), max(float(squares.mean()), least)), np.zeros(TERMS)
+    typical = middle(squares) / CHI2_MEDIAN
+    least, found = max(LEAST * typical, 1e-300), before
+    variance = np.maximum(terms @ before, least) if before.any() else typical + 0 * squares + least
     for _ in range(ROUNDS):
         clipped = np.minimum(squares, OUTLIER * variance) / variance
         found, _residual = nnls(terms / variance[:, None], clipped)
