@@ -9,7 +9,6 @@ covariances that come with a scan, or else it is estimated from the residuals of
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import middle
@@ -160,6 +159,8 @@ def _fitted(terms: Floats, squares: Floats, before: Floats) -> Floats:
 
     Weighted, nonnegative least squares, from the coefficients before; outliers are clipped.
     """
+    from scipy.optimize import nnls
+
     typical = middle(squares) / CHI2_MEDIAN
     least, found = max(LEAST * typical, 1e-300), before
     variance = np.maximum(terms @ before, least) if before.any() else typical + 0 * squares + least
