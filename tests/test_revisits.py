@@ -13,6 +13,8 @@ from relmap.core.geometry.motions import derivatives
 from relmap.core.geometry.robust import huber
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
+from relmap.core.revisiting import mergeable
+from relmap.core.state.table import LandmarkState
 
 Array = NDArray[np.float64]
 SEES_M, STEP_M, NOISE_M = 2.5, 0.4, 0.02
@@ -91,6 +93,23 @@ def test_votes_find_a_turn_and_a_shift(yaw: float) -> None:
     assert votes[best, 1] < 6
 
 
+def test_votes_in_fine_cells_take_little_memory() -> None:
+    rng = np.random.default_rng(3)
+    there = rng.uniform(-100, 100, (60, 2))
+    points = there[:12] - [31.0, -2.0]
+    votes, shift = most_voted(points, there, np.full(60, 300.0), np.zeros(1), 1e-4)
+    assert votes[0, 0] >= 12
+    assert np.abs(shift[0, 0] - [31.0, -2.0]).max() <= 1e-4
+
+
+def test_no_landmark_is_merged_into_one_that_is_itself_merged() -> None:
+    table = LandmarkState()
+    for landmark in range(5):
+        table.enter(np.array([landmark]), np.zeros((1, 2)), landmark)
+    pairs = np.array([[2, 1], [4, 2], [0, 3], [3, 1]])
+    assert mergeable(table, pairs).tolist() == [[2, 1], [3, 0]]
+
+
 def rounds(rng: np.random.Generator) -> tuple[Array, list[Array]]:
     """Return landmarks along a square corridor of 80 m, and the poses (k, 4, 4) of two rounds."""
     side, corners = 20.0, np.array([[0, 0], [20, 0], [20, 20], [0, 20]])
@@ -106,14 +125,15 @@ def rounds(rng: np.random.Generator) -> tuple[Array, list[Array]]:
     return landmarks, poses
 
 
-def test_a_loop_that_drift_left_open_by_metres_is_closed() -> None:
-    rng = np.random.default_rng(5)
-    landmarks, poses = rounds(rng)
+def driven(
+    landmarks: Array, poses: list[Array], noise_m: float, rng: np.random.Generator
+) -> tuple[PointMapper, list[tuple[int, int]]]:
+    """Map a run with drifting odometry; return also number and landmark of each observation."""
     mapper, seen = PointMapper(), []
     for k, pose in enumerate(poses):
         local = (landmarks - pose[:2, 3]) @ pose[:2, :2]
         near = np.flatnonzero((np.linalg.norm(local, axis=1) < SEES_M) & (local[:, 0] > 0))
-        local = local[near] + rng.normal(0, NOISE_M, (len(near), 2))
+        local = local[near] + rng.normal(0, noise_m, (len(near), 2))
         moved = np.linalg.inv(poses[k - 1]) @ pose if k else None
         if moved is not None:
             moved = moved @ motion(rng.normal(0, 0.005), 0.004 + rng.normal(0, 0.01))
@@ -121,6 +141,32 @@ def test_a_loop_that_drift_left_open_by_metres_is_closed() -> None:
         seen += list(zip(numbers.tolist(), near.tolist(), strict=True))
     mapper.finish()
     mapper.refine()
+    return mapper, seen
+
+
+def test_a_loop_without_noise_of_observations_can_be_looked_for() -> None:
+    rng = np.random.default_rng(5)
+    landmarks, poses = rounds(rng)
+    mapper, _ = driven(landmarks, poses, 0.0, rng)
+    assert len(mapper.submaps) == 1
+    assert np.isfinite(mapper.map.positions).all()
+
+
+@pytest.mark.parametrize("n_seen", [0, 1])
+def test_scans_of_one_landmark_or_none_are_refined_without_warnings(n_seen: int) -> None:
+    mapper = PointMapper()
+    for k in range(40):
+        local = np.array([[2.5 - STEP_M * (k % 5), 1.0]])
+        mapper.update(local[: n_seen * (k % 7)], odometry=motion(STEP_M, 0.0))
+    mapper.finish()
+    mapper.refine()
+    assert len(mapper.submaps) == n_seen
+
+
+def test_a_loop_that_drift_left_open_by_metres_is_closed() -> None:
+    rng = np.random.default_rng(5)
+    landmarks, poses = rounds(rng)
+    mapper, seen = driven(landmarks, poses, NOISE_M, rng)
     found = mapper.map
     number, true = np.array(seen).T
     now = mapper.landmarks_of(number)

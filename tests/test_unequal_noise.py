@@ -62,6 +62,16 @@ def test_isotropic_noise_has_no_metric() -> None:
         assert rays.metric(rng.normal(size=(9, 2))) is None
 
 
+def test_noise_free_matches_give_no_metric() -> None:
+    rays, rng = RayNoise(), np.random.default_rng(1)
+    with np.errstate(all="raise"):
+        for reach_m in [0.1] + 40 * [100.0]:
+            points = rng.uniform(-reach_m, reach_m, (8, 2))
+            rays.learn(points, points.copy(), np.full(8, 3))
+    assert rays.is_unequal is False
+    assert rays.metric(points) is None
+
+
 def random_metric(n: int, d: int, rng: np.random.Generator) -> Array:
     roots = rng.normal(size=(n, d, d))
     return np.asarray(roots @ np.swapaxes(roots, 1, 2) + 0.3 * np.eye(d))
@@ -149,6 +159,21 @@ def test_a_stereo_camera_gives_one_map_better_than_unweighted_least_squares(
     mapper, (own, limit) = mapped(simulate_world(spec), with_covariances)
     assert len(mapper.submaps) == 1
     assert own < limit
+
+
+def test_an_observation_of_unknown_place_does_not_take_the_matches_of_others() -> None:
+    world = simulate_world(WorldSpec(iterations=60, length_m=90.0, seed=12))
+    plain, mapper = PointMapper(), PointMapper()
+    for scan in world.log.scans():
+        covariances = np.tile(np.eye(2) * SIGMA**2, (len(scan.points_robot), 1, 1))
+        covariances[:1, 0, 0] *= 1e6
+        plain.update(scan.points_robot)
+        mapper.update(scan.points_robot, covariances=covariances)
+    for each in (plain, mapper):
+        each.finish()
+        each.refine()
+    assert len(mapper.submaps) == len(plain.submaps) == 1
+    assert len(mapper.map.landmark_ids) >= 0.9 * len(plain.map.landmark_ids)
 
 
 def test_a_run_that_estimates_its_noise_goes_on_after_loading(tmp_path: Path) -> None:

@@ -43,17 +43,22 @@ def _merge_revisits(engine: RelativeMapper) -> list[float]:
             pairs = pairs[pairs[:, 0] != pairs[:, 1]]
             pairs = pairs[engine.merger.allowed(pairs)]
             apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
-            pairs = _newer_first(table, pairs[np.array(apart, dtype=bool)])
+            pairs = mergeable(table, pairs[np.array(apart, dtype=bool)])
             if len(pairs) > CLEAR * len(revisit.pairs):
                 engine.merge_pairs(pairs)
                 surprises.append(revisit.surprise)
     return surprises
 
 
-def _newer_first(table: LandmarkState, pairs: Ints) -> Ints:
-    """Return pairs (k, 2) of landmarks with the one that was seen first in the second place."""
+def mergeable(table: LandmarkState, pairs: Ints) -> Ints:
+    """Return pairs (k, 2) with the landmark that was seen first in the second place.
+
+    Each landmark is merged into one other at most, and not into one that is itself merged.
+    """
     swap = table.first[pairs[:, 0]] < table.first[pairs[:, 1]]
-    return np.where(swap[:, None], pairs[:, ::-1], pairs)
+    pairs = np.where(swap[:, None], pairs[:, ::-1], pairs)
+    pairs = pairs[np.sort(np.unique(pairs[:, 0], return_index=True)[1])]
+    return np.asarray(pairs[~np.isin(pairs[:, 1], pairs[:, 0])])
 
 
 def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:

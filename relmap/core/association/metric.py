@@ -23,6 +23,9 @@ MEMORY = 8
 """Maximum number of observations averaged into a prediction."""
 UNEQUAL = 2.0
 """Ratio of standard deviations below which the noise counts as isotropic and constant."""
+WORST = 10.0
+"""Largest standard deviation, relative to that of the median point: beyond it a point would be the
+nearest to every track."""
 NEGLIGIBLE = 1e-4
 """Noise, relative to the distance, that is too small to matter to association."""
 CHI2_MEDIAN = 0.455
@@ -31,6 +34,8 @@ OUTLIER = 16.0
 """Largest squared residual, in variances: a larger one is a wrong match."""
 LEAST = 1e-4
 """Least variance, relative to the largest coefficient."""
+TINY = 1e-100
+"""Least variance of a fit: divided by it, no term overflows where residuals are 0."""
 TYPICAL = (0.1, 0.9)
 """Quantiles of the distance between which the noise is compared."""
 TERMS = 3
@@ -122,6 +127,7 @@ class RayNoise:
             sigma, vectors = self._estimated(points)
         else:
             return None
+        sigma = np.minimum(sigma, WORST * middle(sigma.max(axis=1)))
         scale = np.exp(np.mean(np.log(sigma))) / sigma
         return np.asarray((vectors * scale[:, None]) @ np.swapaxes(vectors, 1, 2))
 
@@ -162,7 +168,7 @@ def _fitted(terms: Floats, squares: Floats, before: Floats) -> Floats:
     from scipy.optimize import nnls
 
     typical = middle(squares) / CHI2_MEDIAN
-    least, found = max(LEAST * typical, 1e-300), before
+    least, found = max(LEAST * typical, TINY), before
     variance = np.maximum(terms @ before, least) if before.any() else typical + 0 * squares + least
     for _ in range(ROUNDS):
         clipped = np.minimum(squares, OUTLIER * variance) / variance

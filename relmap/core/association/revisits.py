@@ -24,6 +24,7 @@ from relmap.core.association.base import nearest
 from relmap.core.association.placement import Placement, consistent_placements
 from relmap.core.association.search import settled
 from relmap.core.association.tying import BY_CHANCE, CLEAR
+from relmap.core.motion_noise import FLOOR_M
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.refinement.drift import Drift
 from relmap.core.state.table import NONE, LandmarkState
@@ -120,7 +121,7 @@ class RevisitFinder:
     def __init__(self, table: LandmarkState, landmarks: Ints, drift: Drift, noise_m: float) -> None:
         self._table, self._landmarks, self._drift = table, landmarks, drift
         self._seen_from: dict[int, tuple[Floats, Floats]] = {}
-        self._tolerance_m = WIDER * TOLERANCE * noise_m
+        self._tolerance_m = WIDER * TOLERANCE * max(noise_m, FLOOR_M)
         own = table.observations[landmarks] >= SOLID
         own &= (table.submap[landmarks] != NONE) & (table.now(landmarks) == landmarks)
         self._own = np.flatnonzero(own)

@@ -51,6 +51,8 @@ def contradicted(
         sides: a wrong merge deviates by more than is usual.
     """
     segments, merges, d = refined.segments, refined.merges, refined.positions.shape[1]
+    if not len(segments.residual):
+        return np.empty(0, dtype=np.int64)
     most, usual = usual, min(float(np.median(segments.residual)), usual)
     limit = usual * np.sqrt(chdtri(d, BY_CHANCE / max(len(merges.track), 1)) / d)
     if most > 1 and len(merges.track):

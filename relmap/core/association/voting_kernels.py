@@ -7,6 +7,9 @@ import numpy as np
 from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
+SIDE = 4096
+"""Most cells counted along each axis; shifts that are so many cells apart share their votes."""
+
 
 @compiled
 def most_voted(
@@ -33,7 +36,7 @@ def most_voted(
     shift : (k, 2, 2) float64, metres
     """
     most_m = reach_m.max()
-    side = int(2 * most_m / cell_m) + 3
+    side = min(int(2 * most_m / cell_m) + 3, SIDE)
     cells = np.zeros((side, side), np.int64)
     at = np.empty((len(points) * len(there), 2), np.int64)
     votes, shift = np.zeros((len(angles), 2), np.int64), np.zeros((len(angles), 2, 2))
@@ -71,21 +74,22 @@ def _cells_of(
 @helper
 def _add(cells: Ints, at: Ints, count: int, votes: int) -> None:
     """Add votes to cells and to those after them."""
+    side = len(cells)
     for c in range(count):
         for ab in range(4):
-            cells[at[c, 0] + ab // 2, at[c, 1] + ab % 2] += votes
+            cells[(at[c, 0] + ab // 2) % side, (at[c, 1] + ab % 2) % side] += votes
 
 
 @helper
 def _largest(cells: Ints, at: Ints, count: int, best: Ints, rank: int) -> int:
     """Enter the cell with the most votes, the second not beside the first; return its votes."""
-    most = 0
+    most, side = 0, len(cells)
     best[rank, 0], best[rank, 1] = -9, -9
     for c in range(count):
         for ab in range(4):
             u, v = at[c, 0] + ab // 2, at[c, 1] + ab % 2
             beside = rank == 1 and max(abs(u - best[0, 0]), abs(v - best[0, 1])) <= 2
-            if cells[u, v] > most and not beside:
-                most = cells[u, v]
+            if cells[u % side, v % side] > most and not beside:
+                most = cells[u % side, v % side]
                 best[rank, 0], best[rank, 1] = u, v
     return most

@@ -99,9 +99,11 @@ def _variances(rows: SegmentRows) -> tuple[Array, Array]:
     """Return the variances (k,) of a coordinate of the robot in each iteration, and of its angle.
 
     Square metres and square radians, of a fit to what was seen there: its mean, and its turn by
-    the lever to the robot.
+    the lever to the robot.  Infinite if nothing was seen in any iteration.
     """
     k = len(rows.iteration_segment)
+    if not len(rows.points):
+        return np.full(k, np.inf), np.full(k, np.inf)
     noise = rows.squares.sum() / max(int(rows.freedoms.sum()), 1)
     row, bit = np.nonzero((rows.visible[:, None] >> np.arange(LENGTH)) & 1)
     at, points = rows.first_iteration[rows.segment[row]] + bit, rows.points[row]
