@@ -67,7 +67,7 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
         engine.table.dynamic[cleared] = False
         solved = solve(bridged)
     _place(engine, solved)
-    engine.odometry = _told(use, solved, hanging, engine.store.n_iterations)
+    engine.odometry = _in_use(use, solved, hanging, engine.store.n_iterations)
     return True
 
 
@@ -152,9 +152,10 @@ def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
     engine.refined = list(scaled)
 
 
-def _told(
+def _in_use(
     use: OdometryUse, solved: list[Solved], hanging: NDArray[np.int64], n_iterations: int
 ) -> OdometryUse:
+    """Return how odometry is used in a map of solved parts."""
     poses, sigmas = np.full((n_iterations, 4, 4), np.nan), np.ones(3)
     if solved:
         largest = solved[-1]

@@ -1,4 +1,4 @@
-"""What a map that odometry ties shows twice is made one."""
+"""Merging of landmarks that a map with odometry contains twice."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from relmap.core.refinement.drift import Drift
 from relmap.core.state.table import LandmarkState
 
 ROUNDS = 10
-"""How often revisits are looked for: each that is closed leaves less drift, which shows others."""
+"""Maximum number of searches for revisits: each that is closed reduces the drift of others."""
 
 
 def close_revisits(engine: RelativeMapper) -> None:
-    """Merge what was seen again after drifting, and solve the map with it, as long as any is."""
+    """Merge the landmarks of revisited places and solve the map again, until none is found."""
     for _ in range(ROUNDS):
         surprises = _merge_revisits(engine)
         if not surprises or engine.odometry is None:
@@ -32,7 +32,7 @@ def close_revisits(engine: RelativeMapper) -> None:
 
 
 def _merge_revisits(engine: RelativeMapper) -> list[float]:
-    """Merge the landmarks of all revisits that are sure; return how surprising these were."""
+    """Merge the landmarks of all certain revisits; return the drift of each, in deviations."""
     surprises, table = [], engine.table
     sightings = Sightings(rows_of_tracks(engine.rows, table), table)
     for refined in engine.refined:
@@ -62,9 +62,9 @@ def mergeable(table: LandmarkState, pairs: Ints) -> Ints:
 
 
 def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
-    """Merge landmarks of a map that odometry ties and that lie in one place, seen apart.
+    """Merge landmarks that coincide in a map with odometry and were never seen together.
 
-    At last also those that were parted on the way, and lie together all the same.
+    With `at_last`, also those that were found to be distinct before but still coincide.
     """
     merger, found = engine.merger, True
     sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)

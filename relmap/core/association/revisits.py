@@ -1,9 +1,9 @@
-"""Places that a map tied by odometry shows twice: found where its drift may have taken them.
+"""Revisited places in a map that depends on odometry, searched within the bounds of its drift.
 
 Few landmarks are in view at once, some seen once or twice, so triangles of neighbours find nothing.
-What one stretch of the run saw is compared as a whole with what was seen before.  The covariance of
-the chain of poses bounds how far off that may be.  The placement that most landmarks agree on is
-believed where it is unlike chance and has no rival.
+All landmarks of one stretch of the run are compared with the rest of the map. The covariance of the
+chain of poses bounds the drift between them. The placement with the most matches is accepted if so
+many are unlikely by chance and it has no rival.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ from relmap.core.refinement.drift import Drift
 from relmap.core.state.table import NONE, LandmarkState
 
 SOLID = 3
-"""Observations without which a landmark says nothing of a place."""
+"""Minimum number of observations of a landmark that is compared."""
 FEWEST = 5
-"""Matches below which a place is not looked at."""
+"""Minimum number of matches of a revisit."""
 MOST = 40
-"""Landmarks of a stretch that are compared, those known best from its end."""
+"""Maximum number of landmarks of a stretch, those with the least variance from its end."""
 FARTHEST = 1.5, 4.0, 12.0
-"""How far off a place may be, in standard deviations: each is tried where nothing is found within
-the one before.  Errors of real sensors are alike for long, so that chains drift farther than
-independent errors would take them."""
+"""Largest drift, in standard deviations: each is tried if nothing is found within the one before.
+Errors of real sensors are correlated over time, so chains drift farther than with independent
+errors."""
 TOLERANCE = 5.0
-"""How far apart the landmarks of two visits may lie, in standard deviations of an observation."""
+"""Largest distance between the landmarks of a match, in standard deviations of an observation."""
 WIDER = 2.0
-"""How many times farther before the map is refined with them."""
+"""Factor on that distance before the map is refined with the matches."""
 APART = 2.5
-"""How far off any other landmark must be, in the distance within which they are one."""
+"""Least distance of any other landmark, relative to that of landmarks that are merged in place."""
 MOST_PAIRS = 800
-"""Candidate matches in space that are looked at; where there are more, those that lie nearest."""
+"""Maximum number of candidate matches in space, the nearest."""
 FINE = 4.0
-"""Placements that differ, per tolerance of a shift."""
+"""Distinguishable placements per shift by the tolerance."""
 STRIDE = 2 * LENGTH
 """Iterations from one stretch to the next."""
 LOCAL = 0.5
-"""How well the landmarks of a stretch must be known from its end, in tolerances."""
+"""Largest standard deviation of the landmarks of a stretch from its end, in tolerances."""
 PEAKS = 12
-"""Placements with the most votes that are looked at."""
+"""Number of placements that are fitted, those with the most votes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """What one stretch of a run saw, and what it may have seen before.
+    """The landmarks of one stretch of a run, and those that they may be.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ class Stretch:
     new, old : (n,), (m,) int64
         Landmarks.
     points, there : (n, d), (m, d) float64, metres
-        Where they lie, in the frame of the pose.
+        Their positions in the frame of the pose.
     reach_m : (m,) float64
-        How far off each of the older ones may be.
+        Largest error of the position of each older one.
     sd_m : (m,) float64
         Its standard deviation.
     turn_rad : float
-        How much turned they may be.
+        Largest error of their direction.
     """
 
     pose: int
@@ -93,11 +93,11 @@ class Revisit:
     Attributes
     ----------
     pairs : (k, 2) int64
-        Landmarks of one visit, and those of the other that they are.
+        Landmarks of one visit, and the same ones of the other.
     chance : float
-        How often chance makes one so sure, over the whole map.
+        Expected number of revisits with so many matches by chance, over the whole map.
     surprise : float
-        How far the map had drifted, in standard deviations.
+        Drift of the map, in standard deviations.
     """
 
     pairs: Ints
@@ -106,7 +106,7 @@ class Revisit:
 
 
 class RevisitFinder:
-    """Finds places that a part of a map shows twice, all at once.
+    """Finds revisited places in one part of a map.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class RevisitFinder:
         return next((found for found in every if found), [])
 
     def _within(self, sigmas: float) -> list[Revisit]:
-        """Return those where the map has drifted by so many standard deviations at most."""
+        """Return those with a drift of at most so many standard deviations."""
         found: list[Revisit] = []
         n_poses = len(self._drift.state.t)
         for pose in range(STRIDE, n_poses + STRIDE - 1, STRIDE):
@@ -151,7 +151,7 @@ class RevisitFinder:
         return sure
 
     def _stretch(self, pose: int, sigmas: float) -> Stretch | None:
-        """Return what was seen up to a pose; None where that is too little, or known already."""
+        """Return the stretch that ends at a pose; None if there is too little to compare."""
         drift = self._drift
         if pose not in self._seen_from:
             self._seen_from[pose] = drift.from_pose(pose)
@@ -173,7 +173,7 @@ class RevisitFinder:
         return Stretch(pose, new, old, points, there, reach[near], sd_m[old], turn_rad)
 
     def _revisit(self, stretch: Stretch) -> Revisit | None:
-        """Return the revisit that a stretch shows for sure; None where there is none."""
+        """Return the revisit of a stretch; None if there is none, or it is uncertain."""
         places = _places(stretch, self._tolerance_m)
         if not places or len(places[0][1]) < FEWEST:
             return None
@@ -185,7 +185,7 @@ class RevisitFinder:
         off_m = np.linalg.norm(
             placement.apply(stretch.points[matches[:, 0]]) - stretch.there[matches[:, 1]], axis=1
         )
-        # Of the others some may lie beside what they are; they are merged once the map is solved.
+        # Some of the others may be matched to a neighbour; they are merged once the map is solved.
         new, old = matches[off_m <= max(np.median(off_m), self._tolerance_m / WIDER)].T
         middle = stretch.points[new].mean(axis=0)
         drifted_m = float(np.linalg.norm(placement.apply(middle) - middle))
@@ -193,9 +193,9 @@ class RevisitFinder:
         return Revisit(pairs, chance, drifted_m / float(np.median(stretch.sd_m[old])))
 
     def _chance(self, stretch: Stretch, placement: Placement, matches: Ints) -> float:
-        """Return how often chance brings so many landmarks onto others, over the whole map.
+        """Return the expected number of placements with so many matches by chance, in the map.
 
-        Many may lie within the tolerance, or fewer much nearer.
+        Many matches may be within the tolerance, or fewer within a smaller one.
         """
         n, d = stretch.points.shape
         extent_m = float(np.linalg.norm(stretch.points - stretch.points.mean(0), axis=1).max())
@@ -215,7 +215,7 @@ class RevisitFinder:
 
 
 def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]]:
-    """Return placements on what was there, the best first, each with its matches (k, 2)."""
+    """Return placements on the older landmarks, the best first, each with its matches (k, 2)."""
     points, there = stretch.points, stretch.there
     if points.shape[1] == 3:
         apart = np.linalg.norm(points[:, None] - there[None], axis=2)
@@ -265,9 +265,9 @@ def _voted(stretch: Stretch, tolerance_m: float) -> Iterator[Placement]:
 
 
 def lying_together(table: LandmarkState, noise_m: float) -> NDArray[np.int64]:
-    """Return pairs (k, 2) of landmarks, a newer and an older one, that lie in one place.
+    """Return pairs (k, 2) of a newer and an older landmark that coincide.
 
-    Others near either lie much farther off.
+    All others are much farther from both.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def lying_together(table: LandmarkState, noise_m: float) -> NDArray[np.int64]:
 def seen_with_both(
     pairs: NDArray[np.int64], landmark: NDArray[np.int64], iteration: NDArray[np.int64], m: int
 ) -> NDArray[np.int64]:
-    """Return how many others were seen about when each of pairs (k, 2) of landmarks was; (k,).
+    """Return the number of landmarks seen at about the time of each of a pair (k, 2); (k,).
 
     Parameters
     ----------

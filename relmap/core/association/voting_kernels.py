@@ -22,11 +22,11 @@ def most_voted(
     Parameters
     ----------
     points : (n, 2) float64, metres
-        About their middle, which is turned about.
+        Relative to their mean, the centre of rotation.
     there : (m, 2) float64, metres
-        About the same middle.
+        Relative to the same point.
     reach_m : (m,) float64
-        How far a point may be shifted onto each of these.
+        Largest shift of a point onto each of these.
     angles : (k,) float64, radians
     cell_m : float
 
@@ -46,7 +46,7 @@ def most_voted(
         _add(cells, at, count, 1)
         for rank in range(2):
             votes[k, rank] = _largest(cells, at, count, best, rank)
-            # Votes of a cell are for shifts up to one cell before its corner and one behind.
+            # The votes of a cell are for shifts within one cell of its corner.
             shift[k, rank, 0] = best[rank, 0] * cell_m - most_m
             shift[k, rank, 1] = best[rank, 1] * cell_m - most_m
         _add(cells, at, count, -1)
@@ -82,7 +82,7 @@ def _add(cells: Ints, at: Ints, count: int, votes: int) -> None:
 
 @helper
 def _largest(cells: Ints, at: Ints, count: int, best: Ints, rank: int) -> int:
-    """Enter the cell with the most votes, the second not beside the first; return its votes."""
+    """Enter the cell with the most votes, the second away from the first; return its votes."""
     most, side = 0, len(cells)
     best[rank, 0], best[rank, 1] = -9, -9
     for c in range(count):

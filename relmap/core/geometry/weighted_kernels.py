@@ -1,4 +1,4 @@
-"""Rigid fits of matches that are measured unequally well in each direction, compiled."""
+"""Rigid fits of matches whose noise differs by direction, compiled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import factorise, identity, product, solve
 
 HELD = 1e-9
-"""What the diagonal is raised by, as a share of itself, where matches leave a direction open."""
+"""Relative increase of the diagonal, for matches that leave a direction undetermined."""
 
 
 @compiled
@@ -56,7 +56,7 @@ def weighted_fit(
 
 @helper
 def _enter(J: Floats, off: Floats, R: Floats, t: Floats, source: Floats, target: Floats) -> None:
-    """Enter the derivative by a turn of a placed point, and how far off its target it is."""
+    """Enter the derivative of a placed point by the rotation, and its distance to the target."""
     d = len(off)
     for a in range(d):
         off[a] = t[a]
@@ -74,7 +74,7 @@ def _enter(J: Floats, off: Floats, R: Floats, t: Floats, source: Floats, target:
 
 @helper
 def _add(A: Floats, b: Floats, metric: Floats, J: Floats, off: Floats) -> None:
-    """Add what one match says to the normal equations."""
+    """Add one match to the normal equations."""
     weighed, (d, q) = product(metric, J), J.shape
     for a in range(d):
         left = 0.0
@@ -88,7 +88,7 @@ def _add(A: Floats, b: Floats, metric: Floats, J: Floats, off: Floats) -> None:
 
 @helper
 def _turned(b: Floats, d: int) -> Floats:
-    """Return the rotation (d, d) by the angle or the rotation vector that begins b."""
+    """Return the rotation (d, d) of the angle or the rotation vector at the start of b."""
     turn = identity(d)
     if d == 2:
         turn[0, 0] = turn[1, 1] = np.cos(b[0])

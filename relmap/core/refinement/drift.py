@@ -1,4 +1,4 @@
-"""How far landmarks may be from where a chain of poses has them, as seen from one of the poses."""
+"""Uncertainty of the landmarks along a chain of poses, relative to one of the poses."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from relmap.core.refinement.settling import Settled
 
 
 class Drift:
-    """Uncertainty of what a chain has solved, relative to poses of the chain.
+    """Uncertainty of a solved chain, relative to poses of the chain.
 
-    It grows along the chain until a loop closes, which nothing but the whole covariance knows.
+    It grows along the chain until a loop is closed, so it is computed from the whole covariance.
 
     Parameters
     ----------
@@ -37,10 +37,10 @@ class Drift:
         self.first[chain.landmark[::-1]] = chain.iteration[::-1]
 
     def from_pose(self, pose: int) -> tuple[Floats, Floats]:
-        """Return the standard deviations (m,) of landmarks and of directions there, from a pose.
+        """Return the standard deviations (m,) of landmarks and of directions, from a pose.
 
-        Metres, along the axis that is known worst; and radians, of the robot's direction against
-        that when it last saw the landmark.
+        Metres, along the axis of the largest variance; and radians, of the robot's direction
+        relative to that when it last saw the landmark.
         """
         problem, pattern, state = self._problem, self._problem.pattern, self.state
         own = problem.pose[pose]
