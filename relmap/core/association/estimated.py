@@ -10,6 +10,8 @@ from relmap.core.state.weighed import WeighedObservations
 
 WAIT = 1000
 """Observations before it is decided whether the noise is unequal."""
+LONGEST = 20 * WAIT
+"""Observations after which the noise counts as equal if scans are too small to estimate it."""
 
 
 class EstimatedCovariances:
@@ -54,7 +56,7 @@ class EstimatedCovariances:
         elif self._is_unequal is None and len(points):
             unknown = np.zeros((*points.shape, points.shape[1]))
             self._waiting.append(landmarks, points, unknown, iteration)
-            if rays.is_unequal is not None and len(self._waiting) >= WAIT:
+            if len(self._waiting) >= (LONGEST if rays.is_unequal is None else WAIT):
                 self._decide(rays, weighed)
 
     def weigh_again(self, rays: RayNoise, weighed: WeighedObservations) -> None:
@@ -64,7 +66,7 @@ class EstimatedCovariances:
 
     def _decide(self, rays: RayNoise, weighed: WeighedObservations) -> None:
         waiting, self._waiting = self._waiting, WeighedObservations()
-        self._is_unequal = rays.is_unequal
+        self._is_unequal = bool(rays.is_unequal)
         if not self._is_unequal:
             return
         covariances = rays.covariances(waiting.location)

@@ -148,7 +148,6 @@ class ChainProblem:
         self._of_moved = np.concatenate([pose[self.moved], pose[self.moved + 1], constant], axis=1)
         self._constant = first[-1] + np.arange(q + 2)
         # Where each landmark was seen in the middle of all times.
-        self._base = np.zeros(m, dtype=np.int64)
         order = np.argsort(chain.landmark, kind="stable")
         begin, end = (np.searchsorted(chain.landmark[order], np.arange(m), of) for of in SIDES)
         self._base = chain.iteration[order][(begin + end) // 2]
