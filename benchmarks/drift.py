@@ -14,17 +14,17 @@ from itertools import cycle, islice
 
 import numpy as np
 from endurance import CHUNK_M, STEP_M, Scans, road, stretches
-from numpy.typing import NDArray
 from speed import on_one_core, table
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.simulation import simulate_figure_eight
 
 BAR_M = 1e-6
 
 
-def round_and_round(seed: int) -> tuple[Scans, NDArray[np.float64]]:
+def round_and_round(seed: int) -> tuple[Scans, Floats]:
     """Return the figure eight without end, and its landmarks (m, 3) by their ids."""
     world = simulate_figure_eight(density=100, sigma=0.0, seed=seed)
     places = np.full((world.landmark_ids.max() + 1, 3), np.nan)
@@ -33,13 +33,13 @@ def round_and_round(seed: int) -> tuple[Scans, NDArray[np.float64]]:
     return ((points, ids) for points, ids in cycle(scans) if ids is not None), places
 
 
-def on_and_on(seed: int, iterations: int) -> tuple[Scans, NDArray[np.float64]]:
+def on_and_on(seed: int, iterations: int) -> tuple[Scans, Floats]:
     """Return the road, and its landmarks (m, 3) by their ids."""
     n = int(STEP_M * iterations / CHUNK_M) + 10
     return road(seed, sigma_m=0.0), np.concatenate(list(islice(stretches(seed), n)))
 
 
-def errors_m(mapper: PointMapper, places: NDArray[np.float64]) -> NDArray[np.float64]:
+def errors_m(mapper: PointMapper, places: Floats) -> Floats:
     """Return how far each mapped landmark is from its place, after rigid alignment."""
     found = mapper.map
     there = places[found.landmark_ids]

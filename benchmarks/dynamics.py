@@ -20,10 +20,10 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from speed import on_one_core, table
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 from relmap.core.grouping.dynamics import FEWEST
 from relmap.evaluation.metrics import majority_ids
 from relmap.simulation import FigureEight, simulate_figure_eight
@@ -66,7 +66,7 @@ class Outcome:
     called: int
     dynamic: int
     judged: int
-    load: NDArray[np.float64]  # comparisons / (n log2 n) of each group
+    load: Floats  # comparisons / (n log2 n) of each group
 
 
 def outcome(world: FigureEight, known: bool) -> Outcome:

@@ -28,10 +28,10 @@ from time import process_time
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from speed import on_one_core, table
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
 from relmap.simulation.figure_eight import HALF_VIEW_RAD, RANGE_M
 
 SIGMA_M = 0.05
@@ -54,7 +54,7 @@ WARM_UP = 100
 BARS = {"last / early": 1.2, "slowest / median": 20.0}
 
 
-Scans: TypeAlias = Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]
+Scans: TypeAlias = Iterator[tuple[Floats, Ints]]
 
 
 def road(seed: int, sigma_m: float = SIGMA_M) -> Scans:
@@ -63,7 +63,7 @@ def road(seed: int, sigma_m: float = SIGMA_M) -> Scans:
     The road is made ahead of the robot and forgotten behind it.
     """
     rng, ahead = np.random.default_rng(seed), stretches(seed)
-    near: deque[NDArray[np.float64]] = deque()
+    near: deque[Floats] = deque()
     first, end, at_m, reach_m = 0, 0, 0.0, RANGE_M + HALF_WIDTH_M
     while True:
         while end * CHUNK_M < at_m + reach_m:
@@ -81,7 +81,7 @@ def road(seed: int, sigma_m: float = SIGMA_M) -> Scans:
         at_m += STEP_M
 
 
-def stretches(seed: int) -> Iterator[NDArray[np.float64]]:
+def stretches(seed: int) -> Iterator[Floats]:
     """Yield, without end, the landmarks (PER_CHUNK, 3) along one stretch after another."""
     rng = np.random.default_rng([seed, 1])
     for k in count():
@@ -91,13 +91,13 @@ def stretches(seed: int) -> Iterator[NDArray[np.float64]]:
         yield np.column_stack([x, _weave(x)[0] + side, up])
 
 
-def _weave(x_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _weave(x_m: Floats) -> tuple[Floats, Floats]:
     """Return how far the road is to the left at x, metres, and where it heads, radians."""
     phase = 2 * np.pi * x_m / WAVE_M
     return WEAVE_M * np.sin(phase), np.arctan(2 * np.pi * WEAVE_M / WAVE_M * np.cos(phase))
 
 
-def _in_robot(points_map: NDArray[np.float64], at_m: float) -> NDArray[np.float64]:
+def _in_robot(points_map: Floats, at_m: float) -> Floats:
     left, heading = _weave(np.array(at_m))
     cos, sin = np.cos(heading), np.sin(heading)
     R_map_robot = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -120,9 +120,9 @@ class Drive:
         Of the table of landmarks and of the groups.
     """
 
-    time_ms: NDArray[np.float64]
-    visible: NDArray[np.int64]
-    resident: NDArray[np.int64]
+    time_ms: Floats
+    visible: Ints
+    resident: Ints
     landmarks: int
     mapped: int
     groups: int
@@ -146,7 +146,7 @@ def drive(known: bool, iterations: int) -> Drive:
 
 def _go(
     mapper: PointMapper, scans: Scans, known: bool, iterations: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Floats, Ints, Ints]:
     """Drive; return time and number visible of each iteration, and memory now and then."""
     time_ms, visible = np.full(iterations, np.nan), np.full(iterations, -1)
     marks = np.linspace(0, iterations, CHECKPOINTS + 1).astype(int)[1:]

@@ -11,9 +11,9 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap import MapperConfig, PointMapper
+from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.simulation import FigureEight, simulate_figure_eight
 
@@ -31,7 +31,7 @@ def mapped(world: FigureEight, config: MapperConfig) -> PointMapper:
     return mapper
 
 
-def rmse(mapper: PointMapper, truth: NDArray[np.float64]) -> float:
+def rmse(mapper: PointMapper, truth: Floats) -> float:
     """Return the RMSE, metres, after rigid alignment."""
     found = mapper.map
     there = truth[found.landmark_ids]
@@ -39,7 +39,7 @@ def rmse(mapper: PointMapper, truth: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.sum((found.positions @ R.T + t - there) ** 2, axis=1))))
 
 
-def squares(mapper: PointMapper, world: FigureEight) -> NDArray[np.float64]:
+def squares(mapper: PointMapper, world: FigureEight) -> Floats:
     """Return the mean squared error per axis (3,) in units of the variances, anchor's frame."""
     found = mapper.map
     T = world.trajectory[mapper.refined[0].anchor_iteration]

@@ -18,16 +18,16 @@ from time import perf_counter, process_time
 
 import numpy as np
 from endurance import road
-from numpy.typing import NDArray
 from speed import on_one_core
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 
 WARM_UP = 300
 BAR = 0.30
 
 
-def cost_s(mapper: PointMapper, scans: list[NDArray[np.float64]]) -> tuple[float, float]:
+def cost_s(mapper: PointMapper, scans: list[Floats]) -> tuple[float, float]:
     """Return processor and wall time of an update, means over all but the first, seconds."""
     for points in scans[:WARM_UP]:
         mapper.update(points)

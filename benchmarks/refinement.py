@@ -16,11 +16,11 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.comparison.baselines.known import least_squares_map
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
@@ -40,12 +40,12 @@ class Measured:
     """One run: what it took, and what came of it."""
 
     mapper: PointMapper
-    true_ids: NDArray[np.int64]
-    update_s: NDArray[np.float64]
+    true_ids: Ints
+    update_s: Floats
     refine_s: float
     sd_s: float
-    live: NDArray[np.float64]
-    live_ids: NDArray[np.int64]
+    live: Floats
+    live_ids: Ints
 
     @property
     def share(self) -> float:
@@ -72,9 +72,7 @@ def measured(log: ObservationLog, known: bool) -> Measured:
     return Measured(mapper, true, *times_s, live, live_ids)
 
 
-def true_ids(
-    mapper: PointMapper, labels: list[NDArray[np.int64]], log: ObservationLog, known: bool
-) -> NDArray[np.int64]:
+def true_ids(mapper: PointMapper, labels: list[Ints], log: ObservationLog, known: bool) -> Ints:
     """Return who the mapped landmarks (m,) are."""
     found = mapper.map.landmark_ids
     if known:
@@ -84,7 +82,7 @@ def true_ids(
     return np.array([stands_for[label] for label in found.tolist()])
 
 
-def rmse(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+def rmse(positions: Floats, truth: Floats) -> float:
     """Return the RMSE, metres, after rigid alignment."""
     R, t = fit_rigid(positions, truth)
     return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
@@ -215,9 +213,7 @@ def victoria_park(data: Path) -> None:
         row(f"Victoria Park {begin}:{end}, no ids: RMSE of all tracks [m]", f"{error:.3f}", "")
 
 
-def rmse_of(
-    ids: NDArray[np.int64], positions: NDArray[np.float64], reference: LandmarkMap
-) -> float:
+def rmse_of(ids: Ints, positions: Floats, reference: LandmarkMap) -> float:
     """Return the RMSE, metres, of positions (n, 2) of what the reference knows."""
     there = np.isin(ids, reference.landmark_ids)
     at = np.searchsorted(reference.landmark_ids, ids[there])

@@ -16,11 +16,12 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from relmap import MapperConfig, PointMapper
 from relmap.comparison.baselines.known import least_squares_map
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log, slsjf
@@ -45,11 +46,8 @@ class CountingMapper(PointMapper):
     _before = 0
 
     def update(
-        self,
-        points: ArrayLike,
-        ids: ArrayLike | None = None,
-        covariances: ArrayLike | None = None,
-    ) -> NDArray[np.int64]:
+        self, points: ArrayLike, ids: ArrayLike | None = None, covariances: ArrayLike | None = None
+    ) -> Ints:
         """Take in a scan; it is unmatched if all of it is new though the one before saw some."""
         labels = super().update(points, ids, covariances)
         all_new = len(labels) > 0 and labels.min() >= self._n_landmarks
@@ -85,7 +83,7 @@ class Outcome:
         ids, _, _ = self._mapped_tracks
         return len(np.intersect1d(often, ids)), len(often)
 
-    def agreeing(self, ids: NDArray[np.int64]) -> float:
+    def agreeing(self, ids: Ints) -> float:
         """Return the share of these landmarks' observations that are in a track of theirs."""
         labels, majority, _ = self._majority
         of = self.identified.true_id
@@ -105,11 +103,11 @@ class Outcome:
         return metrics.rms(here @ R.T + t - there), len(here)
 
     @property
-    def _majority(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    def _majority(self) -> tuple[Ints, Ints, Ints]:
         return metrics.majority_ids(self.identified.landmark, self.identified.true_id)
 
     @property
-    def _mapped_tracks(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    def _mapped_tracks(self) -> tuple[Ints, Floats, Ints]:
         """What each mapped track stands for, its place, and how often it was seen."""
         labels, majority, _ = self._majority
         table = self.result.landmarks

@@ -20,9 +20,9 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap import PlaneSegmenter, RelmapError
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.datasets import open_scans
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture, scan_area
@@ -55,7 +55,7 @@ class Tally:
     types: list[tuple[str, str]] = field(default_factory=list)
     ms: list[float] = field(default_factory=list)
 
-    def add(self, scan: BuildingScan, labels: NDArray[np.int64], planes: Planes | None) -> None:
+    def add(self, scan: BuildingScan, labels: Ints, planes: Planes | None) -> None:
         """Judge one scan; without planes only its labels."""
         for row in np.flatnonzero(np.bincount(scan.stretch) >= COUNTED * len(scan.points)):
             plane, split = matched(scan.stretch == row, labels)
@@ -85,7 +85,7 @@ class Tally:
         return right / max(claimed, 1), right / max(there, 1)
 
 
-def matched(own: NDArray[np.bool_], labels: NDArray[np.int64]) -> tuple[int, bool]:
+def matched(own: Bools, labels: Ints) -> tuple[int, bool]:
     """Return the plane that is a wall's, -1 for none, and whether several share the wall."""
     n = int(labels.max(initial=-1)) + 1
     inside = np.bincount(labels[own & (labels >= 0)], minlength=n)
@@ -96,7 +96,7 @@ def matched(own: NDArray[np.bool_], labels: NDArray[np.int64]) -> tuple[int, boo
     return -1, bool(pieces.sum() > 1 and inside[pieces].sum() >= OVERLAP * own.sum())
 
 
-def known_walls(scan: BuildingScan, sigma: float) -> NDArray[np.int64]:
+def known_walls(scan: BuildingScan, sigma: float) -> Ints:
     """Return the likeliest true wall of each point."""
     along = scan.seen.ends[:, 1] - scan.seen.ends[:, 0]
     size = np.linalg.norm(along, axis=1)[:, None]
@@ -225,7 +225,7 @@ def run_real(data: Path, folder: Path) -> None:
         draw(shown, name, folder / f"{name}.png")
 
 
-Shown = tuple[int, NDArray[np.float64], NDArray[np.int64], Planes]
+Shown = tuple[int, Floats, Ints, Planes]
 COLOURS = {"corner": "tab:red", "view": "tab:blue", "range": "tab:purple", "occluded": "tab:orange"}
 
 

@@ -32,18 +32,18 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap import Plane3dMapper
 from relmap.comparison.baselines.icp import KissIcp, SmallGicp
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from relmap.evaluation import metrics
 from relmap.evaluation.space import doubled_area
 from relmap.planes3d.submap import Submap
 from relmap.simulation.storey import simulate_storey
 
-Array = NDArray[np.float64]
+Array = Floats
 RIGHT_M, WRONG_M, WRONG_RAD = 0.05, 0.1, np.deg2rad(3.0)
 HALL, KITCHEN, BLOCKS = "lidar3d-hall", "rgbd-7scenes-redkitchen", "airsim-blocks-lidar"
 

@@ -28,10 +28,10 @@ from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.core.arrays import Floats
 from relmap.datasets.base import ObservationLog, Scan
 from relmap.evaluation.metrics import align, rms
 from relmap.simulation import FigureEight, simulate_figure_eight
@@ -47,7 +47,7 @@ BARS = (("frame-to-map", 7.0), ("KISS-ICP", 2.0), ("KISS-ICP", 1.5), ("KISS-ICP"
 OURS = ("relmap nearest", "relmap known")
 
 Step = Callable[[Scan], object]
-Times = dict[str, NDArray[np.float64]]
+Times = dict[str, Floats]
 
 
 def on_one_core() -> None:
@@ -75,7 +75,7 @@ class KissIcp:
         config.mapping.voxel_size = VOXEL_M
         config.registration.max_num_threads = 1
         self._pipeline = KissICP(config)
-        self.path_map: list[NDArray[np.float64]] = []
+        self.path_map: list[Floats] = []
 
     def update(self, scan: Scan) -> None:
         """Register one scan."""
@@ -176,7 +176,7 @@ def use_cache(folder: str) -> None:
     os.environ["NUMBA_CACHE_DIR"] = folder
 
 
-def whole_run(log: ObservationLog) -> NDArray[np.float64]:
+def whole_run(log: ObservationLog) -> Floats:
     """Map a log both ways, and refine it; return the time it took, of clock and processor, s."""
     began = clocks()
     for known in (False, True):
@@ -188,11 +188,11 @@ def whole_run(log: ObservationLog) -> NDArray[np.float64]:
     return clocks() - began
 
 
-def clocks() -> NDArray[np.float64]:
+def clocks() -> Floats:
     return np.array([perf_counter(), process_time()])
 
 
-def first_run() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def first_run() -> tuple[Floats, Floats]:
     """Return how long numba takes to load and how much longer a first run takes, as `whole_run`."""
     log = small_world()
     began = clocks()

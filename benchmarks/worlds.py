@@ -15,11 +15,11 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.metrics import majority_ids, purity
@@ -58,7 +58,7 @@ WORLDS: dict[str, dict[str, object]] = {
 }
 
 
-def least_squares(world: World) -> dict[int, NDArray[np.float64]]:
+def least_squares(world: World) -> dict[int, Floats]:
     """Return where batch least squares with the true ids puts each landmark that is fixed."""
     points, d = world.log.points_robot, world.log.points_robot.shape[1]
     used = world.true_ids >= 0
@@ -79,7 +79,7 @@ def least_squares(world: World) -> dict[int, NDArray[np.float64]]:
     return dict(zip(ids.tolist(), found, strict=True))
 
 
-def squares(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> NDArray[np.float64]:
+def squares(positions: Floats, truth: Floats) -> Floats:
     """Return the squared errors (n,) after rigid alignment."""
     R, t = fit_rigid(positions, truth)
     return np.asarray(np.sum((positions @ R.T + t - truth) ** 2, axis=1))

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from relmap.core import readout
+from relmap.core.arrays import Floats, Ints
 from relmap.core.config import WITH_IDS, WITH_POINTS, MapperConfig
 from relmap.core.guard import ChangeGuard
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap
@@ -48,7 +49,7 @@ class Mapped(Shown, ABC):
         self._guard.check()
         return self._engine
 
-    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
+    def landmarks_of(self, labels: ArrayLike) -> Ints:
         """Return the current labels of landmarks (n,), given labels from earlier updates.
 
         A landmark that is lost and seen again gets a new label, until it is recognised; -1 is
@@ -100,7 +101,7 @@ class Mapped(Shown, ABC):
         return list(self.engine.refined)
 
     @property
-    def rejected(self) -> NDArray[np.int64]:
+    def rejected(self) -> Ints:
         """Iterations (r,), ascending, whose scans match no other scan and do not enter the map."""
         return self.engine.association.rejected
 
@@ -133,7 +134,7 @@ class Mapped(Shown, ABC):
         return self.engine.odometry
 
     @property
-    def trajectory(self) -> NDArray[np.float64]:
+    def trajectory(self) -> Floats:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN where undetermined."""
         return readout.path(self.engine)
 

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core import afterwards
+from relmap.core.arrays import Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.guard import ChangeGuard
@@ -38,7 +38,7 @@ class Place(NamedTuple):
         Number of places in which it fits: 0, 1, or 2 for several.
     """
 
-    T_map_robot: NDArray[np.float64]
+    T_map_robot: Floats
     n_places: int
 
 
@@ -237,7 +237,7 @@ class Mapper(Mapped):
         """Return the kind of landmark that is mapped."""
 
     @abstractmethod
-    def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
+    def _again(self, scan: RecordedScan) -> Ints:
         """Map one scan of the journal."""
 
 

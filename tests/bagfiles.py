@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.datasets.bag_salvage import VISION_MSGS
 
 KINDS = ("ros1", "sqlite", "mcap")
@@ -48,15 +48,15 @@ class Types:
         x, y, z = map(float, xyz)
         return self.make(f"geometry_msgs/{name}", x=x, y=y, z=z)
 
-    def quaternion(self, T: NDArray[np.float64]) -> Any:
+    def quaternion(self, T: Floats) -> Any:
         x, y, z, w = map(float, Rotation.from_matrix(T[:3, :3]).as_quat())
         return self.make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
-    def pose(self, T: NDArray[np.float64]) -> Any:
+    def pose(self, T: Floats) -> Any:
         position = self.point("Point", T[:3, 3])
         return self.make("geometry_msgs/Pose", position=position, orientation=self.quaternion(T))
 
-    def transform(self, t: float, parent: str, child: str, T: NDArray[np.float64]) -> Any:
+    def transform(self, t: float, parent: str, child: str, T: Floats) -> Any:
         moved = self.make(
             "geometry_msgs/Transform",
             translation=self.point("Vector3", T[:3, 3]),
@@ -70,7 +70,7 @@ class Types:
         )
         return self.make("tf2_msgs/TFMessage", transforms=[stamped])
 
-    def odometry(self, t: float, T: NDArray[np.float64], frame: str = "odom") -> Any:
+    def odometry(self, t: float, T: Floats, frame: str = "odom") -> Any:
         twist = self.make(
             "geometry_msgs/Twist",
             linear=self.point("Vector3", [0, 0, 0]),
@@ -100,7 +100,7 @@ class Types:
             intensities=np.empty(0, dtype=np.float32),
         )
 
-    def cloud(self, t: float, points: NDArray[np.float64]) -> Any:
+    def cloud(self, t: float, points: Floats) -> Any:
         rows = np.zeros(len(points), dtype=[("x", "<f4"), ("i", "<u2"), ("y", "<f8"), ("z", "<f4")])
         rows["x"], rows["y"], rows["z"] = points.T
         kinds = {"x": (0, 7), "y": (6, 8), "z": (14, 7)}

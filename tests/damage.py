@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from tests.hostile import CIRCLES, Files, mat, npz, packed, scans
 from tests.scanlogs import CLOUD, LASER, pcd, ply
 
@@ -268,5 +268,5 @@ def _deflated_scans(size: int) -> bytes:
 
 
 def _zeros_mat(name: str, size: int) -> bytes:
-    zeros: dict[str, NDArray[np.float64]] = {name: np.zeros((size // 56, 7))}
+    zeros: dict[str, Floats] = {name: np.zeros((size // 56, 7))}
     return mat(True, **zeros)

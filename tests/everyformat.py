@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets import ObservationLog, write_observation_csv, write_scans_npz
 from relmap.datasets.scans import SensorView, planar_poses
 from relmap.evaluation.truth import Truth, write_truth
@@ -111,7 +111,7 @@ def _write_mrpt(folder: Path, log: ObservationLog, truth: Truth) -> None:
     text(folder / "a_ground_truth_robot_path.txt", lines)
 
 
-def _write_park(folder: Path, log: ObservationLog, places: NDArray[np.float64]) -> None:
+def _write_park(folder: Path, log: ObservationLog, places: Floats) -> None:
     x, y, _ = log.points_robot.T
     t_ms, r, bearing = 200 * log.iteration, np.hypot(x, y), np.arctan2(x, -y)
     rows = zip(log.iteration, t_ms, r, bearing, strict=True)
@@ -183,7 +183,7 @@ def _write_detections(folder: Path, log: ObservationLog, truth: Truth) -> None:
     bagfiles.write_bag(folder, "ros1", types, messages)
 
 
-def _motion(poses: NDArray[np.float64], k: int) -> list[float]:
+def _motion(poses: Floats, k: int) -> list[float]:
     """Return x, y, yaw of the motion to pose k from the one before; none beyond the ends."""
     if not 0 < k < len(poses):
         return [0.0, 0.0, 0.0]
@@ -191,12 +191,12 @@ def _motion(poses: NDArray[np.float64], k: int) -> list[float]:
     return [*T[:2, 3].tolist(), float(np.arctan2(T[1, 0], T[0, 0]))]
 
 
-def _ids(log: ObservationLog) -> NDArray[np.int64]:
+def _ids(log: ObservationLog) -> Ints:
     assert log.ids is not None
     return log.ids
 
 
-def _yaw(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _yaw(poses: Floats) -> Floats:
     return np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
 
 
@@ -235,10 +235,7 @@ def _cells(values: Iterable[float], nothing: float) -> str:
 
 
 def _write_carmen(
-    folder: Path,
-    ranges: list[NDArray[np.float64]],
-    pose: list[list[float]],
-    stamps_s: list[float],
+    folder: Path, ranges: list[Floats], pose: list[list[float]], stamps_s: list[float]
 ) -> None:
     """Write both kinds of log; the logger's clock is a thousand seconds ahead."""
     flaser, graph = [], []
@@ -253,7 +250,7 @@ def _write_carmen(
     text(folder / "graph" / "a.log", graph)
 
 
-def _write_relations(path: Path, poses: NDArray[np.float64], stamps_s: NDArray[np.float64]) -> None:
+def _write_relations(path: Path, poses: Floats, stamps_s: Floats) -> None:
     lines = []
     for begin in range(len(poses) - 5):
         T = np.linalg.inv(poses[begin]) @ poses[begin + 5]
@@ -263,12 +260,7 @@ def _write_relations(path: Path, poses: NDArray[np.float64], stamps_s: NDArray[n
     text(path, lines)
 
 
-def _write_mrpt_laser(
-    path: Path,
-    ranges: list[NDArray[np.float64]],
-    poses: NDArray[np.float64],
-    stamps_s: NDArray[np.float64],
-) -> None:
+def _write_mrpt_laser(path: Path, ranges: list[Floats], poses: Floats, stamps_s: Floats) -> None:
     beams = ",".join(f"r{k}" for k in range(BEAMS))
     lines = [
         f"# sensor on robot x={LASER_AHEAD_M} y=0 z=0.1 yaw=0 ; max range 8 m",

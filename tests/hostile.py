@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 from scipy.io import savemat
 
 from relmap.cli.arguments import read_config
 from relmap.cli.evaluate import evaluate_folder
 from relmap.cli.mapping import map_input
+from relmap.core.arrays import Floats
 from relmap.datasets import open_log, open_scans, read_relations
 from relmap.evaluation import evaluate as evaluation
 from relmap.evaluation.truth import read_truth
@@ -54,7 +54,7 @@ def npz(**arrays: object) -> bytes:
     return stream.getvalue()
 
 
-def mat(compress: bool = True, **arrays: NDArray[np.float64]) -> bytes:
+def mat(compress: bool = True, **arrays: Floats) -> bytes:
     with tempfile.TemporaryDirectory() as name:
         savemat(Path(name) / "a.mat", arrays, do_compression=compress)
         return (Path(name) / "a.mat").read_bytes()

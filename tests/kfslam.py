@@ -10,9 +10,9 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import ObservationLog
 
 PROGRAM = shutil.which("kf-slam")
@@ -38,9 +38,7 @@ std_sensor_pitch_deg={bearing_sd_deg}
 """
 
 
-def write_rawlog(
-    path: Path, log: ObservationLog, range_m: float, T_robot_sensor: NDArray[np.float64]
-) -> None:
+def write_rawlog(path: Path, log: ObservationLog, range_m: float, T_robot_sensor: Floats) -> None:
     """Write observations (n, 3), sensor frame, as MRPT's range, yaw (left), pitch (down).
 
     The format is read off the files of MRPT's own demonstration: little-endian objects of a name,
@@ -59,18 +57,12 @@ def _head(name: str, version: int) -> bytes:
     return bytes([0x80 | len(name)]) + name.encode() + bytes([version])
 
 
-def _pose(T: NDArray[np.float64]) -> bytes:
+def _pose(T: Floats) -> bytes:
     x, y, z, w = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
     return _head("CPose3D", 2) + struct.pack("<7d", *T[:3, 3], w, x, y, z)
 
 
-def _scan(
-    number: int,
-    points: NDArray[np.float64],
-    ids: NDArray[np.int64],
-    range_m: float,
-    T_robot_sensor: NDArray[np.float64],
-) -> bytes:
+def _scan(number: int, points: Floats, ids: Ints, range_m: float, T_robot_sensor: Floats) -> bytes:
     level = np.hypot(points[:, 0], points[:, 1])
     seen = np.zeros(len(ids), [("r", "<f4"), ("yaw", "<f4"), ("pitch", "<f4"), ("id", "<i4")])
     seen["r"] = np.linalg.norm(points, axis=1)
@@ -101,8 +93,8 @@ def run_kfslam(
     method: int = 0,
     truth: str = "",
     every: int = 1,
-    T_robot_sensor: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], str]:
+    T_robot_sensor: Floats | None = None,
+) -> tuple[Floats, str]:
     """Run it; return the poses (k, 4, 4) of the iterations that it got to, and what it printed."""
     on_robot = np.eye(4) if T_robot_sensor is None else T_robot_sensor
     write_rawlog(folder / "log.rawlog", log, 100.0, on_robot)

@@ -13,10 +13,8 @@ import signal
 import sys
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 from relmap.io.journal import writing
 from tests.worlds import walk
 
@@ -24,7 +22,7 @@ writing.INTERVAL_S = 0.005
 FLUSH_EVERY = 7
 
 
-def mapped(mapper: PointMapper, scans: list[NDArray[np.float64]], acknowledged: Path) -> str:
+def mapped(mapper: PointMapper, scans: list[Floats], acknowledged: Path) -> str:
     """Map what is still to be mapped, note what was flushed, and return the map."""
     for points in scans[mapper.n_iterations :]:
         mapper.update(points)
@@ -36,7 +34,7 @@ def mapped(mapper: PointMapper, scans: list[NDArray[np.float64]], acknowledged: 
     return (mapper.map.positions.tobytes() + mapper.trajectory.tobytes()).hex()
 
 
-def killed_after(seconds: float, journal: Path, scans: list[NDArray[np.float64]]) -> bool:
+def killed_after(seconds: float, journal: Path, scans: list[Floats]) -> bool:
     """Begin or go on with a run in a process of its own; tell whether it was killed in time.
 
     The time is that of the processor, so that it is the same moment on a busy machine; 0: never.

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
 from relmap.datasets import ScanLog, open_scans
@@ -44,7 +44,7 @@ def failure(path: Path, format: str | None = None) -> str:
     return message
 
 
-def planar(odometry: NDArray[np.float64]) -> list[list[float]]:
+def planar(odometry: Floats) -> list[list[float]]:
     """Return x, y, yaw of motions in the plane."""
     yaw = np.arctan2(odometry[:, 1, 0], odometry[:, 0, 0])
     known = ~np.isnan(yaw)
@@ -90,7 +90,7 @@ def _repetition(content: bytes, at: int) -> tuple[int, int]:
     return length, at - start
 
 
-def packed_pcd(points: NDArray[np.float64]) -> bytes:
+def packed_pcd(points: Floats) -> bytes:
     """Return a PCD file of the form binary_compressed."""
     header = pcd(points).partition(b"DATA")[0]
     content = points.T.astype("<f4").tobytes()
@@ -99,7 +99,7 @@ def packed_pcd(points: NDArray[np.float64]) -> bytes:
     return header + b"DATA binary_compressed\n" + sizes + packed
 
 
-def pcd(points: NDArray[np.float64], declared: int | None = None) -> bytes:
+def pcd(points: Floats, declared: int | None = None) -> bytes:
     n = len(points) if declared is None else declared
     header = (
         "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\n"
@@ -109,7 +109,7 @@ def pcd(points: NDArray[np.float64], declared: int | None = None) -> bytes:
     return header.encode() + points.astype("<f4").tobytes()
 
 
-def ply(points: NDArray[np.float64], declared: int | None = None) -> bytes:
+def ply(points: Floats, declared: int | None = None) -> bytes:
     n = len(points) if declared is None else declared
     axes = "".join(f"property float {axis}\n" for axis in "xyz")
     rows = "".join(f"{x} {y} {z}\n" for x, y, z in points)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats
 
 
-def crossings(walls: NDArray[np.float64], others: NDArray[np.float64] | None = None) -> int:
+def crossings(walls: Floats, others: Floats | None = None) -> int:
     """Count pairs of segments (x0, y0, x1, y1, ...) that meet inside both of them.
 
     Two sides of one wall do not; with `others`, those of the two kinds that meet are counted.
@@ -26,7 +27,7 @@ def crossings(walls: NDArray[np.float64], others: NDArray[np.float64] | None = N
     return count
 
 
-def cast(ends: NDArray[np.float64], bearing: float) -> tuple[float, int]:
+def cast(ends: Floats, bearing: float) -> tuple[float, int]:
     """Return how far a ray goes to the nearest wall, and which it is; walls hide from both sides.
 
     Of two sides of a wall it names the one that faces the robot.

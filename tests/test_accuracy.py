@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.frame_to_map import frame_to_map
 from relmap.comparison.baselines.known import least_squares_map
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets import ObservationLog, open_log
 from relmap.datasets.mrpt_landmarks import read_ground_truth
@@ -31,7 +31,7 @@ def map_log(log: ObservationLog) -> PointMapper:
     return mapper
 
 
-def rmse(result: LandmarkMap, ids: NDArray[np.int64], truth: NDArray[np.float64]) -> float:
+def rmse(result: LandmarkMap, ids: Ints, truth: Floats) -> float:
     row_of = {label: row for row, label in enumerate(ids.tolist())}
     rows = [row_of[label] for label in result.landmark_ids.tolist()]
     return aligned_rmse(result.positions, truth[rows])
@@ -140,11 +140,7 @@ def test_victoria_park_is_mapped_without_ids(
     assert found <= rmse_against(reference, batch.landmark_ids, batch.positions)
 
 
-def rmse_against(
-    reference: tuple[NDArray[np.int64], NDArray[np.float64]],
-    ids: NDArray[np.int64],
-    positions: NDArray[np.float64],
-) -> float:
+def rmse_against(reference: tuple[Ints, Floats], ids: Ints, positions: Floats) -> float:
     """Return the RMSE of planar positions of landmarks, by ids, from a reference, aligned."""
     known = np.isin(ids, reference[0])
     there = reference[1][np.searchsorted(reference[0], ids[known])]
@@ -165,13 +161,13 @@ def test_the_whole_of_victoria_park_reports_its_submaps(shared_data: Path) -> No
     assert (np.diff([len(submap.landmark_ids) for submap in submaps]) <= 0).all()
 
 
-def purity(landmarks: NDArray[np.int64], ids: NDArray[np.int64]) -> float:
+def purity(landmarks: Ints, ids: Ints) -> float:
     found = purity_of(landmarks, ids)
     assert found is not None
     return found
 
 
-def map_without_ids(log: ObservationLog) -> tuple[PointMapper, NDArray[np.int64]]:
+def map_without_ids(log: ObservationLog) -> tuple[PointMapper, Ints]:
     """Map and refine without ids; return the mapper and the landmark of every observation."""
     mapper = PointMapper()
     labels = [mapper.update(scan.points_robot) for scan in log.scans()]
@@ -181,11 +177,7 @@ def map_without_ids(log: ObservationLog) -> tuple[PointMapper, NDArray[np.int64]
 
 
 def often_seen_rmse(
-    mapper: PointMapper,
-    landmarks: NDArray[np.int64],
-    log: ObservationLog,
-    ids: NDArray[np.int64],
-    truth: NDArray[np.float64],
+    mapper: PointMapper, landmarks: Ints, log: ObservationLog, ids: Ints, truth: Floats
 ) -> float:
     """Return the RMSE of the mapped tracks seen ten times, against those they stand for."""
     assert log.ids is not None

@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import RelmapError
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.comparison.baselines.frame_to_map import FrameToMap
+from relmap.core.arrays import Floats, Ints
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
-Points = NDArray[np.float64]
+Points = Floats
 
 
 def observations(
@@ -186,7 +186,7 @@ def test_batch_reports_that_it_did_not_converge() -> None:
 # Frame to map.
 
 
-def naive_frame_to_map(scans: list[tuple[NDArray[np.int64], Points]], d: int) -> dict[int, Points]:
+def naive_frame_to_map(scans: list[tuple[Ints, Points]], d: int) -> dict[int, Points]:
     """Average each scan, fitted by scipy, into lists of all that was placed so far."""
     placed: dict[int, list[Points]] = {}
     for ids, points in scans:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import RelmapError
+from relmap.core.arrays import Floats
 from relmap.simulation import Building, BuildingScan, building_scene, simulate_building
 from relmap.simulation.building import SENSOR_HEIGHT_M
 from relmap.simulation.floor_plan import World, make_floor_plan
@@ -98,7 +98,7 @@ def test_a_loop_ends_where_it_began_and_sees_the_first_walls_again() -> None:
     assert sum(seen_again) < half / 2
 
 
-def walls_of(run: Building, scan: int) -> NDArray[np.float64]:
+def walls_of(run: Building, scan: int) -> Floats:
     """Return the ends (n, 2, 2) of the wall of each point, robot frame."""
     T = run.trajectory[scan]
     ends = run.walls[run.scans[scan].wall][:, :4].reshape(-1, 2, 2)

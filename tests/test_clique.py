@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.clique_kernels import agreeing, largest_clique
 from relmap.core.association.placement import consistent_set, trimmed_fit
 from tests.worlds import random_rotation
@@ -36,9 +36,7 @@ def test_if_steps_run_out_the_result_is_still_a_clique() -> None:
     assert 0 < len(few) <= len(many)
 
 
-def all_to_all(
-    seed: int, overlap: float, d: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def all_to_all(seed: int, overlap: float, d: int) -> tuple[Floats, Floats, Ints]:
     """Return two views of a world that share some points, those with the same row, turned."""
     rng = np.random.default_rng(seed)
     here = rng.uniform(0, 10, (N, d))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, CondensedSegments, SegmentRows
 from relmap.core.state.store import ObservationStore
 from tests.worlds import aligned_rmse, walk
@@ -14,7 +14,7 @@ from tests.worlds import aligned_rmse, walk
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
-Scans = list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+Scans = list[tuple[Ints, Floats]]
 
 
 def stored(scans: Scans) -> ObservationStore:

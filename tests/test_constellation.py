@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
 from relmap.core.association.tracks import LiveTracks
 from tests.worlds import spacing
 
-Points = NDArray[np.float64]
+Points = Floats
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
@@ -47,9 +47,7 @@ def seen_at(points: Points, k: int) -> Points:
     return turned(points - 0.1 * k, 1.5 * k)
 
 
-def settled(
-    points: Points, sigma: float, rng: np.random.Generator
-) -> tuple[Constellation, NDArray[np.int64]]:
+def settled(points: Points, sigma: float, rng: np.random.Generator) -> tuple[Constellation, Ints]:
     """Let a registration see the points in iterations 0 to 9; return it and the labels."""
     registration = Constellation(MISSED)
     for k in range(10):

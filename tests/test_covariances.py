@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper, RelmapError, range_bearing_covariances
 from relmap.cli import main
+from relmap.core.arrays import Floats
 from relmap.core.state.weighed import WeighedObservations
 from relmap.datasets import ObservationLog, open_log, write_observation_csv
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.worlds import aligned_rmse, walk
 
-Array = NDArray[np.float64]
+Array = Floats
 
 
 @cache

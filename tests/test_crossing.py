@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.evaluation.surface_points import scan_surface_points
 from relmap.evaluation.variants import METHODS, Method, VariantRun
@@ -22,7 +22,7 @@ from relmap.simulation import simulate_building
 BUILDING = simulate_building(points=1, sigma=0.0, iterations=8, seed=5)
 
 
-def squares_of(spacing_m: float) -> NDArray[np.int64]:
+def squares_of(spacing_m: float) -> Ints:
     """Count the squares of each wall."""
     walls = BUILDING.walls
     length = np.linalg.norm(walls[:, 2:4] - walls[:, :2], axis=1)

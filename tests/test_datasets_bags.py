@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.cli import main
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
 from relmap.datasets import bags, open_log, open_scans
@@ -22,7 +22,7 @@ from tests.bagfiles import KINDS, Messages, Types, file_of, write_bag
 from tests.logs import failure
 from tests.scanlogs import failure as scan_failure
 
-Poses = NDArray[np.float64]
+Poses = Floats
 LASER = checked_odometry([0.3, -0.1, 0.5])
 WAY = np.array([checked_odometry([0.2 * k, 0.01 * k, 0.05 * k]) for k in range(12)])
 RANGES = [2.0, np.inf, 3.0, 0.2, 10.0, 4.0, np.nan]

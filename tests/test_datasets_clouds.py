@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from tests.logs import put
 from tests.scanlogs import CLOUD, failure, lzf, packed_pcd, pcd, ply, points_of
@@ -24,7 +24,7 @@ def lzf_pcd(packed: bytes, size: int) -> bytes:
 @pytest.mark.parametrize("write", [pcd, ply, packed_pcd])
 @pytest.mark.parametrize("packed", [False, True])
 def test_clouds_in_the_order_of_their_numbers(
-    tmp_path: Path, write: Callable[[NDArray[np.float64]], bytes], packed: bool
+    tmp_path: Path, write: Callable[[Floats], bytes], packed: bool
 ) -> None:
     for number in (2, 10, 9):
         data = write(CLOUD * number)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry, motion_from_velocity
 from relmap.datasets import open_log
@@ -110,7 +110,7 @@ def test_robots_of_other_days_are_no_one_log(robots: Path) -> None:
     assert "robots are days apart" in failure(robots)
 
 
-def seen_in_the_map(folder: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def seen_in_the_map(folder: Path) -> tuple[Floats, Floats]:
     """Return how far each observation is off its landmark, and each motion off Vicon's (k, 2)."""
     log = open_log(folder)
     ids, places, stamps_s, poses = read_ground_truth(folder)

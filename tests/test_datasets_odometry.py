@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.core.odometry import checked_odometry, motion_from_velocity
 from relmap.datasets import open_log, open_scans
 from relmap.datasets.odometry import composed, driven, motions, write_odometry_csv
@@ -21,7 +21,7 @@ from tests.hostile import CIRCLES, MRPT, OBSERVED, mat, scans
 from tests.logs import PLAIN, TREES, failure, put
 from tests.scanlogs import LASER_COMMENT, LASER_HEADER, planar
 
-Poses = NDArray[np.float64]
+Poses = Floats
 IN_SPACE = "iteration,x,y,z,qx,qy,qz,qw"
 FLAT = "iteration,x,y\n3,1,2\n5,1,2\n6,1,2\n"
 MOTIONS = "iteration,x,y,yaw\n6,1,0.5,0.25\n4,2,0,0\n9,1,1,1\n2,5,5,5\n5,0,0,-1\n"
@@ -41,7 +41,7 @@ def walk(k: int = 30) -> Poses:
     return poses_of(turns, np.cumsum(rng.normal(0.5, 0.2, (k, 3)), axis=0))
 
 
-def tum(stamps: NDArray[np.float64], poses: Poses) -> str:
+def tum(stamps: Floats, poses: Poses) -> str:
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
     rows = np.column_stack([stamps, poses[:, :3, 3], quaternions])
     return "# t x y z qx qy qz qw\n" + "".join(

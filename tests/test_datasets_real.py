@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_log, slsjf, write_observation_csv
@@ -178,7 +178,7 @@ def test_real_log_goes_through_the_projects_own_format(shared_data: Path, tmp_pa
     assert (back.first_iteration, back.end_iteration) == (log.first_iteration, log.end_iteration)
 
 
-def motions_of_landmarks(folder: Path, fewest: int) -> NDArray[np.float64]:
+def motions_of_landmarks(folder: Path, fewest: int) -> Floats:
     """Return x, y, yaw of the odometry, and of landmarks by their ids in two scans (k, 2, 3)."""
     found = []
     for before, now in pairwise(open_log(folder).scans()):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans, read_relations
 
 LASER = "carmen-laser2d"
@@ -58,9 +58,7 @@ def test_carmen_logs(
     assert (np.diff(log.stamps_s) > 0).all()
 
 
-def poses_at(
-    times_s: NDArray[np.float64], stamps_s: NDArray[np.float64], poses: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def poses_at(times_s: Floats, stamps_s: Floats, poses: Floats) -> Floats:
     """Return planar poses (t, 4, 4) between those of a log."""
     yaw = np.interp(times_s, stamps_s, np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0])))
     T = np.tile(np.eye(4), (len(times_s), 1, 1))
@@ -90,9 +88,7 @@ def test_the_graph_of_freiburg_079_agrees_with_the_relations(shared_data: Path) 
     assert np.rad2deg(turn).mean() == pytest.approx(0.52, abs=0.01)
 
 
-def distances_to_the_scan_before(
-    points: list[NDArray[np.float64]], poses: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def distances_to_the_scan_before(points: list[Floats], poses: Floats) -> Floats:
     """Return how far points are from the nearest of the scan before, both placed by the poses."""
     placed = [
         p @ T[: p.shape[1], : p.shape[1]].T + T[: p.shape[1], 3]

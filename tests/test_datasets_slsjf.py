@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log
 from relmap.datasets.slsjf import (
@@ -35,7 +36,7 @@ BEACONS = np.array([[7, 1, 2], [9, 4, 5], [11, 6, 7]], dtype=np.uint16)
 ROBOT = np.array([[0.0, 1, 2, 3], [0, 0, 0, 1], [0, np.pi / 2, 5 * np.pi / 2, 0]])
 
 
-def put(folder: Path, file: str, matrix: NDArray[np.float64] | NDArray[np.uint16]) -> Path:
+def put(folder: Path, file: str, matrix: Floats | NDArray[np.uint16]) -> Path:
     """Write a MATLAB file with the variable that the reader looks for."""
     savemat(folder / file, {Path(file).stem: matrix})
     return folder / file

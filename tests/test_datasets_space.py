@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from tests.logs import put
 from tests.scanlogs import failure, points_of
@@ -22,7 +23,7 @@ DEPTH[2, 4], DEPTH[4, 10], DEPTH[6, 0] = 2000, 1000, 65535
 K = "10 0 4\n0 20 2\n0 0 1\n"
 
 
-def kitti(points: NDArray[np.float64]) -> bytes:
+def kitti(points: Floats) -> bytes:
     return np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tobytes()
 
 

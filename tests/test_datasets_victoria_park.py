@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.io import savemat
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log
 from relmap.datasets.victoria_park import ASSOCIATION_FILE, CLOCK_FILE, read_reference_map
@@ -25,7 +25,7 @@ ASSOCIATED = np.array(
 )
 
 
-def put_mat(folder: Path, file: str, matrix: NDArray[np.float64]) -> Path:
+def put_mat(folder: Path, file: str, matrix: Floats) -> Path:
     """Write a MATLAB file with the variable that the reader looks for."""
     name = "TLsr" if file == CLOCK_FILE else Path(file).stem
     savemat(folder / file, {name: matrix})

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.arrays import Bools, Floats
 from relmap.core.grouping.dynamics import FEWEST, Binning, Bins
 from tests.worlds import random_rotation, walk
 
@@ -18,7 +18,7 @@ both_dimensions = pytest.mark.parametrize("d", [2, 3])
 SIGMA = 0.05
 
 
-def observed(world: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def observed(world: Floats, rng: np.random.Generator) -> Floats:
     """Show landmarks (n, i, d) to a robot that drives and turns, with noise."""
     d, block = world.shape[2], np.empty_like(world)
     for k in range(world.shape[1]):
@@ -27,22 +27,20 @@ def observed(world: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np
     return block + SIGMA * rng.standard_normal(block.shape)
 
 
-def at_rest(n: int, i: int, d: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def at_rest(n: int, i: int, d: int, rng: np.random.Generator) -> Floats:
     """Return n landmarks that stand still for i iterations; (n, i, d)."""
     half = 2 * n ** (1 / d)
     return np.repeat(rng.uniform(-half, half, (n, 1, d)), i, axis=1)
 
 
-def departing(n: int, i: int, d: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def departing(n: int, i: int, d: int, rng: np.random.Generator) -> Floats:
     """Return offsets of n landmarks that go their own ways at 0.2 to 0.5 m per iteration."""
     ways = rng.normal(size=(n, d))
     ways *= rng.uniform(0.2, 0.5, (n, 1)) / np.linalg.norm(ways, axis=1, keepdims=True)
     return np.asarray(ways[:, None] * np.arange(i)[:, None])
 
 
-def mixed(
-    n: int, dynamic: float, d: int, seed: int, i: int = 40
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def mixed(n: int, dynamic: float, d: int, seed: int, i: int = 40) -> tuple[Floats, Bools]:
     """Return a block of landmarks and which of them are static."""
     rng = np.random.default_rng(seed)
     world, moving = at_rest(n, i, d, rng), rng.permutation(n)[: round(dynamic * n)]
@@ -52,11 +50,11 @@ def mixed(
     return observed(world, rng), static
 
 
-def sorted_bins(block: NDArray[np.float64], priority: NDArray[np.float64] | None = None) -> Bins:
+def sorted_bins(block: Floats, priority: Floats | None = None) -> Bins:
     return Binning(block, SIGMA).sort(np.zeros(len(block)) if priority is None else priority)
 
 
-def wrong(bins: Bins, static: NDArray[np.bool_]) -> int:
+def wrong(bins: Bins, static: Bools) -> int:
     """Return how many landmarks the static bin holds wrongly or lacks."""
     return int(np.sum(np.isin(np.arange(len(static)), bins.static) != static))
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
 
 
-def poses_at(positions: NDArray[np.float64], turn: Rotation | None = None) -> NDArray[np.float64]:
+def poses_at(positions: Floats, turn: Rotation | None = None) -> Floats:
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     poses[:, :3, 3] = positions
     if turn is not None:

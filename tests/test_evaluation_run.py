@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import relmap
 from relmap import MapperConfig, PlaneMapper, PointMapper, RelmapError
+from relmap.core.arrays import Ints
 from relmap.datasets.base import Scan
 from relmap.evaluation.run import run_mapper, stamps_of
 from relmap.evaluation.sources import BuildingSource
@@ -95,7 +95,7 @@ class Told(PointMapper):
 
     told: list[object]
 
-    def update(self, *arguments: object, **more: Any) -> NDArray[np.int64]:
+    def update(self, *arguments: object, **more: Any) -> Ints:
         self.told = [*getattr(self, "told", []), more.get("odometry")]
         return super().update(*arguments, **more)  # type: ignore[arg-type]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.evaluation.space import Faces, doubled_area, judge_planes
 from relmap.planes3d.table import Plane3dTable
 
@@ -34,7 +34,7 @@ def table(*squares: tuple[list[float], float]) -> Plane3dTable:
     )
 
 
-def faces(*corners: NDArray[np.float64], seen_m2: float = 1.0) -> Faces:
+def faces(*corners: Floats, seen_m2: float = 1.0) -> Faces:
     n = len(corners)
     return Faces(np.arange(n), np.array(corners), np.full(n, seen_m2))
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.walls import doubled_length, judge_walls
 from relmap.planes.table import PlaneTable
@@ -14,11 +14,11 @@ POSES = np.tile(np.eye(4), (3, 1, 1))
 POSES[:, :2, 3] = [[0.0, 0.0], [2.0, 0.0], [2.0, 3.0]]
 
 
-def segments(*rows: tuple[float, float, float, float]) -> NDArray[np.float64]:
+def segments(*rows: tuple[float, float, float, float]) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(-1, 2, 2)
 
 
-def table(ends: NDArray[np.float64], status: str = "static") -> PlaneTable:
+def table(ends: Floats, status: str = "static") -> PlaneTable:
     n = len(ends)
     none = np.full((n, 2), -1)
     count = np.full(n, 50)
@@ -36,9 +36,7 @@ def table(ends: NDArray[np.float64], status: str = "static") -> PlaneTable:
 
 
 def judged(
-    mapped: NDArray[np.float64],
-    true: NDArray[np.float64],
-    seen_m: NDArray[np.float64] | None = None,
+    mapped: Floats, true: Floats, seen_m: Floats | None = None
 ) -> tuple[float | None, float | None]:
     length = np.linalg.norm(true[:, 1] - true[:, 0], axis=1)
     whole = np.column_stack([0 * length, length])

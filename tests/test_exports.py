@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.exports.content import read_content
 from relmap.exports.drawings import dxf_text, svg_text
 from relmap.exports.formats import FORMATS
@@ -95,7 +95,7 @@ def rows_of(path: Path) -> dict[str, list[list[float]]]:
     return rows
 
 
-def planar(x: float, y: float, yaw: float) -> NDArray[np.float64]:
+def planar(x: float, y: float, yaw: float) -> Floats:
     c, s = math.cos(yaw), math.sin(yaw)
     return np.array([[c, -s, x], [s, c, y], [0, 0, 1]])
 

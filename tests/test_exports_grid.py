@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.exports.content import MapContent, read_content
 from relmap.exports.grid import grid_of, pgm_bytes, yaml_text
@@ -26,7 +26,7 @@ OCCUPIED, FREE, UNKNOWN = 100, 0, -1
 class ServedMap:
     """A map as a map server of ROS publishes it: row 0 is at the origin, rows go up."""
 
-    cells: NDArray[np.int64]
+    cells: Ints
     resolution: float
     origin: tuple[float, float, float]
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.cli import main
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.rigidity import CARRIED, PLENTY, Rigidity
 from relmap.core.errors import RelmapError
 from relmap.datasets import ObservationLog, write_observation_csv
@@ -189,7 +189,7 @@ def test_scans_that_are_not_rigid_are_rejected(seed: int, d: int) -> None:
     rng = np.random.default_rng(seed)
     world, ids, rigidity = rng.uniform(-20, 20, (30, d)), np.arange(30), Rigidity()
 
-    def scan() -> NDArray[np.float64]:
+    def scan() -> Floats:
         return world + 0.02 * rng.standard_normal((30, d))
 
     for _ in range(5):
@@ -296,10 +296,8 @@ def test_the_result_names_overruled_observations(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tracks.rejected_id[overruled], log.ids[first : first + 2])
 
 
-def test_unfiltered_gross_outliers_give_no_traceback(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def believed(_: Rigidity, ids: NDArray[np.int64], __: object) -> NDArray[np.int64]:
+def test_unfiltered_gross_outliers_give_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def believed(_: Rigidity, ids: Ints, __: object) -> Ints:
         return ids
 
     monkeypatch.setattr(Rigidity, "believed", believed)

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.planes.beams import BeamStore, ToldBeams
 from relmap.planes.plan_kernels import beams_on_walls
@@ -29,7 +29,7 @@ Sight = tuple[list[list[float]], list[str], range]
 """Ends of a wall, their types, and in which scans it is seen."""
 
 
-def returns(origin: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.float64]:
+def returns(origin: Floats, walls: Floats) -> Floats:
     """Return where 720 beams from an origin end on walls (w, 2, 2)."""
     angle = np.deg2rad(np.arange(0.25, 360.0, 0.5))
     beam = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -73,12 +73,12 @@ def status(mapper: PlaneMapper, number: int) -> str:
     return str(planes.status[planes.plane == mapper.landmarks_of(np.array([number]))[0]][0])
 
 
-def drawn(mapper: PlaneMapper) -> NDArray[np.float64]:
+def drawn(mapper: PlaneMapper) -> Floats:
     planes = mapper.planes
     return np.asarray(planes.ends[planes.status == "static"])
 
 
-def on_line(mapper: PlaneMapper, x: float) -> NDArray[np.float64]:
+def on_line(mapper: PlaneMapper, x: float) -> Floats:
     """Return from where to where (n, 2) the drawn walls at an x go, upwards."""
     ends = drawn(mapper)
     there = np.abs(ends[:, :, 0] - x).max(axis=1) < 0.1

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
 from tests.worlds import random_rotation
@@ -16,7 +16,7 @@ from tests.worlds import random_rotation
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
-Points = NDArray[np.float64]
+Points = Floats
 
 
 def empty_map(n: int, d: int) -> GlobalMap:
@@ -26,11 +26,7 @@ def empty_map(n: int, d: int) -> GlobalMap:
 
 
 def average_in(
-    global_map: GlobalMap,
-    submap: int,
-    landmarks: NDArray[np.int64],
-    positions: Points,
-    weights: Points,
+    global_map: GlobalMap, submap: int, landmarks: Ints, positions: Points, weights: Points
 ) -> None:
     """Average positions into a submap, as a new interval of the landmarks does."""
     global_map.join(submap, landmarks, positions)
@@ -201,7 +197,7 @@ def test_align_needs_members_that_fix_a_rotation() -> None:
     assert global_map.align(submap, np.array([5]), group[5:], ones[5:]) is None
 
 
-def fixes_well(points: NDArray[np.float64]) -> bool:
+def fixes_well(points: Floats) -> bool:
     """Tell whether points are apart in as many directions as fix a rotation."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(spread[points.shape[1] - 2] > 1.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.planes.hypotheses import LATER, MOST, Hypotheses, Judge
 from relmap.planes.judging import Candidates
 from relmap.planes.motions import after, distinct, inverse, motion_over, others
@@ -17,7 +17,7 @@ FARTHER = np.array([0.0, -0.9, 0.0])
 NO_MOTION = np.full(3, np.nan)
 
 
-def candidates(*motions: NDArray[np.float64], evidence: float = 2.0) -> Candidates:
+def candidates(*motions: Floats, evidence: float = 2.0) -> Candidates:
     n = len(motions)
     nothing = np.empty(0, dtype=np.int64)
     return Candidates(
@@ -28,17 +28,17 @@ def candidates(*motions: NDArray[np.float64], evidence: float = 2.0) -> Candidat
     )
 
 
-def tells_for(*right: NDArray[np.float64]) -> Judge:
+def tells_for(*right: Floats) -> Judge:
     """Return what two scans tell of a motion that is right only if it is one of these."""
 
-    def judge(motion: NDArray[np.float64]) -> tuple[float, float, bool]:
+    def judge(motion: Floats) -> tuple[float, float, bool]:
         stays = any(not others(motion[None], one)[0] for one in right)
         return (5.0, 0.0, True) if stays else (-np.inf, 0.2, False)
 
     return judge
 
 
-def odds(run: Hypotheses, scan: int, motion: NDArray[np.float64]) -> float:
+def odds(run: Hypotheses, scan: int, motion: Floats) -> float:
     return run.verdict(scan).odds(motion)
 
 

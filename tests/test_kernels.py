@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.core.association.matching_kernels import claims, nearest_within, two_nearest
 from relmap.core.geometry import fitting_kernels, rotation_kernels
 from relmap.core.geometry.alignment import fit_rigid, rotation_of_moment
@@ -31,7 +31,7 @@ seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
 sizes = st.integers(0, 40)
-Points = NDArray[np.float64]
+Points = Floats
 
 
 def distances(queries: Points, points: Points) -> Points:

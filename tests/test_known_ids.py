@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets import ObservationLog
 from relmap.simulation import simulate_figure_eight
 from relmap.simulation.worlds import World, WorldSpec, simulate_world
 from tests.worlds import Scans, aligned_rmse, random_rotation
 
-Array = NDArray[np.float64]
+Array = Floats
 
 
 def driven(log: ObservationLog) -> PointMapper:
@@ -31,7 +31,7 @@ def mapped(scans: Scans) -> PointMapper:
     return mapper
 
 
-def limit(world: World) -> tuple[NDArray[np.int64], Array]:
+def limit(world: World) -> tuple[Ints, Array]:
     """Return what batch least squares with the true ids maps."""
     log, d = world.log, world.log.points_robot.shape[1]
     fixed = np.bincount(log.iteration)[log.iteration] >= d

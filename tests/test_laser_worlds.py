@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import RelmapError
+from relmap.core.arrays import Floats
 from relmap.simulation import Building, BuildingScan, simulate_building
 from relmap.simulation.coverage import seen_extents
 from relmap.simulation.floor_plan import World, make_floor_plan
@@ -37,11 +37,11 @@ def laser(world: World = "building", beams: int = 181, **others: Any) -> Buildin
     return simulate_building(beams, 0.0, sampling="laser", world=world, **others)
 
 
-def ranges_of(run: Building) -> NDArray[np.float64]:
+def ranges_of(run: Building) -> Floats:
     return np.array([scan.ranges_m for scan in run.scans])
 
 
-def _look_from(walls: NDArray[np.float64], centre: NDArray[np.float64]) -> NDArray[np.float64]:
+def _look_from(walls: Floats, centre: Floats) -> Floats:
     """Return how far rays into a room go; those towards the corridor are left out."""
     bearing = np.linspace(np.pi, 2 * np.pi, 90) + (np.pi if centre[1] > 0 else 0.0)
     ends = walls[:, :4].reshape(-1, 2, 2) - centre

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.core import turns
+from relmap.core.arrays import Bools, Ints
 from relmap.core.grouping.levels import GroupLevels
 from relmap.core.landmarks import MappedGroup
 from relmap.core.mapper import RelativeMapper
@@ -45,9 +45,7 @@ def numbers(levels: GroupLevels) -> list[int]:
     return [int(group.iterations[0]) for group in levels.groups]
 
 
-def offered(
-    levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]
-) -> NDArray[np.bool_]:
+def offered(levels: GroupLevels, number: int, rows: list[tuple[int, int, int]]) -> Bools:
     """Let a group offer positions, as the engine does; tell which were taken."""
     landmarks, reached, n_averaged = np.array(rows, dtype=np.int64).reshape(-1, 3).T
     best = levels.better(landmarks, reached, n_averaged)
@@ -124,7 +122,7 @@ def test_a_landmark_goes_through_the_levels_in_order_each_from_the_start_of_its_
             passes.setdefault(seed, []).append(level)
             assert engine.chart(seed).iterations[0] == first
 
-    def grouped(seed: int, level: int) -> NDArray[np.int64]:
+    def grouped(seed: int, level: int) -> Ints:
         noted(seed, level)
         return group(seed, level)
 

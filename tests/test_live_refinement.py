@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats, Ints
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.refinement import live
 from relmap.core.refinement.condensing import CondensedSegments
@@ -108,16 +108,14 @@ def test_a_mapper_can_be_stored_at_any_time() -> None:
     np.testing.assert_array_equal(again.map.covariances, mapper.map.covariances)
 
 
-def rows_of(
-    points: NDArray[np.float64], landmark: NDArray[np.int64], body: NDArray[np.int64]
-) -> JointRows:
+def rows_of(points: Floats, landmark: Ints, body: Ints) -> JointRows:
     every = np.arange(len(landmark))
     unseen, once = np.zeros(len(every), dtype=np.uint8), np.ones(len(every))
     members, bodies = np.arange(landmark.max() + 1), np.arange(body.max() + 1)
     return JointRows(points, unseen, once, body, landmark, members, bodies, every)
 
 
-def stepped(rows: JointRows) -> NDArray[np.float64]:
+def stepped(rows: JointRows) -> Floats:
     level = levels_of(rows.begin, rows.landmark, len(rows.landmarks))[1]
     problem, weight = FreeLandmarks(rows, 5.0, level), np.ones(len(rows.points))
     start = Laid(problem.means(rows.points, weight), rows.points)

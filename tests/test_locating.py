@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper, RelmapError
 from relmap.cli import main
+from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.datasets import open_scans, write_scans_npz
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
@@ -23,7 +23,6 @@ from relmap.simulation.visibility import seen_walls
 from tests.commands import load
 from tests.everyformat import Mapped
 
-Floats = NDArray[np.float64]
 OUTLINE = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 2.0], [2.0, 2.0], [2.0, 4.5], [0.0, 4.5]])
 ROOM = np.stack([OUTLINE, np.roll(OUTLINE, -1, axis=0)], axis=1)
 """A room from inside, each wall from right to left."""

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap import MapperConfig, PointMapper
+from relmap.core.arrays import Floats
 from relmap.core.refinement.condensing import LENGTH
 from relmap.core.state.schedule import LONGEST_INTERVAL
 from tests.worlds import aligned_rmse, random_rotation, walk
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
 SIGMA = 0.05
-Points = NDArray[np.float64]
+Points = Floats
 
 
 def scattered(n: int, d: int, rng: np.random.Generator) -> Points:

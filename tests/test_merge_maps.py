@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap.cli import main
+from relmap.core.arrays import Floats
 from relmap.core.association.pairing import Motion
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.io.files import read_tum
@@ -26,12 +26,12 @@ from tests.commands import load, table
 seeds = st.integers(0, 2**32 - 1)
 
 
-def rotation(angle: float) -> NDArray[np.float64]:
+def rotation(angle: float) -> Floats:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
 
 
-def rooms(rng: np.random.Generator, n: int = 12) -> NDArray[np.float64]:
+def rooms(rng: np.random.Generator, n: int = 12) -> Floats:
     """Return walls (4 n, 2, 2) of rooms of all sizes and turns, fronts inside."""
     size = rng.uniform(2, 7, (n, 2))
     at = np.column_stack([9.0 * np.arange(n), rng.uniform(-6, 6, n)])
@@ -64,7 +64,7 @@ def test_walls_of_a_corridor_slide() -> None:
     assert wall_ties(walls + np.array([0.3, 0.1]), walls)[0].across < 0.01
 
 
-def walls_of(ends: NDArray[np.float64], corner: list[list[int]]) -> PlaneTable:
+def walls_of(ends: Floats, corner: list[list[int]]) -> PlaneTable:
     n = len(ends)
     way = ends[:, 1] - ends[:, 0]
     along = way / np.linalg.norm(way, axis=1)[:, None]

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Ints
 from relmap.core.association.evidence import chosen
 from relmap.core.association.merging import Merger
 from relmap.core.geometry.spatialindex import SpatialIndex
@@ -22,7 +22,7 @@ seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 
 
-def mapped_without_ids(world: FigureEight) -> tuple[PointMapper, NDArray[np.int64]]:
+def mapped_without_ids(world: FigureEight) -> tuple[PointMapper, Ints]:
     """Map without ids; return the mapper and the landmark of every observation."""
     mapper = PointMapper()
     labels = [mapper.update(scan.points_robot) for scan in world.log.scans()]

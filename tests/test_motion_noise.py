@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.motion_noise import motion_noise
 from relmap.core.odometry import checked_odometry
 
-Array = NDArray[np.float64]
+Array = Floats
 SLIPS = 0.1
 
 

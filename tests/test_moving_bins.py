@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.arrays import Ints
 from relmap.core.grouping.dynamics import DynamicStatus
 from relmap.core.landmarks import LandmarkTable
 from relmap.core.state.table import NONE, LandmarkState
@@ -59,7 +59,7 @@ def together(status: DynamicStatus) -> list[list[int]]:
     return [np.flatnonzero(bins == number).tolist() for number in np.unique(bins[bins != NONE])]
 
 
-def bins_of(*bins: list[int]) -> list[NDArray[np.int64]]:
+def bins_of(*bins: list[int]) -> list[Ints]:
     return [np.array(members) for members in bins]
 
 

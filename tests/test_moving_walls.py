@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper, RelmapError
+from relmap.core.arrays import Floats
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.truth import Truth
 from relmap.simulation import Building, simulate_building
@@ -17,11 +17,11 @@ SEEN = 10
 """Scans in which a wall must have been seen before anything is asked of it."""
 
 
-def crossings(a: NDArray[np.float64], b: NDArray[np.float64]) -> int:
+def crossings(a: Floats, b: Floats) -> int:
     """Count the proper crossings of segments (n, 4) and (m, 4)."""
     p, q, r, s = a[:, None, :2], a[:, None, 2:4], b[None, :, :2], b[None, :, 2:4]
 
-    def side(x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64]) -> object:
+    def side(x: Floats, y: Floats, z: Floats) -> object:
         u, v = y - x, z - x
         return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.grouping.noise import FORGETTING, NoiseEstimate, guess_noise
 from tests.worlds import random_rotation
 
@@ -15,7 +15,7 @@ SIGMA = 0.05
 
 def seen_block(
     g: int, i: int, d: int, rng: np.random.Generator, movers: int = 0, uniform: bool = False
-) -> NDArray[np.float64]:
+) -> Floats:
     """Show g landmarks, some of them moving, for i iterations to a robot that goes anywhere."""
     half = 2 * g ** (1 / d)
     world = np.repeat(rng.uniform(-half, half, (g, 1, d)), i, axis=1)
@@ -30,7 +30,7 @@ def seen_block(
     return block + SIGMA * rng.standard_normal(block.shape)
 
 
-def estimated(blocks: list[NDArray[np.float64]]) -> float:
+def estimated(blocks: list[Floats]) -> float:
     noise = NoiseEstimate()
     for block in blocks:
         noise.add(block)

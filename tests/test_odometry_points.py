@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.simulation.figure_eight import FigureEight, simulate_figure_eight
 
-Array = NDArray[np.float64]
+Array = Floats
 SPARSE, DENSE = 3.0, 25.0
 WAY, ANGLE = 0.01, np.deg2rad(0.1)
 """Noise of odometry: share of the way, and angle about each axis in a step."""
@@ -40,7 +40,7 @@ def odometry_of(run: FigureEight, seed: int) -> Array:
 
 def mapped(
     run: FigureEight, motions: Array | None, known: bool, journal: Path | None = None
-) -> tuple[PointMapper, NDArray[np.int64]]:
+) -> tuple[PointMapper, Ints]:
     mapper, labels = PointMapper(journal=journal), []
     for k, scan in enumerate(run.log.scans()):
         motion = None if motions is None else motions[k]
@@ -51,7 +51,7 @@ def mapped(
     return mapper, np.concatenate(labels)
 
 
-def rmse_m(run: FigureEight, positions: Array, ids: NDArray[np.int64]) -> float:
+def rmse_m(run: FigureEight, positions: Array, ids: Ints) -> float:
     true = run.landmarks_map[np.searchsorted(run.landmark_ids, ids)]
     R, t = fit_rigid(positions, true)
     return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - true) ** 2, axis=1))))

@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools
 from relmap.core.association.placement import consistent_set, trimmed_fit
 from relmap.core.geometry.alignment import fit_rigid
 from tests.worlds import random_rotation
@@ -45,7 +45,7 @@ def test_trimmed_fit_of_too_few_is_none() -> None:
     assert trimmed_fit(np.zeros((2, 3)), np.zeros((2, 3)), 0.1) is None
 
 
-def largest_clique(agree: NDArray[np.bool_]) -> int:
+def largest_clique(agree: Bools) -> int:
     """Return the size of the largest set of which all agree, by trying them all."""
 
     def grown(size: int, candidates: list[int]) -> int:

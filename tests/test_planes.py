@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper, RelmapError
+from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
@@ -52,7 +52,7 @@ def seen_from(
     x: float,
     y: float,
     yaw: float,
-    walls: NDArray[np.float64] = ROOM,
+    walls: Floats = ROOM,
     half_view: float = 1.2,
     range_m: float = 8.0,
 ) -> Any:

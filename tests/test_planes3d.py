@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import Plane3dMapper, RelmapError
+from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene
 from relmap.planes3d.refining import sightings
@@ -19,7 +19,7 @@ from relmap.simulation.storey import Storey, cast_rays, simulate_storey
 N = 12
 
 
-def mapped(scans: list[NDArray[np.float64]], refine: bool = False) -> Plane3dMapper:
+def mapped(scans: list[Floats], refine: bool = False) -> Plane3dMapper:
     mapper = Plane3dMapper()
     for scan in scans:
         mapper.update(scan)
@@ -29,7 +29,7 @@ def mapped(scans: list[NDArray[np.float64]], refine: bool = False) -> Plane3dMap
     return mapper
 
 
-def from_first(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_first(poses: Floats) -> Floats:
     return np.linalg.inv(poses[0]) @ poses
 
 
@@ -105,7 +105,7 @@ def test_runs_again_to_the_last_bit(noisy: tuple[Storey, Plane3dMapper]) -> None
     assert np.array_equal(again.planes.offset, mapper.planes.offset)
 
 
-def hall(x: float, yaw: float = 0.0, ends: bool = False) -> NDArray[np.float64]:
+def hall(x: float, yaw: float = 0.0, ends: bool = False) -> Floats:
     """Return a noisy scan of a corridor along x, from one place in it."""
     origin = [[-40.0, -1.5, 0.0], [-40.0, 1.5, 0.0], [-40.0, -1.5, 0.0]]
     sides = [[[80.0, 0, 0], [0, 0, 3.0]], [[80.0, 0, 0], [0, 0, 3.0]], [[80.0, 0, 0], [0, 3.0, 0]]]

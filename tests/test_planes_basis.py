@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.planes.basis import relative_map
 from tests.worlds import aligned_rmse, random_rotation
 
 CORNERS = np.array([[4.0, 2.0], [4.0, 0.0], [-1.0, 2.0], [1.5, 2.0]])
 
 
-def block() -> NDArray[np.float64]:
+def block() -> Floats:
     """Return the corners as seen in nine iterations."""
     rng = np.random.default_rng(0)
     views = [CORNERS @ random_rotation(2, 3.0, rng).T + rng.uniform(-3, 3, 2) for _ in range(9)]

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.core.arrays import Floats
 from relmap.evaluation import metrics
 from relmap.evaluation.corners import match_corners
 from relmap.evaluation.sources import truth_of
@@ -22,7 +23,7 @@ WALLS = np.array(
 )
 
 
-def seen_on_the_way(moving: NDArray[np.float64], n: int = 12) -> NDArray[np.float64]:
+def seen_on_the_way(moving: Floats, n: int = 12) -> Floats:
     """Return three walls (n, 3, 2, 2) as a robot on its way sees them; some ends move along."""
     scans = []
     for k in range(n):
@@ -34,7 +35,7 @@ def seen_on_the_way(moving: NDArray[np.float64], n: int = 12) -> NDArray[np.floa
     return np.array(scans)
 
 
-def compared(moving: NDArray[np.float64], kind: NDArray[np.int8]) -> Any:
+def compared(moving: Floats, kind: NDArray[np.int8]) -> Any:
     scans = seen_on_the_way(moving)
     n = len(scans)
     rows = np.repeat(np.arange(n), 3), np.tile(np.arange(3), n), scans.reshape(-1, 2, 2)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.core.arrays import Ints
 
 ROOM = np.array([[[4.0, -3.0], [4.0, 3.0]], [[4.0, 3.0], [-2.0, 3.0]], [[-2.0, -3.0], [4.0, -3.0]]])
 IN_ROOM = [["corner", "corner"], ["corner", "view"], ["view", "corner"]]
@@ -32,15 +32,13 @@ def driven(*sights: tuple[list[list[float]], list[str], range]) -> tuple[PlaneMa
     return mapper, last
 
 
-def refined(
-    *sights: tuple[list[list[float]], list[str], range],
-) -> tuple[PlaneMapper, list[int]]:
+def refined(*sights: tuple[list[list[float]], list[str], range]) -> tuple[PlaneMapper, list[int]]:
     mapper, last = driven(*sights)
     mapper.refine()
     return mapper, last
 
 
-def now(mapper: PlaneMapper, numbers: list[int]) -> NDArray[np.int64]:
+def now(mapper: PlaneMapper, numbers: list[int]) -> Ints:
     return mapper.landmarks_of(np.array(numbers))
 
 

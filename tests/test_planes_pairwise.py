@@ -5,8 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.linalg.order_kernels import medians, quantiles
 from relmap.planes.history import PlaneHistory
 from relmap.planes.observation import checked_planes
@@ -17,7 +17,7 @@ FIRST = np.array([[4.0, -2.0], [4.0, 2.0]])
 SECOND = np.array([[4.0, 2.0], [-1.0, 2.0]])
 
 
-def in_robot_frame(ends: NDArray[np.float64], x: float, yaw: float) -> NDArray[np.float64]:
+def in_robot_frame(ends: Floats, x: float, yaw: float) -> Floats:
     c, s = np.cos(yaw), np.sin(yaw)
     return np.asarray((ends - [x, 0.0]) @ np.array([[c, -s], [s, c]]))
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 from relmap.planes.assembly import WallNumbers, assemble
 from relmap.planes.closing import Loop, votes
@@ -16,7 +16,7 @@ from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.history import PlaneHistory
 from relmap.planes.refinement import SPREAD, WallSystem, wall_residuals
 
-Cliques = tuple[Pattern, list[NDArray[np.int64]]]
+Cliques = tuple[Pattern, list[Ints]]
 
 
 def cliques_of(rng: np.random.Generator, blocks: int) -> Cliques:
@@ -111,7 +111,7 @@ def test_walls_are_refined_to_the_least_squares(room: tuple[WallEquations, Walls
     equations, truth = room
     n, first = len(truth.yaw) - 1, (truth.yaw[:1], truth.t[:1])
 
-    def state_of(x: NDArray[np.float64]) -> Walls:
+    def state_of(x: Floats) -> Walls:
         poses, rest = x[: 3 * n].reshape(n, 3), x[3 * n :]
         return Walls(
             np.append(first[0], poses[:, 0]),
@@ -122,7 +122,7 @@ def test_walls_are_refined_to_the_least_squares(room: tuple[WallEquations, Walls
             rest[6:],
         )
 
-    def misfit(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def misfit(x: Floats) -> Floats:
         state = state_of(x)
         c, s = np.cos(state.yaw)[equations.iteration], np.sin(state.yaw)[equations.iteration]
         R = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
+from relmap.core.arrays import Floats
 from relmap.core.linalg.cholesky import Pattern
 from relmap.simulation import Building, simulate_building
 
@@ -28,7 +28,7 @@ def runs() -> list[tuple[Building, PlaneMapper]]:
     return found
 
 
-def errors(building: Building, mapper: PlaneMapper) -> NDArray[np.float64]:
+def errors(building: Building, mapper: PlaneMapper) -> Floats:
     """Return how far corners (c, 2) are from the nearest true ones, seen from the first pose."""
     T = building.trajectory[0] @ np.linalg.inv(mapper.trajectory[0])
     there = mapper.map.positions[:, :2] @ T[:2, :2].T + T[:2, 3]
@@ -65,9 +65,7 @@ def test_covariances_tell_of_the_errors(runs: list[tuple[Building, PlaneMapper]]
     assert 0.3 < np.median(np.concatenate(squares)) / 1.386 < 3.0  # chi-square of 2 freedoms
 
 
-def test_residuals_are_what_the_noise_explains(
-    runs: list[tuple[Building, PlaneMapper]],
-) -> None:
+def test_residuals_are_what_the_noise_explains(runs: list[tuple[Building, PlaneMapper]]) -> None:
     for _, mapper in runs[1:]:
         (refined,) = mapper.refined
         np.testing.assert_array_equal(refined.landmarks, mapper.map.landmark_ids)
@@ -80,9 +78,7 @@ def test_residuals_are_what_the_noise_explains(
         assert not np.isin(refined.merges.track, refined.landmarks).any()
 
 
-def test_unrefined_maps_have_no_residuals(
-    runs: list[tuple[Building, PlaneMapper]],
-) -> None:
+def test_unrefined_maps_have_no_residuals(runs: list[tuple[Building, PlaneMapper]]) -> None:
     mapper = runs[0][1]
     assert mapper.refined == []
     assert mapper.map.covariances.shape == (0, 3, 3)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.planes.stitching import ASTRAY_M, FEW, with_strays_put_back
 
 
-def straight(n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def straight(n: int) -> tuple[Floats, Floats]:
     """Return poses (n, 4, 4) along x, a step of 0.1 m apart, and the motions (n, 3) between."""
     poses = np.tile(np.eye(4), (n, 1, 1))
     poses[:, 0, 3] = 0.1 * np.arange(n)

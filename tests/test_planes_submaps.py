@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from relmap import PlaneMapper
 from relmap.cli import main
 from relmap.cli.outcome import each
+from relmap.core.arrays import Floats
 from relmap.io.files import read_tum
 from relmap.planes.equations import Walls
 from relmap.planes.files import read_planes
@@ -31,7 +31,7 @@ ELSEWHERE = np.array(
 """Another room, which no motion lays onto the first."""
 
 
-def drive(mapper: PlaneMapper, scans: int, walls: NDArray[np.float64] = ROOM) -> None:
+def drive(mapper: PlaneMapper, scans: int, walls: Floats = ROOM) -> None:
     """Go a little ahead in a room."""
     for k in range(scans):
         mapper.update(seen_from(-1.5 + 0.05 * k, 0.0, 0.01 * k, walls, half_view=1.5))

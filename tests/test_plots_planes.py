@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from PIL import Image
 
 from relmap.cli import main
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.evaluation.sources import truth_of
 from relmap.figures import figure04, figure06
@@ -32,7 +32,7 @@ WALLS = np.array([[[4.0, -2.0], [4.0, 2.0]], [[4.0, 2.0], [-1.0, 2.0]]])
 
 
 def history_of(
-    scans: list[NDArray[np.float64]], kinds: list[list[str]], corners: list[list[int]]
+    scans: list[Floats], kinds: list[list[str]], corners: list[list[int]]
 ) -> PlaneHistory:
     """Return what is stored of the same walls, seen over and over."""
     k, m = len(scans), len(scans[0])

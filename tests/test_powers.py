@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from relmap import MapperConfig, PointMapper, RelmapError
+from relmap.core.arrays import Floats
 from relmap.core.refinement.observations import Observations
 from relmap.core.refinement.powers import PowerSolution, shape_of
 from relmap.simulation import FigureEight, simulate_figure_eight
@@ -88,7 +88,7 @@ def test_the_sum_of_powers_is_least(d: int) -> None:
     for power in (2, 4, 4, 4, 4, 8, 8, 8, 8, 8, 8):
         solution = solution.towards(power)
 
-    def total(positions: NDArray[np.float64]) -> float:
+    def total(positions: Floats) -> float:
         left = solution.state.R[at].transpose(0, 2, 1) @ (
             positions.reshape(-1, d)[of] - solution.state.t[at]
         ).reshape(-1, d, 1)

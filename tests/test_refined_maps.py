@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import aligned_rmse, mapped, walk
 
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
-Points = NDArray[np.float64]
+Points = Floats
 
 
 def test_mapper_refines_to_the_limit() -> None:

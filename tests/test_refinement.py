@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats
 from relmap.core.refinement import equations as jointequations
 from relmap.core.refinement.condensing import CondensedSegments, SegmentRows
 from relmap.core.refinement.joint import Refined, refine
@@ -16,7 +16,7 @@ from tests.worlds import Walk, aligned_rmse, random_rotation, walk
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
-Points = NDArray[np.float64]
+Points = Floats
 
 
 @pytest.fixture(params=["exact", "segments as a whole"])

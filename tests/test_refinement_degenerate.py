@@ -2,15 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 from tests.worlds import random_rotation
 
-Scans = list[NDArray[np.float64]]
+Scans = list[Floats]
 
 
-def seen_from(world: NDArray[np.float64], steps: int = 40, sigma: float = 0.01) -> Scans:
+def seen_from(world: Floats, steps: int = 40, sigma: float = 0.01) -> Scans:
     rng = np.random.default_rng(1)
     d = world.shape[1]
     scans = []

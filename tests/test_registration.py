@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.association import KnownAssociation, NearestPrevious
 from tests.worlds import spacing
 
-Points = NDArray[np.float64]
+Points = Floats
 
 seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])

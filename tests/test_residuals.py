@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.condensing import CondensedSegments
 from relmap.core.refinement.joint import refine
 from relmap.core.state.store import ObservationStore
@@ -15,10 +15,10 @@ from relmap.io.results import json_text
 from relmap.simulation import simulate_figure_eight
 from tests.worlds import mapped, walk
 
-Scans = list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+Scans = list[tuple[Ints, Floats]]
 
 
-def refined_of(scans: Scans, of: NDArray[np.int64], start: NDArray[np.float64]) -> Any:
+def refined_of(scans: Scans, of: Ints, start: Floats) -> Any:
     store = ObservationStore()
     for ids, points in scans:
         store.append(ids, points)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 from relmap.core.association.voting_kernels import most_voted
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.geometry.motions import derivatives
@@ -16,7 +16,7 @@ from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.revisiting import mergeable
 from relmap.core.state.table import LandmarkState
 
-Array = NDArray[np.float64]
+Array = Floats
 SEES_M, STEP_M, NOISE_M = 2.5, 0.4, 0.02
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.core.arrays import Floats
 from relmap.datasets.scans import ScanLog, SensorView, stored_scans
 from relmap.evaluation.feeding import segment_scan, segmenter_for
 from relmap.evaluation.metrics import ate
@@ -28,7 +28,7 @@ from relmap.simulation.floor_plan import World
 CORNERS = np.array([[4, -3], [4, 2], [1.5, 2], [1.5, 3.5], [-3, 3.5], [-3, -3]], dtype=np.float64)
 
 
-def cast(corners: NDArray[np.float64], pose: tuple[float, float, float]) -> NDArray[np.float64]:
+def cast(corners: Floats, pose: tuple[float, float, float]) -> Floats:
     """Return where 361 beams over a half circle end, robot frame; x, y, yaw of the robot."""
     x, y, yaw = pose
     bearing = np.linspace(-np.pi / 2, np.pi / 2, 361)
@@ -43,25 +43,21 @@ def cast(corners: NDArray[np.float64], pose: tuple[float, float, float]) -> NDAr
     return np.asarray(nearest[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)]))
 
 
-def motion_between(
-    first: tuple[float, float, float], second: tuple[float, float, float]
-) -> NDArray[np.float64]:
+def motion_between(first: tuple[float, float, float], second: tuple[float, float, float]) -> Floats:
     """Return the motion (3,) from the frame of one pose into that of another."""
     c, s = np.cos(second[2]), np.sin(second[2])
     dx, dy = first[0] - second[0], first[1] - second[1]
     return np.array([first[2] - second[2], c * dx + s * dy, -s * dx + c * dy])
 
 
-def observed(points: NDArray[np.float64]) -> PlaneObservation:
+def observed(points: Floats) -> PlaneObservation:
     from relmap.segmentation import PlaneSegmenter
 
     return checked_planes(PlaneSegmenter(view_rad=np.pi, range_m=20.0).fit(points).planes_, points)
 
 
 def searched(
-    corners: NDArray[np.float64],
-    first: tuple[float, float, float],
-    second: tuple[float, float, float],
+    corners: Floats, first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> Any:
     """Search for the motion between two scans of a room."""
     earlier, later = (observed(cast(corners, pose)) for pose in (first, second))
@@ -128,7 +124,7 @@ def test_another_room_is_not_tied() -> None:
     assert Search(tracks, later, seen, [View(before, np.zeros(3))], STILL).found() is None
 
 
-def driven(log: ScanLog, scans: list[NDArray[np.float64]]) -> PlaneMapper:
+def driven(log: ScanLog, scans: list[Floats]) -> PlaneMapper:
     """Map scans with the sensor of a log, without refinement."""
     mapper, segmenter = PlaneMapper(), segmenter_for(log.sensor)
     for points in scans:
@@ -147,7 +143,7 @@ def log_of(run: Building) -> ScanLog:
 
 def scans_of(
     seed: int, step_m: float = 0.2, world: World = "building"
-) -> tuple[ScanLog, list[NDArray[np.float64]]]:
+) -> tuple[ScanLog, list[Floats]]:
     """Return a laser log of a building, and its scans."""
     run = simulate_building(
         361, 0.01, sampling="laser", seed=seed, iterations=60, step_m=step_m, world=world

@@ -6,10 +6,10 @@ from time import process_time
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import relmap
 from relmap import PlaneSegmenter, RelmapError
+from relmap.core.arrays import Floats, Ints
 from relmap.segmentation import Planes
 from relmap.segmentation.em.mixture import WallMixture
 from relmap.segmentation.ends.corners import meet
@@ -25,7 +25,7 @@ def segmented(scan: BuildingScan, method: str | None = None) -> PlaneSegmenter:
     return PlaneSegmenter(method, view_rad=VIEW_RAD, range_m=RANGE_M).fit(scan.points)
 
 
-def matches(scan: BuildingScan, labels: NDArray[np.int64]) -> list[tuple[int, int]]:
+def matches(scan: BuildingScan, labels: Ints) -> list[tuple[int, int]]:
     """Return each wall with 1 % of the points and the plane that shares 80 % with it, or -1."""
     pairs = []
     for row in np.flatnonzero(np.bincount(scan.stretch) >= 0.01 * len(scan.points)):
@@ -175,7 +175,7 @@ def test_open3d_knows_a_floor_from_walls(method: str) -> None:
     ],
     ids=["none", "none-2d", "one", "one-2d", "one-place", "two", "even", "blob"],
 )
-def test_a_scan_without_walls_has_no_planes(points: NDArray[np.float64]) -> None:
+def test_a_scan_without_walls_has_no_planes(points: Floats) -> None:
     segmenter = PlaneSegmenter().fit(points)
     assert isinstance(segmenter.planes_, Planes)
     assert len(segmenter.planes_) == 0

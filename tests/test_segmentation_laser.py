@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper, PlaneSegmenter
+from relmap.core.arrays import Floats
 from relmap.evaluation.metrics import ate
 from relmap.segmentation.scanline.lines import beam_noise, scan_walls
 from relmap.simulation import simulate_building
@@ -15,7 +15,7 @@ from relmap.simulation.building import building_scene
 ONE_DEGREE = 181
 
 
-def beams(distance_m: float, count: int, step_deg: float = 1.0) -> NDArray[np.float64]:
+def beams(distance_m: float, count: int, step_deg: float = 1.0) -> Floats:
     """Return what beams across a wall ahead meet of it, with noise of 5 mm."""
     bearing = np.deg2rad(step_deg) * (np.arange(count) - 0.5 * (count - 1))
     reach = distance_m / np.cos(bearing) + np.random.default_rng(0).normal(0, 0.005, count)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneSegmenter
+from relmap.core.arrays import Floats
 from relmap.segmentation.planes import Planes
 from relmap.segmentation.scanline.lines import scan_walls
 from tests.test_planes_closing import refined_error_m, refined_errors_m
@@ -16,7 +16,7 @@ BEARING = np.deg2rad(np.arange(-60.0, 60.25, 0.5))
 RAY = np.column_stack([np.cos(BEARING), np.sin(BEARING)])
 
 
-def wall_ahead(seed: int = 0) -> NDArray[np.float64]:
+def wall_ahead(seed: int = 0) -> Floats:
     """Return the ranges of beams to a wall straight ahead."""
     noise = np.random.default_rng(seed).normal(0, NOISE_M, len(BEARING))
     return np.asarray(3.0 / np.cos(BEARING) + noise)
@@ -44,7 +44,7 @@ def test_clutter_does_not_mislead_a_map() -> None:
     assert max(errors_m) < 0.02
 
 
-def planes_of(ranges: NDArray[np.float64]) -> Planes:
+def planes_of(ranges: Floats) -> Planes:
     return PlaneSegmenter(view_rad=2.1, range_m=8.0).fit(ranges[:, None] * RAY).planes_
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper, PlaneSegmenter, RelmapError
+from relmap.core.arrays import Floats
 from relmap.datasets import open_scans
 from relmap.segmentation.upright import MOST_SHARE, tilted_share
 from relmap.simulation import simulate_building
@@ -17,7 +17,7 @@ from relmap.simulation.floor_plan import World
 from relmap.simulation.sensor import Sampling
 
 
-def room(rng: np.random.Generator, height_m: float = 3.0) -> NDArray[np.float64]:
+def room(rng: np.random.Generator, height_m: float = 3.0) -> Floats:
     """Return points on the walls, the floor and the ceiling of a room of 8 m by 6 m."""
     x, y, z = (rng.uniform(-0.5, 0.5, 6000) * side for side in (8.0, 6.0, height_m))
     faces = np.tile([0, 1, 2], 2000)
@@ -27,7 +27,7 @@ def room(rng: np.random.Generator, height_m: float = 3.0) -> NDArray[np.float64]
     return np.column_stack([x, y, z]) + rng.normal(0, 0.02, (6000, 3))
 
 
-def turned(xyz: NDArray[np.float64], tilt_deg: float) -> NDArray[np.float64]:
+def turned(xyz: Floats, tilt_deg: float) -> Floats:
     """Return points as a sensor that is pitched sees them."""
     c, s = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
     return np.asarray(xyz @ [[c, 0, -s], [0, 1, 0], [s, 0, c]])

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap.cli import main
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
 from relmap.datasets import ScanLog, open_log, open_scans
@@ -24,7 +24,7 @@ from relmap.simulation.odometry import LASER_WHEELS, Wheels, wheel_odometry
 from tests.commands import PATIENCE_S
 from tests.scanlogs import CORRECTED, planar
 
-Poses = NDArray[np.float64]
+Poses = Floats
 EXACT = Wheels(way=0.0, turn_deg=0.0)
 
 
@@ -33,7 +33,7 @@ def circle(k: int = 4000, step_m: float = 0.5) -> Poses:
     return path_of(np.tile(checked_odometry([step_m, 0, 0.01]), (k, 1, 1)))
 
 
-def errors(odometry: Poses, poses: Poses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def errors(odometry: Poses, poses: Poses) -> tuple[Floats, Floats]:
     """Return by how much each step (k - 1, 3) and its turn (k - 1, 3), radians, are off."""
     true = motions(poses)[1:]
     back = Rotation.from_matrix(true[:, :3, :3]).inv()
@@ -82,7 +82,7 @@ def test_noise_out_of_range_is_refused(name: str) -> None:
         wheel_odometry(circle(3), wheels, np.random.default_rng(0))
 
 
-def log_of(odometry: Poses, stamps_s: NDArray[np.float64] | None = None) -> ScanLog:
+def log_of(odometry: Poses, stamps_s: Floats | None = None) -> ScanLog:
     at = np.arange(float(len(odometry))) if stamps_s is None else stamps_s
     return ScanLog(2, at, lambda _: np.empty((0, 2)), odometry=odometry)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import RelmapError
+from relmap.core.arrays import Floats
 from relmap.segmentation.space import Patches, PatchSegmenter
 from relmap.simulation.storey import Storey, simulate_storey
 
@@ -15,7 +15,7 @@ LARGE_M2, MANY = 0.25, 150
 
 def board(
     centre: list[float], u: list[float], v: list[float], sigma: float = 0.0, n: int = 40
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return points (n * n, 3) on a parallelogram, noisy across it."""
     rng = np.random.default_rng(5)
     a, b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.5, 0.5, n)] * 2))
@@ -24,7 +24,7 @@ def board(
     return np.array(centre) + a[:, None] * u + b[:, None] * v + off
 
 
-def true_planes(world: Storey, k: int) -> NDArray[np.float64]:
+def true_planes(world: Storey, k: int) -> Floats:
     """Return normals to the sensor and offsets (f, 4) of the faces, in the frame of a scan."""
     R, t = world.trajectory[k, :3, :3], world.trajectory[k, :3, 3]
     sides = world.corners[:, [1, 3]] - world.corners[:, :1]
@@ -35,13 +35,11 @@ def true_planes(world: Storey, k: int) -> NDArray[np.float64]:
     return np.column_stack([(normal @ R) * sign[:, None], offset * sign])
 
 
-def squares(points: NDArray[np.float64], normal: NDArray[np.float64], offset: float) -> float:
+def squares(points: Floats, normal: Floats, offset: float) -> float:
     return float(((points @ normal - offset) ** 2).sum())
 
 
-def condensed_squares(
-    patches: Patches, k: int, normal: NDArray[np.float64], offset: float
-) -> float:
+def condensed_squares(patches: Patches, k: int, normal: Floats, offset: float) -> float:
     turned = patches.axes[k, :2] @ normal
     across = patches.centre[k] @ normal - offset
     return float(patches.information[k] @ np.append(turned, across) ** 2)
@@ -108,7 +106,7 @@ def test_condensed_scatter_gives_the_squares_of_the_points() -> None:
 
 
 def test_coplanar_boards_are_one_and_a_step_makes_two() -> None:
-    def two(step_m: float) -> NDArray[np.float64]:
+    def two(step_m: float) -> Floats:
         far = board([3.0 + step_m, 1.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0], 0.005)
         return np.concatenate(
             [board([3.0, -1.5, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0], 0.005), far]

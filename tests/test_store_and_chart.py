@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.growth import grow_group
 from relmap.core.state.store import ObservationStore
@@ -73,7 +73,7 @@ def test_chart_sorts_by_common_interval_as_in_figure_10() -> None:
 
 
 def grown(
-    chart: PointChart, weights: NDArray[np.float64], min_members: int, min_shared: int
+    chart: PointChart, weights: Floats, min_members: int, min_shared: int
 ) -> tuple[list[int], list[int]] | None:
     """Grow a group of all candidates; return its landmarks and iterations."""
     everybody = np.arange(len(chart.landmarks))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from relmap import PointMapper, RelmapError
+from relmap.core.arrays import Floats
 from tests.savedmaps import state
 from tests.worlds import aligned_rmse, random_rotation, walk
 
@@ -104,7 +105,7 @@ def test_a_rejected_update_is_not_in_the_journal(tmp_path: Path) -> None:
     assert PointMapper.resume(tmp_path / "run.journal").n_iterations == 30
 
 
-def given_as(points: NDArray[np.float64], how: int) -> Any:
+def given_as(points: Floats, how: int) -> Any:
     """Return the same points as a sensor might give them."""
     frozen = points.copy()
     frozen.flags.writeable = False
@@ -134,7 +135,7 @@ def test_float32_is_taken_for_what_it_is() -> None:
     assert single.map.positions.tobytes() == double.map.positions.tobytes()
 
 
-def stream(seed: int) -> list[NDArray[np.float64]]:
+def stream(seed: int) -> list[Floats]:
     return [points for _, points in walk(3, seed, 0.01, iterations=160).scans]
 
 

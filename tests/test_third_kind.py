@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from relmap.core import afterwards, readout
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association import Registration
 from relmap.core.config import MapperConfig
 from relmap.core.geometry.alignment import fit_rigid
@@ -27,7 +27,7 @@ class NearestSign:
     def __init__(self) -> None:
         self._before, self._numbers, self._n = np.empty((0, 3)), np.empty(0, dtype=np.int64), 0
 
-    def match(self, seen: NDArray[np.float64], ids: NDArray[np.int64] | None) -> NDArray[np.int64]:
+    def match(self, seen: Floats, ids: Ints | None) -> Ints:
         found = np.full(len(seen), -1)
         if len(self._before) and len(seen):
             away, nearest = cKDTree(self._before[:, :2]).query(seen[:, :2])
@@ -40,10 +40,10 @@ class NearestSign:
         self._before, self._numbers = seen, found
         return found
 
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def labels_of(self, landmarks: Ints) -> Ints:
         return landmarks
 
-    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         raise NotImplementedError
 
 
@@ -62,7 +62,7 @@ class SignModel:
     def association(self, config: MapperConfig) -> Registration:
         return NearestSign()
 
-    def rows(self, seen: NDArray[np.float64], found: NDArray[np.int64]) -> Rows:
+    def rows(self, seen: Floats, found: Ints) -> Rows:
         return {"landmark": 2 * found, "location": seen[:, :2], "heading": seen[:, 2]}
 
     def points(self, rows: Rows) -> Shown:
@@ -75,7 +75,7 @@ class SignModel:
             np.full(n, 2),
         )
 
-    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def average_in_basis(self, block: Floats) -> Floats | None:
         axis = block[1] - block[0]
         axis /= np.linalg.norm(axis, axis=1, keepdims=True)
         x, y = axis.T
@@ -85,7 +85,7 @@ class SignModel:
     def min_shared(self, dimension: int) -> int:
         return 2
 
-    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_compared(self, landmarks: Ints) -> Bools:
         return np.asarray(landmarks % 2 == 0)
 
     def may_be(self, table: LandmarkState, new: int, old: int) -> bool:

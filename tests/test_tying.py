@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats
 from relmap.core.association.tying import NEIGHBOURHOOD, neighbourhoods, tie_submaps
 from relmap.core.map.globalmap import GlobalMap
 from relmap.core.state.table import NONE, LandmarkState
@@ -18,7 +18,7 @@ seeds = st.integers(0, 2**32 - 1)
 dimensions = st.sampled_from([2, 3])
 both_dimensions = pytest.mark.parametrize("d", [2, 3])
 
-Points = NDArray[np.float64]
+Points = Floats
 
 
 def in_submaps(*places: Points) -> GlobalMap:

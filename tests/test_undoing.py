@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from relmap import MapperConfig, PointMapper
+from relmap.core.arrays import Ints
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.state.table import LandmarkState
 from relmap.evaluation.metrics import majority_ids, purity
@@ -14,7 +14,7 @@ from relmap.simulation import World, WorldSpec, simulate_figure_eight, simulate_
 from tests.worlds import aligned_rmse
 
 
-def mapped_world(world: World) -> tuple[PointMapper, NDArray[np.int64]]:
+def mapped_world(world: World) -> tuple[PointMapper, Ints]:
     """Return a refined map made without ids, and the label of every observation."""
     mapper = PointMapper()
     labels = np.concatenate([mapper.update(scan.points_robot) for scan in world.log.scans()])
@@ -23,7 +23,7 @@ def mapped_world(world: World) -> tuple[PointMapper, NDArray[np.int64]]:
     return mapper, labels
 
 
-def error_m(mapper: PointMapper, labels: NDArray[np.int64], world: World) -> float:
+def error_m(mapper: PointMapper, labels: Ints, world: World) -> float:
     """Return the landmark RMSE of the largest submap."""
     now = mapper.landmarks_of(labels)
     ids = dict(zip(*majority_ids(now, world.true_ids)[:2], strict=True))

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats
 from relmap.core.association.estimated import LONGEST, EstimatedCovariances
 from relmap.core.association.matching_kernels import nearest_within
 from relmap.core.association.metric import RayNoise, stretch_of
@@ -22,7 +22,7 @@ from relmap.simulation import World, WorldSpec, simulate_world
 from relmap.simulation.worlds import covariances_of
 from tests.worlds import random_rotation
 
-Array = NDArray[np.float64]
+Array = Floats
 SIGMA = 0.05
 
 

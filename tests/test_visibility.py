@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.simulation import simulate_building
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.visibility import SeenWalls, seen_walls
@@ -20,7 +20,7 @@ def look(*walls: tuple[float, float, float, float], range_m: float = 10.0) -> Se
     return seen_walls(ends, range_m, RIGHT_ANGLE / 2)
 
 
-def bearings(seen: SeenWalls) -> NDArray[np.float64]:
+def bearings(seen: SeenWalls) -> Floats:
     return np.asarray(np.arctan2(seen.ends[..., 1], seen.ends[..., 0]))
 
 
@@ -77,9 +77,7 @@ def test_an_empty_world_shows_nothing() -> None:
     assert len(look().wall) == 0
 
 
-def random_views(
-    count: int, most_deg: float = 90
-) -> list[tuple[NDArray[np.float64], float, float]]:
+def random_views(count: int, most_deg: float = 90) -> list[tuple[Floats, float, float]]:
     """Return walls in the frame of robots on random places of random worlds, range, half view."""
     views = []
     worlds: tuple[World, ...] = ("building", "panels")
@@ -95,7 +93,7 @@ def random_views(
 
 
 @pytest.mark.parametrize("view", random_views(12) + random_views(12, 179))
-def test_ray_casting_meets_the_same_walls(view: tuple[NDArray[np.float64], float, float]) -> None:
+def test_ray_casting_meets_the_same_walls(view: tuple[Floats, float, float]) -> None:
     ends, range_m, half_view = view
     seen = seen_walls(ends, range_m, half_view)
     limits = bearings(seen)
@@ -115,7 +113,7 @@ def test_ray_casting_meets_the_same_walls(view: tuple[NDArray[np.float64], float
 
 
 @pytest.mark.parametrize("view", random_views(30) + random_views(30, 179))
-def test_ends_are_what_they_are_called(view: tuple[NDArray[np.float64], float, float]) -> None:
+def test_ends_are_what_they_are_called(view: tuple[Floats, float, float]) -> None:
     ends, range_m, half_view = view
     seen = seen_walls(ends, range_m, half_view)
     for wall, pair, types in zip(seen.wall, seen.ends, seen.end_type, strict=True):

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from numpy.typing import NDArray
 
 from relmap import PlaneMapper
+from relmap.core.arrays import Floats
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.schur import Linearised
 from relmap.datasets.scans import SensorView
@@ -26,7 +26,7 @@ from relmap.planes.placement import Match
 from relmap.planes.tying import BELIEVED
 from relmap.simulation import simulate_building
 
-Array = NDArray[np.float64]
+Array = Floats
 
 RANGE_M = 8.0
 VIEW = SensorView(np.pi, RANGE_M)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from relmap import PointMapper
 from relmap.cli import app
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
+from relmap.core.arrays import Floats
 from relmap.core.refinement import settling
 from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Solution
@@ -67,7 +67,7 @@ def driven(log: ObservationLog) -> PointMapper:
     return mapper
 
 
-def error(mapper: PointMapper, truth: NDArray[np.float64]) -> float:
+def error(mapper: PointMapper, truth: Floats) -> float:
     return aligned_rmse(mapper.map.positions, truth[mapper.map.landmark_ids])
 
 

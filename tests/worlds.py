@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from relmap import PointMapper
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 
-Scans = list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+Scans = list[tuple[Ints, Floats]]
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,12 @@ class Walk:
     ``landmarks`` (m, d) are in the frame of the first pose; ``scans`` are pairs of ids and points.
     """
 
-    landmarks: NDArray[np.float64]
-    poses: list[tuple[NDArray[np.float64], NDArray[np.float64]]]
-    scans: list[tuple[NDArray[np.int64], NDArray[np.float64]]]
+    landmarks: Floats
+    poses: list[tuple[Floats, Floats]]
+    scans: list[tuple[Ints, Floats]]
 
 
-def random_rotation(dimension: int, angle: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def random_rotation(dimension: int, angle: float, rng: np.random.Generator) -> Floats:
     """Return a rotation of up to `angle` radians about each axis."""
     if dimension == 2:
         a = rng.uniform(-angle, angle)
@@ -52,9 +52,7 @@ def walk(dimension: int, seed: int, sigma: float = 0.0, iterations: int = 120) -
     return Walk((road - t0) @ R0, poses, scans)
 
 
-def mapped(
-    scans: list[tuple[NDArray[np.int64], NDArray[np.float64]]],
-) -> PointMapper:
+def mapped(scans: list[tuple[Ints, Floats]]) -> PointMapper:
     """Map scans with known association."""
     mapper = PointMapper()
     for ids, points in scans:
@@ -63,18 +61,18 @@ def mapped(
     return mapper
 
 
-def aligned_rmse(positions: NDArray[np.float64], truth: NDArray[np.float64]) -> float:
+def aligned_rmse(positions: Floats, truth: Floats) -> float:
     """Return the root mean squared distance after rigid alignment."""
     R, t = fit_rigid(positions, truth)
     return float(np.sqrt(np.mean(np.sum((positions @ R.T + t - truth) ** 2, axis=1))))
 
 
-def spacing(points: NDArray[np.float64]) -> float:
+def spacing(points: Floats) -> float:
     """Return the median distance of points (n, d) to their nearest neighbours."""
     return float(np.median(np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1]))
 
 
-def two_visits(dimension: int, seed: int, sigma: float = 0.02) -> tuple[NDArray[np.float64], Scans]:
+def two_visits(dimension: int, seed: int, sigma: float = 0.02) -> tuple[Floats, Scans]:
     """Map a place, leave it through a stretch where nothing lasts, and come back to it, briefly.
 
     Returns

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 import typer
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 
 if TYPE_CHECKING:
     import numpy as np
-    from numpy.typing import NDArray
 
     from relmap.datasets.scans import ScanLog
     from relmap.simulation.odometry import Wheels
@@ -117,11 +117,7 @@ NONE = Counted(None, None, None)
 
 
 def write_odometry(
-    folder: Path,
-    counted: Counted,
-    poses: NDArray[np.float64],
-    stamps_s: NDArray[np.float64] | None,
-    seed: int,
+    folder: Path, counted: Counted, poses: Floats, stamps_s: Floats | None, seed: int
 ) -> int:
     """Write the odometry of a simulated path into a folder; return the number of files."""
     import numpy as np

@@ -11,11 +11,11 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.methods.base import MethodInfo
 from relmap.comparison.methods.registry import check_method, find_method, fitting_methods
 from relmap.comparison.methods.running import ACCURACY, COST, PATH, MethodRun, try_method
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.evaluation import metrics
@@ -151,7 +151,7 @@ def _run_and_send(
 
 def landmark_error_curve(
     method: Method, log: ObservationLog, truth: Truth, every: int = 10
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+) -> tuple[Ints, Floats]:
     """Return the landmark error over the iterations of a log with known ids (Fig. 16).
 
     Parameters

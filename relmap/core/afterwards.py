@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.core.association.loops import LoopFinder
 from relmap.core.association.merging import merge_doubles
 from relmap.core.association.sightings import Sightings, rows_of_tracks
@@ -178,7 +178,7 @@ def leave_out_rare(engine: RelativeMapper) -> None:
         engine.table.take_off_map(np.flatnonzero(_rare(engine)))
 
 
-def _rare(engine: RelativeMapper) -> NDArray[np.bool_]:
+def _rare(engine: RelativeMapper) -> Bools:
     """Tell which landmarks (m,) are mapped though they were seen less often than a group needs."""
     table, rows, n = engine.table, engine.rows, len(engine.table)
     if is_bridged(engine):  # Scans of one or two landmarks are in no segment.
@@ -208,7 +208,7 @@ def undo(engine: RelativeMapper) -> int:
     return changes
 
 
-def _part(engine: RelativeMapper, rows: SegmentRows, tracks: NDArray[np.int64]) -> None:
+def _part(engine: RelativeMapper, rows: SegmentRows, tracks: Ints) -> None:
     """Make merged tracks (k,) landmarks of their own again, mapped where they were seen."""
     table = engine.table
     places, seen = places_of(table, rows, tracks)

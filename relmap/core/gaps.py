@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.sightings import rows_of_tracks
 from relmap.core.mapper import RelativeMapper
 from relmap.core.motion_noise import MotionNoise
@@ -113,7 +112,7 @@ def _solver(
     )
 
 
-def _at_rest(engine: RelativeMapper, solved: list[Solved]) -> NDArray[np.int64]:
+def _at_rest(engine: RelativeMapper, solved: list[Solved]) -> Ints:
     """Return the landmarks (k,) taken for moving that keep their place as well as others do.
 
     Groups of two or three landmarks make more of noise than it is.
@@ -153,7 +152,7 @@ def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
 
 
 def _in_use(
-    use: OdometryUse, solved: list[Solved], hanging: NDArray[np.int64], n_iterations: int
+    use: OdometryUse, solved: list[Solved], hanging: Ints, n_iterations: int
 ) -> OdometryUse:
     """Return how odometry is used in a map of solved parts."""
     poses, sigmas = np.full((n_iterations, 4, 4), np.nan), np.ones(3)

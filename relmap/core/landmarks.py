@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.columns import Table
 
 
-def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def in_space(positions: Floats) -> Floats:
     """Return positions (n, d) as (n, 3), with z = 0 in a planar world."""
     spatial = np.zeros((len(positions), 3))
     spatial[:, : positions.shape[1]] = positions
@@ -35,9 +36,9 @@ class LandmarkMap(Table):
         averages only. (0, 3, 3) if unknown.
     """
 
-    landmark_ids: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    covariances: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3, 3)))
+    landmark_ids: Ints
+    positions: Floats
+    covariances: Floats = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +53,8 @@ class Submap:
         First and last iteration that saw its landmarks, counted from the mapper's first update.
     """
 
-    landmark_ids: NDArray[np.int64]
-    positions: NDArray[np.float64]
+    landmark_ids: Ints
+    positions: Floats
     first_iteration: int
     last_iteration: int
 
@@ -87,24 +88,24 @@ class LandmarkTable(Table):
         label of one of them, the same for all; -1 otherwise.
     """
 
-    landmark: NDArray[np.int64]
-    position: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    observations: NDArray[np.int64]
-    first_iteration: NDArray[np.int64]
-    last_iteration: NDArray[np.int64]
-    level: NDArray[np.int64]
+    landmark: Ints
+    position: Floats
+    sd: Floats
+    observations: Ints
+    first_iteration: Ints
+    last_iteration: Ints
+    level: Ints
     status: NDArray[np.str_]
-    submap: NDArray[np.int64]
-    moving_bin: NDArray[np.int64]
+    submap: Ints
+    moving_bin: Ints
 
     @property
-    def landmark_ids(self) -> NDArray[np.int64]:
+    def landmark_ids(self) -> Ints:
         """Same as `landmark`, under the name used by `LandmarkMap`."""
         return self.landmark
 
     @property
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> Floats:
         """Same as `position`, under the name used by `LandmarkMap`."""
         return self.position
 
@@ -124,7 +125,7 @@ class MappedGroup:
         The common interval.
     """
 
-    landmarks: NDArray[np.int64]
-    relative_map: NDArray[np.float64]
-    n_observations: NDArray[np.int64]
-    iterations: NDArray[np.int64]
+    landmarks: Ints
+    relative_map: Floats
+    n_observations: Ints
+    iterations: Ints

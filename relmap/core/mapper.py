@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.choice import DataAssociation
 from relmap.core.association.merging import Merger
 from relmap.core.config import MapperConfig
@@ -68,10 +68,10 @@ class RelativeMapper:
     def update(
         self,
         seen: Any,
-        ids: NDArray[np.int64] | None,
-        covariances: NDArray[np.float64] | None = None,
-        odometry: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.int64]:
+        ids: Ints | None,
+        covariances: Floats | None = None,
+        odometry: Floats | None = None,
+    ) -> Ints:
         """Process one scan.
 
         Parameters
@@ -118,7 +118,7 @@ class RelativeMapper:
         take_turns(self, landmarks, left)
         return found
 
-    def group(self, seed: int, level: int) -> NDArray[np.int64]:
+    def group(self, seed: int, level: int) -> Ints:
         """Group a landmark with those seen with it, at level 1, 2 or 3; return the mapped ones."""
         chart, fixes = self.chart(seed), self.model.min_shared(self.table.dimension)
         for submap in self.map.submaps_of(chart.landmarks, fixes):
@@ -143,7 +143,7 @@ class RelativeMapper:
         return replace(chart, variance=self.weighed.variances(*of))
 
     def relative_map(
-        self, chart: PointChart, weights: NDArray[np.float64], min_shared: int
+        self, chart: PointChart, weights: Floats, min_shared: int
     ) -> RelativeMap | None:
         """Average the static landmarks of a chart relative to each other; update which ones move.
 
@@ -160,12 +160,12 @@ class RelativeMapper:
         self.placing.leave_out_moving(chart.landmarks)
         return relative
 
-    def merge(self, placed: NDArray[np.int64]) -> int:
+    def merge(self, placed: Ints) -> int:
         """Merge re-observed landmarks among landmarks (k,) with the older ones; return how many."""
         levels, noise_m = self.table.highest_level[placed], self.averaging.noise.sigma_m
         return self.merge_pairs(self.merger.find(placed, levels, noise_m))
 
-    def merge_pairs(self, pairs: NDArray[np.int64]) -> int:
+    def merge_pairs(self, pairs: Ints) -> int:
         """Merge each pair (k, 2) of a landmark and the older one that it is; return how many."""
         for new, old in pairs.tolist():
             for part in (self.store, self.table, self.schedule, self.merger):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.base import Registration
 from relmap.core.config import MapperConfig
 from relmap.core.state.store import Rows, Shown
@@ -39,7 +37,7 @@ class LandmarkModel(Protocol):
         """Whether observations are kept after the last group that needs them."""
         ...
 
-    def rows(self, seen: Any, found: NDArray[np.int64]) -> Rows:
+    def rows(self, seen: Any, found: Ints) -> Rows:
         """Return the columns to store for one scan.
 
         Parameters
@@ -54,7 +52,7 @@ class LandmarkModel(Protocol):
         """Return the points that represent landmarks, computed from stored rows."""
         ...
 
-    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def average_in_basis(self, block: Floats) -> Floats | None:
         """Average a group's locations in its consistent basis (Figs 1, 2 and 8).
 
         Parameters
@@ -77,7 +75,7 @@ class LandmarkModel(Protocol):
         """Ratio of the largest to the typical noise of a point."""
         ...
 
-    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones when they are re-observed."""
         ...
 

@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from relmap.core.arrays import Bools, Floats
 
 FEWEST = 8
 """Comparisons below which odometry cannot be judged."""
@@ -47,7 +47,7 @@ class MotionNoise:
     """
 
     scale: float = 1.0
-    turn_per_m: Array = field(default_factory=lambda: np.zeros(3))
+    turn_per_m: Floats = field(default_factory=lambda: np.zeros(3))
     sigma_way: float = 0.05
     sigma_m: float = 0.002
     sigma_rad: float = 0.005
@@ -57,7 +57,7 @@ class MotionNoise:
         """Whether odometry is not that of this robot, or of another time."""
         return abs(self.scale - 1) > WRONG_SCALE or self.sigma_way > WRONG_WAY
 
-    def corrected(self, odometry: Array) -> Array:
+    def corrected(self, odometry: Floats) -> Floats:
         """Return motions (k, 4, 4) without the constant errors."""
         found = odometry.copy()
         found[:, :3, 3] *= self.scale
@@ -67,14 +67,14 @@ class MotionNoise:
         found[known, :3, :3] = Rotation.from_rotvec(turn[known]).as_matrix()
         return found
 
-    def sigmas(self, odometry: Array) -> tuple[Array, Array]:
+    def sigmas(self, odometry: Floats) -> tuple[Floats, Floats]:
         """Return the standard deviations (k,) of a coordinate, metres, and an angle, radians."""
         way = np.linalg.norm(odometry[:, :3, 3], axis=1)
         return np.hypot(self.sigma_way * way, self.sigma_m), np.full(len(way), self.sigma_rad)
 
     def slipped(
-        self, odometry: Array, measured: Array, sd_m: ArrayLike = 0.0, sd_rad: ArrayLike = 0.0
-    ) -> NDArray[np.bool_]:
+        self, odometry: Floats, measured: Floats, sd_m: ArrayLike = 0.0, sd_rad: ArrayLike = 0.0
+    ) -> Bools:
         """Tell in which steps (k,) odometry went another way than what was measured (k, 4, 4).
 
         Parameters
@@ -89,7 +89,7 @@ class MotionNoise:
         return np.asarray(is_far | (off_rad > SLIPPED * np.hypot(sigma_rad, sd_rad)))
 
 
-def motion_noise(odometry: Array, measured: Array) -> MotionNoise | None:
+def motion_noise(odometry: Floats, measured: Floats) -> MotionNoise | None:
     """Return what is wrong with odometry where motions are known better; None of too few.
 
     Parameters
@@ -119,10 +119,10 @@ def motion_noise(odometry: Array, measured: Array) -> MotionNoise | None:
     return MotionNoise(scale, per_m, float(off_m), max(still_m, FLOOR_M), max(sigma_rad, FLOOR_RAD))
 
 
-def _least_deviations(columns: Array, values: Array) -> Array:
+def _least_deviations(columns: Floats, values: Floats) -> Floats:
     """Return the coefficients (c,) of columns (n, c) whose absolute deviations are least."""
     weight = np.ones(len(values))
-    found: Array = np.zeros(columns.shape[1])
+    found: Floats = np.zeros(columns.shape[1])
     least = 1e-6 * max(float(np.abs(values).max(initial=0.0)), 1e-12)
     for _ in range(ROUNDS):
         root = np.sqrt(weight)
@@ -133,7 +133,7 @@ def _least_deviations(columns: Array, values: Array) -> Array:
     return found
 
 
-def _turns(motions: Array) -> Array:
+def _turns(motions: Floats) -> Floats:
     """Return the rotation vectors (k, 3) of motions; NaN where they are not known."""
     found = np.full((len(motions), 3), np.nan)
     known = np.isfinite(motions[:, 0, 0])
@@ -142,13 +142,13 @@ def _turns(motions: Array) -> Array:
     return found
 
 
-def _apart(first: Array, second: Array) -> tuple[Array, Array]:
+def _apart(first: Floats, second: Floats) -> tuple[Floats, Floats]:
     """Return how far motions (k, 4, 4) are from others, metres, and by what angle, radians."""
     off_m = np.linalg.norm(first[:, :3, 3] - second[:, :3, 3], axis=1)
     turn = np.swapaxes(first[:, :3, :3], 1, 2) @ second[:, :3, :3]
     return off_m, np.linalg.norm(_turns(turn), axis=1)
 
 
-def _axes(*motions: Array) -> int:
+def _axes(*motions: Floats) -> int:
     """Return how many axes motions have: 2 where all are in the plane."""
     return 3 if any((np.abs(motion[:, 2, 3]) > 0).any() for motion in motions) else 2

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.scan import FARTHEST_M, numbers
@@ -21,7 +22,7 @@ RIGID = 1e-6
 """How far a rotation may be from orthogonal: rounding of files with six digits or more."""
 
 
-def checked_odometry(odometry: ArrayLike) -> NDArray[np.float64]:
+def checked_odometry(odometry: ArrayLike) -> Floats:
     """Return a motion as a new pose (4, 4) float64.
 
     Parameters
@@ -48,9 +49,7 @@ def checked_odometry(odometry: ArrayLike) -> NDArray[np.float64]:
     return _of_matrix(array) if array.ndim == 2 else _of_numbers(array)
 
 
-def motion_from_velocity(
-    speed_m_s: float, yaw_rate_rad_s: float, duration_s: float
-) -> NDArray[np.float64]:
+def motion_from_velocity(speed_m_s: float, yaw_rate_rad_s: float, duration_s: float) -> Floats:
     """Return the motion (3,) x, y, yaw at constant speed and rate of turn: an arc of a circle.
 
     Parameters
@@ -92,14 +91,14 @@ class OdometryUse:
 
     noise: MotionNoise
     is_used: bool
-    left_out: NDArray[np.int64]
-    hanging: NDArray[np.int64]
-    poses: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
+    left_out: Ints
+    hanging: Ints
+    poses: Floats
+    sigmas: Floats
     drift: float = 1.0
 
     @classmethod
-    def of(cls, noise: MotionNoise, slipped: NDArray[np.bool_]) -> OdometryUse:
+    def of(cls, noise: MotionNoise, slipped: Bools) -> OdometryUse:
         """Return that of odometry which was checked, but not used.
 
         Parameters
@@ -125,7 +124,7 @@ class Motions:
         """Return for how many iterations there is a row."""
         return len(self._motion)
 
-    def append(self, motion: NDArray[np.float64] | None, iteration: int) -> None:
+    def append(self, motion: Floats | None, iteration: int) -> None:
         """Take in the motion (4, 4) to an iteration; None or NaN where it is not known."""
         if motion is None and not len(self):
             return
@@ -133,7 +132,7 @@ class Motions:
             self._begin = iteration
         self._motion.extend(np.full((1, 4, 4), np.nan) if motion is None else motion[None])
 
-    def between(self, begin: int, end: int) -> NDArray[np.float64]:
+    def between(self, begin: int, end: int) -> Floats:
         """Return the motions to iterations begin:end (end - begin, 4, 4), NaN where not known."""
         found = np.full((end - begin, 4, 4), np.nan)
         first, last = max(begin, self._begin), min(end, self._begin + len(self))
@@ -142,12 +141,12 @@ class Motions:
             found[first - begin : last - begin] = self._motion.values[rows]
         return found
 
-    def over(self, n_iterations: int) -> NDArray[np.float64]:
+    def over(self, n_iterations: int) -> Floats:
         """Return the motion to each iteration (n_iterations, 4, 4); NaN where it is not known."""
         return self.between(0, n_iterations)
 
 
-def _of_numbers(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def _of_numbers(array: Floats) -> Floats:
     motion = np.eye(4)
     if len(array) == 3:
         motion[:2, 3] = array[:2]
@@ -160,7 +159,7 @@ def _of_numbers(array: NDArray[np.float64]) -> NDArray[np.float64]:
     return motion
 
 
-def _of_matrix(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def _of_matrix(array: Floats) -> Floats:
     R = array[:3, :3]
     rigid = np.abs(R @ R.T - np.eye(3)).max() <= RIGID and np.linalg.det(R) > 0
     if not rigid or np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID:

@@ -7,23 +7,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, Submap, in_space
 from relmap.core.map.pose import trajectory
 from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE, LandmarkState
 
 
-def labels(engine: RelativeMapper) -> NDArray[np.int64]:
+def labels(engine: RelativeMapper) -> Ints:
     """Return the public labels of landmarks (n,)."""
     return engine.association.labels_of(np.arange(len(engine.table)))
 
 
-def positions_in_largest_submap(table: LandmarkState) -> NDArray[np.float64]:
+def positions_in_largest_submap(table: LandmarkState) -> Floats:
     """Return the positions (n, d) of the largest submap, map frame, metres; NaN for the rest."""
     return np.where(_ranks(table)[:, None] == 0, table.position, np.nan)
 
 
-def covariances_in_largest_submap(engine: RelativeMapper) -> NDArray[np.float64]:
+def covariances_in_largest_submap(engine: RelativeMapper) -> Floats:
     """Return the covariances (n, d, d) of the positions, square metres; NaN if unmapped.
 
     After refinement they come from the joint least squares, in the robot frame of the submap's
@@ -32,7 +33,7 @@ def covariances_in_largest_submap(engine: RelativeMapper) -> NDArray[np.float64]
     table = engine.table
     mapped = _ranks(table) == 0
     variance = engine.averaging.noise.sigma_m**2 / np.maximum(table.weight, 1)
-    covariances: NDArray[np.float64] = variance[:, None, None] * np.eye(table.dimension)
+    covariances: Floats = variance[:, None, None] * np.eye(table.dimension)
     for submap in engine.refined:
         if mapped[submap.landmarks].any():
             covariances[submap.landmarks] = submap.covariances
@@ -97,7 +98,7 @@ def mapped_groups(engine: RelativeMapper) -> list[MappedGroup]:
     return [replace(group, landmarks=called[of[group.landmarks]]) for group in engine.levels.groups]
 
 
-def path(engine: RelativeMapper) -> NDArray[np.float64]:
+def path(engine: RelativeMapper) -> Floats:
     """Return ``T_map_robot`` of every iteration (k, 4, 4); NaN where undetermined."""
     if engine.odometry is not None and engine.odometry.is_used:
         return engine.odometry.poses
@@ -105,9 +106,7 @@ def path(engine: RelativeMapper) -> NDArray[np.float64]:
     return trajectory(engine.rows, positions, engine.table.landmark_of)
 
 
-def _moving_bins(
-    table: LandmarkState, status: NDArray[np.str_], called: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _moving_bins(table: LandmarkState, status: NDArray[np.str_], called: Ints) -> Ints:
     """Return for dynamic landmarks that move together the label (n,) of one of them, or `NONE`."""
     bins = np.where(status == "dynamic", table.moving_bin, NONE)
     _, first, members, sizes = np.unique(
@@ -117,7 +116,7 @@ def _moving_bins(
     return np.where(together, called[first[members]], NONE)
 
 
-def _ranks(table: LandmarkState) -> NDArray[np.int64]:
+def _ranks(table: LandmarkState) -> Ints:
     """Return the index of each landmark's submap in descending order of size, or `NONE`."""
     mapped = table.submap != NONE
     submaps, members, counts = np.unique(

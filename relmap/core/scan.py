@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 
 FARTHEST_M = 1e9
@@ -19,7 +20,7 @@ SINGULAR = 1e-12
 exhausted."""
 
 
-def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
+def checked_points(points: ArrayLike, dimension: int) -> Floats:
     """Return the points of one scan as a new array (n, d) float64.
 
     Parameters
@@ -54,7 +55,7 @@ def checked_points(points: ArrayLike, dimension: int) -> NDArray[np.float64]:
     return array
 
 
-def numbers(values: ArrayLike, name: str, wanted: str) -> NDArray[np.float64]:
+def numbers(values: ArrayLike, name: str, wanted: str) -> Floats:
     """Return values as a new, contiguous float64 array without negative zeros.
 
     Parameters
@@ -78,7 +79,7 @@ def numbers(values: ArrayLike, name: str, wanted: str) -> NDArray[np.float64]:
         raise RelmapError(f"{name} must be {wanted}: {error}") from error
 
 
-def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
+def checked_ids(ids: ArrayLike, n_points: int) -> Ints:
     """Return the ids of one scan as an array (n,) int64.
 
     Raises
@@ -107,7 +108,7 @@ def checked_ids(ids: ArrayLike, n_points: int) -> NDArray[np.int64]:
     return array
 
 
-def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def checked_covariances(covariances: ArrayLike, points: Floats) -> Floats:
     """Return the covariances of one scan as a new array (n, d, d) float64, exactly symmetric.
 
     Parameters
@@ -144,7 +145,7 @@ def checked_covariances(covariances: ArrayLike, points: NDArray[np.float64]) -> 
     return array
 
 
-def _require(good: NDArray[np.bool_], covariances: NDArray[np.float64], what: str) -> None:
+def _require(good: Bools, covariances: Floats, what: str) -> None:
     if not good.all():
         row = int(np.argmin(good))
         raise RelmapError(
@@ -153,7 +154,7 @@ def _require(good: NDArray[np.bool_], covariances: NDArray[np.float64], what: st
         )
 
 
-def checked_labels(labels: ArrayLike, handed_out: NDArray[np.int64]) -> NDArray[np.int64]:
+def checked_labels(labels: ArrayLike, handed_out: Ints) -> Ints:
     """Return labels (n,) as int64 after checking that they are among the known ones (k,).
 
     Raises

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
 
@@ -18,7 +19,7 @@ def range_bearing_covariances(
     range_sigma_m: float,
     bearing_sigma_rad: float,
     elevation_sigma_rad: float | None = None,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the covariances of points measured by range, bearing and, in space, elevation.
 
     First-order propagation: the range variance along the ray, the angular variance times the

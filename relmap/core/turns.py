@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 from relmap.core.grouping.chart import PointChart
 from relmap.core.grouping.completion import RelativeMap
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from relmap.core.mapper import RelativeMapper
 
 
-def take_turns(engine: RelativeMapper, seen: NDArray[np.int64], left: NDArray[np.int64]) -> None:
+def take_turns(engine: RelativeMapper, seen: Ints, left: Ints) -> None:
     """Group, group for the last time, forget, or refine the live map.
 
     Parameters
@@ -94,9 +94,7 @@ def found_submap(engine: RelativeMapper, seed: int, level: int) -> None:
         engine.placing.place(engine.map.new_submap(), level, placed, relative)
 
 
-def placed_first(
-    engine: RelativeMapper, chart: PointChart
-) -> tuple[NDArray[np.float64], RelativeMap] | None:
+def placed_first(engine: RelativeMapper, chart: PointChart) -> tuple[Floats, RelativeMap] | None:
     """Return a relative map of a chart, and its positions in the robot frame that saw it first.
 
     None if no group can be grown.
@@ -126,6 +124,6 @@ def last_pass(engine: RelativeMapper, seed: int) -> None:
     engine.merger.leave(np.array([seed]))
 
 
-def _merge_seen_again(engine: RelativeMapper, placed: NDArray[np.int64]) -> None:
+def _merge_seen_again(engine: RelativeMapper, placed: Ints) -> None:
     if not engine.association.has_ids:
         engine.merge(placed)

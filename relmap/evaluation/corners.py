@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.evaluation import metrics
 from relmap.evaluation.metrics import Matched
@@ -34,13 +35,13 @@ class MatchedCorners(Matched):
         Mapped corners that match no true one.
     """
 
-    wall: NDArray[np.int64]
-    end: NDArray[np.int64]
+    wall: Ints
+    end: Ints
     n_false: int
 
 
 def judge_corners(
-    planes: PlaneTable, truth: Truth, poses: NDArray[np.float64], true_poses: NDArray[np.float64]
+    planes: PlaneTable, truth: Truth, poses: Floats, true_poses: Floats
 ) -> tuple[dict[str, float | None], dict[str, int], list[str]]:
     """Evaluate a map of walls; see `relmap.evaluation.landmarks.judge_landmarks`."""
     counts = {
@@ -75,7 +76,7 @@ def _corners(planes: PlaneTable) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return row, end
 
 
-def _why_unmatched(planes: PlaneTable, true_poses: NDArray[np.float64]) -> str:
+def _why_unmatched(planes: PlaneTable, true_poses: Floats) -> str:
     """Return the reason why `match_corners` found nothing."""
     if not len(_corners(planes)[0]):
         return "no corner is mapped"
@@ -85,10 +86,7 @@ def _why_unmatched(planes: PlaneTable, true_poses: NDArray[np.float64]) -> str:
 
 
 def match_corners(
-    planes: PlaneTable,
-    truth: Truth,
-    poses: NDArray[np.float64],
-    true_poses: NDArray[np.float64],
+    planes: PlaneTable, truth: Truth, poses: Floats, true_poses: Floats
 ) -> MatchedCorners | None:
     """Pair mapped corners with true ones and align the two, starting from the paths.
 

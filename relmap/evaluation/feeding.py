@@ -9,8 +9,8 @@ from types import SimpleNamespace
 from typing import Any, Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap
 from relmap.datasets.base import ObservationLog
@@ -31,7 +31,7 @@ Progress = Callable[[int, int], object]
 class Method(Protocol):
     """A mapper, or another method for comparison."""
 
-    def update(self, points: Any, /, ids: Any = None) -> NDArray[np.int64]:
+    def update(self, points: Any, /, ids: Any = None) -> Ints:
         """Process one iteration.
 
         Parameters
@@ -49,7 +49,7 @@ class Method(Protocol):
     def finish(self) -> None:
         """Complete the map at the end of the log."""
 
-    def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
+    def landmarks_of(self, labels: Ints, /) -> Ints:
         """Return the current labels of landmarks (n,), given labels from earlier updates."""
 
     @property
@@ -65,7 +65,7 @@ class Method(Protocol):
         """The submaps, the map itself first; empty if not supported."""
 
     @property
-    def trajectory(self) -> NDArray[np.float64]:
+    def trajectory(self) -> Floats:
         """``T_map_robot`` of every iteration so far, (k, 4, 4); NaN if unknown."""
 
 
@@ -82,8 +82,8 @@ class Fed:
     finish_s, refine_s : float
     """
 
-    labels: list[NDArray[np.int64]]
-    durations_s: NDArray[np.float64]
+    labels: list[Ints]
+    durations_s: Floats
     finish_s: float
     refine_s: float
 
@@ -160,7 +160,7 @@ def _known_of(method: Method, scan: Any, odometry: bool) -> dict[str, Any]:
 
 def preparation(
     method: Method, log: Log, segmenter: PlaneSegmenter | None = None
-) -> Callable[[NDArray[np.float64]], Any]:
+) -> Callable[[Floats], Any]:
     """Return the conversion from the points of a scan to the input of the method."""
     if not (isinstance(method, PlaneMapper) and isinstance(log, ScanLog)):
         return lambda points_robot: points_robot
@@ -175,7 +175,7 @@ def segmenter_for(view: SensorView, method: str | None = None) -> PlaneSegmenter
 
 
 def segment_scan(
-    segmenter: PlaneSegmenter, points_robot: NDArray[np.float64], view: SensorView
+    segmenter: PlaneSegmenter, points_robot: Floats, view: SensorView
 ) -> SimpleNamespace:
     """Return the planes of a scan as input for the mapper, as seen from the sensor.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association.pairing import Motion, paired
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
@@ -31,11 +32,11 @@ class Identified:
         All observations of the mapped iterations, including those without a label.
     """
 
-    landmark: NDArray[np.int64]
-    true_id: NDArray[np.int64]
-    iteration: NDArray[np.int64]
-    seen_id: NDArray[np.int64]
-    seen_iteration: NDArray[np.int64]
+    landmark: Ints
+    true_id: Ints
+    iteration: Ints
+    seen_id: Ints
+    seen_iteration: Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +53,9 @@ class Overlay:
         Mapped and true position of each landmark that can be compared.
     """
 
-    landmarks_map: NDArray[np.float64]
-    path_map: NDArray[np.float64]
-    errors_map: NDArray[np.float64]
+    landmarks_map: Floats
+    path_map: Floats
+    errors_map: Floats
 
 
 def judge_landmarks(
@@ -241,15 +242,15 @@ def match_landmarks(
 
 
 def _standing_for(
-    result: Result, identified: Identified, wanted: NDArray[np.bool_] | bool = True
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    result: Result, identified: Identified, wanted: Bools | bool = True
+) -> tuple[Ints, Ints]:
     """Return the labels of mapped landmarks and their true ids."""
     labels, ids, _ = metrics.majority_ids(identified.landmark, identified.true_id)
     chosen = np.isin(labels, result.landmarks.landmark[result.mapped & wanted])
     return labels[chosen], ids[chosen]
 
 
-def _find(keys: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
+def _find(keys: Ints, wanted: Ints) -> NDArray[np.intp]:
     """Return the index of each wanted number in the keys, -1 if missing."""
     if not len(keys):
         return np.full(len(wanted), -1, np.intp)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
 
 NO_COMMON_TIMES = "no ATE and no RPE: no pose of the result has the time of a true one"
@@ -32,23 +33,21 @@ class Matched:
     rmse_m : float or None
     """
 
-    position: NDArray[np.float64]
-    truth: NDArray[np.float64]
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
+    position: Floats
+    truth: Floats
+    R: Floats
+    t: Floats
     rmse_m: float | None
 
 
-def rms(errors: NDArray[np.float64]) -> float | None:
+def rms(errors: Floats) -> float | None:
     """Return the root mean square of the lengths of error vectors (n, d); None if n is 0."""
     if not len(errors):
         return None
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
-def align(
-    source: NDArray[np.float64], target: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Return the rigid motion (no scale) that brings the source closest to the target.
 
     Parameters
@@ -68,9 +67,7 @@ def align(
     return fit_rigid(source, target)
 
 
-def majority_ids(
-    landmark: NDArray[np.int64], true_id: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def majority_ids(landmark: Ints, true_id: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the true landmark of each mapped one, by majority of its observations.
 
     Parameters
@@ -96,7 +93,7 @@ def majority_ids(
     return labels, pairs[best, 1], votes[best]
 
 
-def purity(landmark: NDArray[np.int64], true_id: NDArray[np.int64]) -> float | None:
+def purity(landmark: Ints, true_id: Ints) -> float | None:
     """Return the fraction of observations that agree with the majority of their landmark.
 
     Parameters
@@ -115,9 +112,7 @@ def purity(landmark: NDArray[np.int64], true_id: NDArray[np.int64]) -> float | N
     return int(majority_ids(landmark, true_id)[2].sum()) / known
 
 
-def seen_often(
-    true_id: NDArray[np.int64], iteration: NDArray[np.int64], iterations: int = 10
-) -> NDArray[np.int64]:
+def seen_often(true_id: Ints, iteration: Ints, iterations: int = 10) -> Ints:
     """Return the true ids that were seen in at least so many iterations, ascending.
 
     Parameters
@@ -132,9 +127,7 @@ def seen_often(
     return np.asarray(ids[counts >= iterations], np.int64)
 
 
-def match_stamps(
-    stamps_s: NDArray[np.float64], others_s: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def match_stamps(stamps_s: Floats, others_s: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return which stamps (n,) match which others (m,): index arrays of equal length.
 
     Each is matched to the nearest other within `MATCH_S`; no other is used twice.
@@ -155,7 +148,7 @@ def match_stamps(
     return mine, order[nearest[mine]]
 
 
-def ate(poses: NDArray[np.float64], true_poses: NDArray[np.float64], planar: bool) -> float | None:
+def ate(poses: Floats, true_poses: Floats, planar: bool) -> float | None:
     """Return the absolute trajectory error: RMSE of the positions after rigid alignment, metres.
 
     Parameters
@@ -180,11 +173,7 @@ def ate(poses: NDArray[np.float64], true_poses: NDArray[np.float64], planar: boo
     return rms(position @ R.T + t - truth)
 
 
-def rpe(
-    poses: NDArray[np.float64],
-    true_poses: NDArray[np.float64],
-    instant: NDArray[np.intp],
-) -> float | None:
+def rpe(poses: Floats, true_poses: Floats, instant: NDArray[np.intp]) -> float | None:
     """Return the relative pose error between consecutive instants: RMSE of the translation, metres.
 
     Parameters
@@ -210,10 +199,7 @@ def rpe(
 
 
 def wrong_steps(
-    poses: NDArray[np.float64],
-    true_poses: NDArray[np.float64],
-    most_m: float = 0.3,
-    most_rad: float = np.deg2rad(10.0),
+    poses: Floats, true_poses: Floats, most_m: float = 0.3, most_rad: float = np.deg2rad(10.0)
 ) -> NDArray[np.intp]:
     """Return the scans of a submap with a wrong pose relative to the previous one.
 
@@ -235,9 +221,7 @@ def wrong_steps(
     return 1 + np.flatnonzero((shift_m > most_m) | (turn_rad > most_rad))
 
 
-def overlap(
-    points: NDArray[np.float64], others: NDArray[np.float64], T: NDArray[np.float64]
-) -> float:
+def overlap(points: Floats, others: Floats, T: Floats) -> float:
     """Return the fraction of the points of a scan that lie on those of another scan.
 
     Parameters
@@ -259,9 +243,7 @@ def overlap(
     return float((away <= ON_M).mean())
 
 
-def share_right(
-    scans: NDArray[np.float64], ates_m: NDArray[np.float64], n_scans: int, most_m: float = 0.3
-) -> float:
+def share_right(scans: Floats, ates_m: Floats, n_scans: int, most_m: float = 0.3) -> float:
     """Return the fraction of the scans of a log that lie in a correct submap.
 
     Parameters

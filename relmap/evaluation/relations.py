@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.datasets import Relations, read_relations
 from relmap.datasets.scans import planar_poses
 from relmap.datasets.textfile import open_text
@@ -47,7 +47,7 @@ def relations_by_clocks(path: Path) -> tuple[Relations, ...]:
 
 
 def relation_errors(
-    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], relations: tuple[Relations, ...]
+    stamps_s: Floats, poses: Floats, relations: tuple[Relations, ...]
 ) -> tuple[float, float] | None:
     """Return the mean error of a path against checked relations (Kuemmerle et al., 2009).
 
@@ -86,9 +86,7 @@ def relation_errors(
     return float(shift.mean()), float(turn.mean())
 
 
-def _poses_at(
-    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], when: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _poses_at(stamps_s: Floats, poses: Floats, when: Floats) -> Floats:
     """Return planar poses at given times, interpolated between those of the scans."""
     yaw = np.unwrap(np.arctan2(poses[:, 1, 0], poses[:, 0, 0]))
     x, y, angle = (np.interp(when, stamps_s, values) for values in (*poses[:, :2, 3].T, yaw))

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
 from relmap.evaluation.feeding import AnyMapper, Association, Log, Method, Progress, Through, feed
@@ -42,7 +42,7 @@ class Run:
     """
 
     result: Result
-    groups: tuple[NDArray[np.int64], ...]
+    groups: tuple[Ints, ...]
 
     @property
     def planes(self) -> PlaneTable:
@@ -58,7 +58,7 @@ def run_mapper(
     about: dict[str, Any] | None = None,
     through: Through = iter,
     refine: bool = False,
-    seen: Sequence[NDArray[np.int64]] = (),
+    seen: Sequence[Ints] = (),
     segmenter: PlaneSegmenter | None = None,
     odometry: bool = False,
     progress: Progress | None = None,
@@ -158,11 +158,7 @@ def map_log(
 
 
 def result_of(
-    method: Method,
-    log: Log,
-    labels: Sequence[NDArray[np.int64]],
-    association: Association,
-    offset: int,
+    method: Method, log: Log, labels: Sequence[Ints], association: Association, offset: int
 ) -> Result:
     """Return the result of a method on a log.
 
@@ -207,9 +203,7 @@ def result_of(
     return PlaneResult(**vars(result), planes=shifted(method.planes, offset), drawn=drawn)
 
 
-def _drawn(
-    mapper: PlaneMapper, number: int, stamps_s: NDArray[np.float64], offset: int
-) -> DrawnSubmap:
+def _drawn(mapper: PlaneMapper, number: int, stamps_s: Floats, offset: int) -> DrawnSubmap:
     """Return a submap for files and pictures."""
     submap = mapper.submaps[number]
     known = np.flatnonzero(np.isfinite(submap.poses[:, 0, 3]))
@@ -226,9 +220,7 @@ def _drawn(
     )
 
 
-def _tracks(
-    method: Method, log: Log, labels: Sequence[NDArray[np.int64]], association: Association
-) -> Tracks:
+def _tracks(method: Method, log: Log, labels: Sequence[Ints], association: Association) -> Tracks:
     """Return the landmark of each observation; for walls, `row` is the wall's index in its scan."""
     counts = [len(each) for each in labels]
     iteration = log.first_iteration + np.repeat(np.arange(len(counts)), counts)
@@ -244,7 +236,7 @@ def _tracks(
     return Tracks(iteration[known], rows[known], label[known], overruled)
 
 
-def stamps_of(log: Log) -> NDArray[np.float64]:
+def stamps_of(log: Log) -> Floats:
     """Return the time of each iteration, seconds, or its number if the log has no clock."""
     if log.stamps_s is not None:
         return log.stamps_s

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Generic, Literal, Protocol, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets import DATASETS, FORMATS, SCAN_DATASETS, SCAN_FORMATS, open_log, open_scans
 from relmap.datasets.base import ObservationLog
@@ -44,7 +44,7 @@ class Data(Generic[L]):
         return "scans" if isinstance(self.log, ScanLog) else "landmarks"
 
     @property
-    def ids(self) -> NDArray[np.int64] | None:
+    def ids(self) -> Ints | None:
         """The landmark of each observation (n,), negative if unknown; None without ids."""
         ids = self.log.ids if isinstance(self.log, ObservationLog) else None
         return None if ids is None or not (ids >= 0).any() else ids

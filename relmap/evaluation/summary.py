@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import NDArray
 
 import relmap
-from relmap.core.arrays import Ints
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
@@ -229,9 +229,7 @@ def _weakest(table: Any, columns: dict[str, str]) -> list[dict[str, Any]]:
     ]
 
 
-def timing(
-    durations_s: NDArray[np.float64], refine_s: float, segmented: bool
-) -> dict[str, float | None]:
+def timing(durations_s: Floats, refine_s: float, segmented: bool) -> dict[str, float | None]:
     """Return the times for a summary.
 
     Parameters
@@ -253,7 +251,7 @@ def timing(
     return told | {"refine_ms": 1e3 * refine_s}
 
 
-def timing_of(durations_s: NDArray[np.float64]) -> dict[str, float | None]:
+def timing_of(durations_s: Floats) -> dict[str, float | None]:
     """Return statistics of the time per iteration in milliseconds, from seconds (k,)."""
     return {
         "median_ms": _median_ms(durations_s),
@@ -263,7 +261,7 @@ def timing_of(durations_s: NDArray[np.float64]) -> dict[str, float | None]:
     }
 
 
-def _median_ms(seconds: NDArray[np.float64]) -> float | None:
+def _median_ms(seconds: Floats) -> float | None:
     return 1e3 * float(np.median(seconds)) if len(seconds) else None
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog, stored_scans
@@ -112,8 +112,8 @@ def scan_surface_points(
 
 
 def _points_on(
-    walls: NDArray[np.float64], spacing_m: float, rng: np.random.Generator
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    walls: Floats, spacing_m: float, rng: np.random.Generator
+) -> tuple[Floats, Ints, Floats]:
     """Return points (n, 3), map frame; their walls (n,); position along the wall, 0 to 1, (n,)."""
     places, owner, along = [], [], []
     for number, wall in enumerate(walls):
@@ -131,12 +131,8 @@ def _points_on(
 
 
 def _in_view(
-    scan: BuildingScan,
-    T_map_robot: NDArray[np.float64],
-    walls: NDArray[np.float64],
-    wall: NDArray[np.int64],
-    along: NDArray[np.float64],
-) -> NDArray[np.int64]:
+    scan: BuildingScan, T_map_robot: Floats, walls: Floats, wall: Ints, along: Floats
+) -> Ints:
     """Return the points of the visible stretches of walls, ascending."""
     seen = scan.seen
     first = walls[seen.wall, :2]

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets import Relations, open_scans
 from relmap.datasets.textfile import quoted, require_path, shown
@@ -68,14 +69,14 @@ class Truth:
         Of planes in space.
     """
 
-    landmark_ids: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    landmarks_map: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 3)))
+    landmark_ids: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    landmarks_map: Floats = field(default_factory=lambda: np.empty((0, 3)))
     status: NDArray[np.str_] = field(default_factory=lambda: np.empty(0, np.str_))
-    stamps_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    poses: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4, 4)))
-    ends: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
-    corner_scans: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), np.int64))
-    seen_m: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2)))
+    stamps_s: Floats = field(default_factory=lambda: np.empty(0))
+    poses: Floats = field(default_factory=lambda: np.empty((0, 4, 4)))
+    ends: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))
+    corner_scans: Ints = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    seen_m: Floats = field(default_factory=lambda: np.empty((0, 2)))
     relations: tuple[Relations, ...] = ()
     faces: Faces | None = None
 
@@ -245,11 +246,7 @@ def _read_data_set(path: Path) -> Truth:
     raise RelmapError(f"{shown(path)}: {what}, expected {_EXPECTED}")
 
 
-def _static(
-    ids: NDArray[np.int64],
-    position: NDArray[np.float64],
-    poses: NDArray[np.float64] | None = None,
-) -> Truth:
+def _static(ids: Ints, position: Floats, poses: Floats | None = None) -> Truth:
     """Return a truth without dynamic landmarks, stamped with iteration numbers."""
     poses = np.empty((0, 4, 4)) if poses is None else poses
     return Truth(ids, position, np.full(len(ids), "static"), np.arange(float(len(poses))), poses)

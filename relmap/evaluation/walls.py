@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.evaluation.metrics import align
@@ -21,8 +20,8 @@ SAMPLE_M, MOST_SAMPLES = 0.05, 2000
 def judge_walls(
     planes: PlaneTable,
     truth: Truth,
-    poses: NDArray[np.float64],
-    true_poses: NDArray[np.float64],
+    poses: Floats,
+    true_poses: Floats,
     motion: tuple[Floats, Floats] | None = None,
 ) -> dict[str, float | None]:
     """Evaluate the mapped walls by their length.

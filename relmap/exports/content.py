@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.landmarks import LandmarkTable
 from relmap.io.results import Result
 from relmap.planes.files import PlaneResult, read_any
@@ -37,7 +37,7 @@ class MapContent:
     walls: PlaneTable | None
 
     @property
-    def path(self) -> list[NDArray[np.float64]]:
+    def path(self) -> list[Floats]:
         """The positions of the robot: pieces (k, 3), split where the path jumps."""
         drawn = broken_at_jumps(self.result.poses[:, :3, 3])
         parts = np.split(drawn, np.flatnonzero(np.isnan(drawn[:, 0])))
@@ -45,7 +45,7 @@ class MapContent:
         return [piece for piece in pieces if len(piece) > 1]
 
     @property
-    def places(self) -> NDArray[np.float64]:
+    def places(self) -> Floats:
         """All positions (n, 3) of landmarks, ends of walls and the path."""
         parts = [self.landmarks.position, self.result.poses[:, :3, 3]]
         if self.walls is not None:
@@ -77,7 +77,7 @@ def read_content(folder: Path) -> MapContent:
     return MapContent(result, _rows(result.landmarks, result.mapped), walls)
 
 
-def _rows(table: T, kept: NDArray[np.bool_]) -> T:
+def _rows(table: T, kept: Bools) -> T:
     return replace(
         table, **{field.name: getattr(table, field.name)[kept] for field in fields(table)}
     )

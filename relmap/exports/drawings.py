@@ -6,8 +6,8 @@ from collections.abc import Iterable, Iterator
 from xml.sax.saxutils import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.exports.content import MapContent
 
 LAYERS = {"WALLS": 5, "CORNERS": 3, "LANDMARKS": 7, "PATH": 8}
@@ -47,7 +47,7 @@ def dxf_text(content: MapContent) -> str:
 Tags = Iterator[tuple[int, object]]
 
 
-def _at(code: int, place: NDArray[np.float64]) -> Tags:
+def _at(code: int, place: Floats) -> Tags:
     """Yield x, y and z of a position (3,), with group codes that differ by ten."""
     for axis, value in enumerate(place.tolist()):
         yield code + 10 * axis, repr(value + 0.0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.exports.content import MapContent
 from relmap.exports.sight import Lines
@@ -42,7 +43,7 @@ class Grid:
     """
 
     pixels: NDArray[np.uint8]
-    origin_m: NDArray[np.float64]
+    origin_m: Floats
     resolution_m: float
 
 
@@ -84,7 +85,7 @@ def grid_of(content: MapContent, lines: Lines | None, resolution_m: float) -> Gr
     return Grid(pixels.astype(np.uint8), origin, resolution_m)
 
 
-def _obstacles(content: MapContent) -> NDArray[np.float64]:
+def _obstacles(content: MapContent) -> Floats:
     """Return the mapped walls or landmarks as lines (n, 2, 2); a landmark has length 0."""
     if content.walls is not None:
         return content.walls.ends
@@ -92,8 +93,8 @@ def _obstacles(content: MapContent) -> NDArray[np.float64]:
 
 
 def _frame(
-    content: MapContent, ends: NDArray[np.float64], resolution_m: float
-) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    content: MapContent, ends: Floats, resolution_m: float
+) -> tuple[Floats, tuple[int, int]]:
     """Return the lower left corner of the grid, and how many rows and columns it has."""
     places = content.places[:, :2]
     if len(ends):

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.linalg.compiling import compiled
 
-Cells = NDArray[np.int64]
+Cells = Ints
 
 
 @compiled

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.exports.content import MapContent
 
 
@@ -42,5 +42,5 @@ def ply_text(content: MapContent) -> str:
     )
 
 
-def _lines(rows: NDArray[np.float64] | NDArray[np.int64]) -> str:
+def _lines(rows: Floats | Ints) -> str:
     return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.exports.content import MapContent
 from relmap.exports.sight import Sightings
 
@@ -72,14 +72,14 @@ def _information(content: MapContent) -> float:
     return 1.0 / noise_m**2 if isinstance(noise_m, float) and noise_m > 0 else 1.0
 
 
-def _pose(T: NDArray[np.float64], planar: bool) -> str:
+def _pose(T: Floats, planar: bool) -> str:
     if planar:
         return _numbers([T[0, 3], T[1, 3], np.arctan2(T[1, 0], T[0, 0])])
     turn = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
     return _numbers([*T[:3, 3], *turn])
 
 
-def _upper(information: NDArray[np.float64]) -> str:
+def _upper(information: Floats) -> str:
     """Return the upper triangle of a symmetric matrix, row by row."""
     return _numbers(information[np.triu_indices(len(information))].tolist())
 

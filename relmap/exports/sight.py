@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -24,7 +24,7 @@ from relmap.points import PointMapper
 
 MOST = 5_000_000
 """Maximum number of beams, by subsampling."""
-Lines = tuple[NDArray[np.float64], NDArray[np.float64]]
+Lines = tuple[Floats, Floats]
 """Begin and end points of lines, (n, 2) each, map frame, metres."""
 
 
@@ -40,9 +40,9 @@ class Sightings:
         Measured positions; None without the log.
     """
 
-    pose: NDArray[np.int64]
-    landmark: NDArray[np.int64]
-    points_robot: NDArray[np.float64] | None
+    pose: Ints
+    landmark: Ints
+    points_robot: Floats | None
 
 
 def sight_lines(folder: Path, content: MapContent, log: Path | None) -> Lines | None:
@@ -109,7 +109,7 @@ def _read(content: MapContent, log: Path) -> Log:
     return read_log(log, variant, named)
 
 
-def _positions(of: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+def _positions(of: Ints, wanted: Ints) -> Ints:
     """Return the index of each number (n,) among others (m,), -1 if missing."""
     if not len(of):
         return np.full(len(wanted), -1)
@@ -118,7 +118,7 @@ def _positions(of: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.i
     return np.where(of[at] == wanted, at, -1)
 
 
-def _iterations(folder: Path, content: MapContent, log: Log | None) -> NDArray[np.int64] | None:
+def _iterations(folder: Path, content: MapContent, log: Log | None) -> Ints | None:
     """Return the iteration of each pose (p,) of a map of points; None if unknown."""
     result = content.result
     if log is not None:
@@ -141,7 +141,7 @@ def _end(folder: Path, scans: Any) -> int:
     raise RelmapError(f"{folder / SUMMARY}: scans is {scans!r:.40}, expected [first, end]")
 
 
-def _scans(content: MapContent, log: Log) -> NDArray[np.int64]:
+def _scans(content: MapContent, log: Log) -> Ints:
     """Return the scan of a log for each pose (p,)."""
     stamps_s = content.result.stamps_s
     mine, scan = match_stamps(stamps_s, stamps_of(log))

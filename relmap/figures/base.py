@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.io.files import atomic_write
 from relmap.io.tables import csv_text
 
@@ -115,6 +116,6 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}.".replace("\n", " ")
 
 
-def n_log_n(n: NDArray[Any]) -> NDArray[np.float64]:
+def n_log_n(n: NDArray[Any]) -> Floats:
     """Return n log2 n, the bound of figures 12 and 15."""
     return np.asarray(n * np.log2(n), dtype=np.float64)

@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.planes import PlaneMapper
@@ -73,29 +73,29 @@ class CornerTest:
     """
 
     planes: tuple[int, int]
-    iterations: NDArray[np.int64]
-    ends: NDArray[np.float64]
+    iterations: Ints
+    ends: Floats
     static: tuple[int, int]
 
     @property
-    def lengths(self) -> NDArray[np.float64]:
+    def lengths(self) -> Floats:
         """Visible length of each wall in each iteration, (2, k), metres."""
         return np.asarray(np.linalg.norm(self.ends[:, :, 1] - self.ends[:, :, 0], axis=2))
 
     @property
-    def sizes(self) -> NDArray[np.float64]:
+    def sizes(self) -> Floats:
         """Size of each wall, fixed over the interval: the largest seen in it, (2,), metres."""
         return np.asarray(self.lengths.max(axis=1))
 
     @cached_property
-    def offsets(self) -> NDArray[np.float64]:
+    def offsets(self) -> Floats:
         """See `relmap.planes.corner_kernels.midpoint_pairs`, (k, 2, 2, 2), metres."""
         from relmap.planes.corner_kernels import midpoint_pairs
 
         return midpoint_pairs(self.ends[0], self.ends[1], *self.sizes.tolist())
 
     @property
-    def deviation(self) -> NDArray[np.float64]:
+    def deviation(self) -> Floats:
         """Standard deviation of each pair's offset over the interval, (2, 2), metres."""
         from relmap.planes.corner_kernels import deviations
 
@@ -130,7 +130,7 @@ def corner_tests(history: PlaneHistory) -> list[CornerTest]:
     return tests
 
 
-def _cut(history: PlaneHistory) -> Iterator[tuple[int, int, NDArray[np.int64]]]:
+def _cut(history: PlaneHistory) -> Iterator[tuple[int, int, Ints]]:
     """Yield wall, static end and rows of each run of scans that show a wall with only that end."""
     for plane in np.unique(history.plane).tolist():
         rows = np.flatnonzero(history.plane == plane)
@@ -233,9 +233,7 @@ def _shown(test: CornerTest) -> int:
     return int(np.minimum(abs(size - seen), abs(size / 2 - seen)).min(axis=0).argmax())
 
 
-def _draw_walls(
-    axes: Axes, test: CornerTest, walls: NDArray[np.float64], far: NDArray[np.float64]
-) -> None:
+def _draw_walls(axes: Axes, test: CornerTest, walls: Floats, far: Floats) -> None:
     """Draw walls (2, 2, 2) as observed, dashed up to where their sizes reach, (2, 2)."""
     for plane, fixed, ends, end in zip(test.planes, test.static, walls, far, strict=True):
         axes.plot(*np.stack([ends[fixed], end]).T, "--", color=INK, linewidth=1, zorder=2)
@@ -254,7 +252,7 @@ def _named(pair: tuple[int, int]) -> str:
     return f"{SIDES[pair[0]]}–{SIDES[pair[1]]}"
 
 
-def _draw_pairs(axes: Axes, test: CornerTest, midpoints: NDArray[np.float64]) -> None:
+def _draw_pairs(axes: Axes, test: CornerTest, midpoints: Floats) -> None:
     for (i, j), colour in _colours(test).items():
         width = 3.0 if (i, j) == test.chosen else 1.2
         arrow = {"arrowstyle": "-|>", "color": colour, "linewidth": width}

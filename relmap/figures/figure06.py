@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.scans import stored_scans
 from relmap.evaluation import metrics
@@ -55,12 +55,12 @@ class PartialWall:
         All walls that were ever in view.
     """
 
-    walls: NDArray[np.float64]
-    corners: NDArray[np.float64]
-    poses: NDArray[np.float64]
-    true_poses: NDArray[np.float64]
-    weak: NDArray[np.bool_]
-    true_walls: NDArray[np.float64]
+    walls: Floats
+    corners: Floats
+    poses: Floats
+    true_poses: Floats
+    weak: Bools
+    true_walls: Floats
 
     @property
     def stretch(self) -> tuple[int, int]:
@@ -68,12 +68,12 @@ class PartialWall:
         return longest(self.weak)
 
     @property
-    def off(self) -> NDArray[np.float64]:
+    def off(self) -> Floats:
         """Error of the path, (k, 2)."""
         return self.poses[:, :2, 3] - self.true_poses[:, :2, 3]
 
     @property
-    def shift(self) -> NDArray[np.float64]:
+    def shift(self) -> Floats:
         """Error of the pose after the weak stretch: ahead and to the left, (2,)."""
         end = min(self.stretch[1], len(self.poses) - 1)
         return np.asarray(self.off[end] @ self.true_poses[end, :2, :2])
@@ -145,7 +145,7 @@ def run_partial_wall(
     return PartialWall(ends, corners, T @ mapper.trajectory, true_poses, weak, walls)
 
 
-def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
+def longest(held: Bools) -> tuple[int, int]:
     """Return begin and end of the longest run of true (k,).
 
     Raises
@@ -161,7 +161,7 @@ def longest(held: NDArray[np.bool_]) -> tuple[int, int]:
     return int(begin[k]), int(end[k])
 
 
-def _beside_the_wall(building: Building, beside: int) -> NDArray[np.int64]:
+def _beside_the_wall(building: Building, beside: int) -> Ints:
     """Return the scans in which only one wall is seen, without an end, and the adjacent ones."""
     alone = np.array(
         [len(scan.seen.wall) == 1 and "corner" not in scan.seen.end_type for scan in building.scans]

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged
 from relmap.figures.point_chart import (
@@ -93,7 +93,7 @@ def _judge_groups(charts: list[ChartPicture]) -> Outcome:
     )
 
 
-def _cells(chart: ChartPicture, order: NDArray[np.int64]) -> Table:
+def _cells(chart: ChartPicture, order: Ints) -> Table:
     """Return a row per observation in the chart, with its rows in the given order."""
     row, column = np.nonzero(chart.visible[order])
     within = chart.visible[0, column].astype(int)
@@ -152,20 +152,14 @@ def _blank(chart: ChartPicture, width_in: float) -> Figure:
     return blank(width_in, 1.5 + 0.14 * max(len(chart.landmarks), 15))
 
 
-def _sorted_cells(chart: ChartPicture) -> NDArray[np.int64]:
+def _sorted_cells(chart: ChartPicture) -> Ints:
     """Return the colour index of each cell (n, i)."""
     cells = np.where(chart.visible, 1, np.where(chart.visible[0], 3, 0))
     cells[0, chart.visible[0]] = 2
     return cells
 
 
-def _draw(
-    axes: Axes,
-    chart: ChartPicture,
-    cells: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    title: str,
-) -> None:
+def _draw(axes: Axes, chart: ChartPicture, cells: Ints, rows: Ints, title: str) -> None:
     n, i = cells.shape
     colours = ListedColormap([NOT_SEEN, SEEN, SEED, SEED_INTERVAL, AREA])
     columns = chart.begin - 0.5 + np.arange(i + 1)

@@ -9,8 +9,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.grouping.dynamics import Binning
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, n_log_n
 from relmap.plots.sheet import GREY, blank, finish, write_in_full
@@ -45,13 +45,13 @@ class Comparisons:
         Whether the static bin is correct.
     """
 
-    n: NDArray[np.int64]
-    dynamic: NDArray[np.float64]
-    comparisons: NDArray[np.int64]
-    right: NDArray[np.bool_]
+    n: Ints
+    dynamic: Floats
+    comparisons: Ints
+    right: Bools
 
     @property
-    def median(self) -> NDArray[np.float64]:
+    def median(self) -> Floats:
         """Median comparisons over the worlds; (s, k)."""
         return np.asarray(np.median(self.comparisons, axis=2))
 
@@ -123,7 +123,7 @@ def _judge(data: Comparisons) -> Outcome:
     )
 
 
-def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def observed_places(seed: int, largest: int) -> tuple[Floats, Bools]:
     """Return landmarks that a robot sees in each of `BLOCK` iterations, without noise.
 
     Dynamic ones that never move are excluded: they cannot be detected.
@@ -148,9 +148,7 @@ def observed_places(seed: int, largest: int) -> tuple[NDArray[np.float64], NDArr
     return block[kept], static[kept]
 
 
-def block_of(
-    n: int, share: float, pool: NDArray[np.float64], static: NDArray[np.bool_], seed: int
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def block_of(n: int, share: float, pool: Floats, static: Bools, seed: int) -> tuple[Floats, Bools]:
     """Return n of the landmarks, a share of them dynamic, with noise; and which are static."""
     rng = np.random.default_rng([seed, n, round(100 * share)])
     n_dynamic = round(share * n)

@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.evaluation.evaluate import Evaluation, evaluate
 from relmap.evaluation.landmarks import identify, match_landmarks
 from relmap.evaluation.run import run_mapper
@@ -42,10 +42,10 @@ class EightMap:
     found : Evaluation
     """
 
-    landmarks_map: NDArray[np.float64]
-    path_map: NDArray[np.float64]
-    true_landmarks_map: NDArray[np.float64]
-    true_path_map: NDArray[np.float64]
+    landmarks_map: Floats
+    path_map: Floats
+    true_landmarks_map: Floats
+    true_path_map: Floats
     found: Evaluation
 
     @property

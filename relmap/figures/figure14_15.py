@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from threadpoolctl import threadpool_limits
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import ObservationLog
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, n_log_n, sentence
 from relmap.plots.sheet import BLUE, GREY, ORANGE, RED, blank, finish, write_in_full
@@ -50,10 +51,10 @@ class LoopTiming:
         Landmarks seen so far: according to the mapper, and truly.
     """
 
-    time_ms: NDArray[np.float64]
-    visible: NDArray[np.int64]
-    landmarks: NDArray[np.int64]
-    true_landmarks: NDArray[np.int64]
+    time_ms: Floats
+    visible: Ints
+    landmarks: Ints
+    true_landmarks: Ints
 
     @property
     def growth_each(self) -> tuple[float, float]:
@@ -85,9 +86,9 @@ class DensityTiming:
     median_ms, mean_ms : (k,) float64
     """
 
-    visible: NDArray[np.float64]
-    median_ms: NDArray[np.float64]
-    mean_ms: NDArray[np.float64]
+    visible: Floats
+    median_ms: Floats
+    mean_ms: Floats
 
     @property
     def _first(self) -> int:
@@ -112,7 +113,7 @@ class DensityTiming:
         )
 
 
-def _timed(log: ObservationLog) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _timed(log: ObservationLog) -> tuple[Floats, Ints]:
     """Return the processor time of each iteration, ms, and the landmark of each observation.
 
     The log is mapped without its ids, with one thread.
@@ -126,7 +127,7 @@ def _timed(log: ObservationLog) -> tuple[NDArray[np.float64], NDArray[np.int64]]
     return 1e3 * np.array(times_s), mapper.landmarks_of(np.concatenate(labels))
 
 
-def median_times(log: ObservationLog, repeats: int, watch: Watch = iter) -> NDArray[np.float64]:
+def median_times(log: ObservationLog, repeats: int, watch: Watch = iter) -> Floats:
     """Return the time of each iteration (i,), ms: the median of several runs without ids."""
     return np.asarray(np.median([_timed(log)[0] for _ in watch(range(repeats))], axis=0))
 
@@ -145,14 +146,14 @@ def _growth(values: NDArray[Any], of: Any = np.median) -> float:
     return float(of(values[-quarter:]) / of(values[begin : begin + quarter]))
 
 
-def _running(values: NDArray[np.float64], of: Any) -> NDArray[np.float64]:
+def _running(values: Floats, of: Any) -> Floats:
     """Return `of`, ``numpy.median`` or such, of the values (i,) around each one; (i,)."""
     return np.array(
         [of(values[max(k - HALF_WINDOW, 0) : k + HALF_WINDOW + 1]) for k in range(len(values))]
     )
 
 
-def seen_so_far(landmarks: NDArray[np.int64], log: ObservationLog) -> NDArray[np.int64]:
+def seen_so_far(landmarks: Ints, log: ObservationLog) -> Ints:
     """Return how many of the landmarks (n,) were seen up to each iteration of a log; (i,)."""
     _, first = np.unique(landmarks, return_index=True)
     return np.cumsum(np.bincount(log.iteration[first], minlength=len(log)))
@@ -206,7 +207,7 @@ def _plot_loop(data: LoopTiming) -> Figure:
     return figure
 
 
-def fit_n_log_n(n: NDArray[np.float64], time_ms: NDArray[np.float64]) -> tuple[float, float]:
+def fit_n_log_n(n: Floats, time_ms: Floats) -> tuple[float, float]:
     """Fit ``a + b n log2 n``, neither negative, by least squares of the relative errors.
 
     Parameters

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from relmap.comparison.compare import landmark_error_curve
 from relmap.comparison.methods.base import Setup
 from relmap.comparison.methods.registry import find_method
 from relmap.comparison.methods.running import setup_for
+from relmap.core.arrays import Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.landmarks import LandmarkMap
 from relmap.evaluation.feeding import Method
@@ -52,8 +52,8 @@ class Curve:
         One row for each seed.
     """
 
-    iteration: NDArray[np.int64]
-    rmse_m: NDArray[np.float64]
+    iteration: Ints
+    rmse_m: Floats
 
     @property
     def end_m(self) -> float:
@@ -113,8 +113,8 @@ def error_curves(seeds: int, iterations: int, watch: Watch = iter) -> ErrorCurve
     -------
     ErrorCurves
     """
-    found: dict[tuple[str, str], list[NDArray[np.float64]]] = {}
-    at: dict[str, NDArray[np.int64]] = {}
+    found: dict[tuple[str, str], list[Floats]] = {}
+    at: dict[str, Ints] = {}
     cells = [(noise, seed) for noise in NOISES for seed in range(seeds)]
     for noise, seed in watch(cells):
         world = EightSource(25.0, iterations, NOISES[noise], SIGMA_M, seed=seed).load()

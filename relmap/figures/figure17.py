@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.known import least_squares_map
+from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets import open_log
 from relmap.datasets.base import ObservationLog
@@ -61,10 +61,10 @@ class Panel:
     """
 
     title: str
-    trees_map: NDArray[np.float64]
-    reference_map: NDArray[np.float64]
-    often: NDArray[np.bool_]
-    path_map: NDArray[np.float64]
+    trees_map: Floats
+    reference_map: Floats
+    often: Bools
+    path_map: Floats
     rmse_m: float
     coverage: float
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.evaluation.surface_points import wall_points
 from relmap.evaluation.variants import HALF, METHODS, Method, VariantRun, map_of
 from relmap.figures.base import Outcome, PaperFigure, Table, Watch, judged, sentence
@@ -44,11 +44,11 @@ class Crossing:
     runs: tuple[VariantRun, ...]
 
     @property
-    def noise(self) -> NDArray[np.float64]:
+    def noise(self) -> Floats:
         """All noises in units of the spacing, ascending; (n,)."""
         return np.unique([row.noise for row in self.runs])
 
-    def values(self, name: str, method: Method) -> NDArray[np.float64]:
+    def values(self, name: str, method: Method) -> Floats:
         """Return an attribute of all runs of a method, (noises, seeds); None as infinite."""
         found = [
             [getattr(row, name) for row in self.runs if (row.method, row.noise) == (method, noise)]
@@ -56,11 +56,11 @@ class Crossing:
         ]
         return np.array([[np.inf if v is None else v for v in values] for values in found])
 
-    def median(self, name: str, method: Method) -> NDArray[np.float64]:
+    def median(self, name: str, method: Method) -> Floats:
         """Return the median over the seeds, (noises,), of what `values` returns."""
         return np.asarray(np.median(self.values(name, method), axis=1))
 
-    def failed(self, method: Method) -> NDArray[np.bool_]:
+    def failed(self, method: Method) -> Bools:
         """Return the noises at which the median run of a method maps too little, (noises,)."""
         return self.median("coverage", method) < HALF
 

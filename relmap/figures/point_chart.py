@@ -7,8 +7,8 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.core.association import Constellation
 from relmap.core.config import MapperConfig
 from relmap.core.errors import RelmapError
@@ -45,8 +45,8 @@ class ChartPicture:
     """
 
     begin: int
-    landmarks: NDArray[np.int64]
-    visible: NDArray[np.bool_]
+    landmarks: Ints
+    visible: Bools
     members: int
 
     @property
@@ -55,17 +55,17 @@ class ChartPicture:
         return int(self.landmarks[0])
 
     @property
-    def common_interval(self) -> NDArray[np.int64]:
+    def common_interval(self) -> Ints:
         """Number of iterations in common with the seed; (n,)."""
         return np.asarray((self.visible & self.visible[0]).sum(axis=1))
 
     @property
-    def group_interval(self) -> NDArray[np.bool_]:
+    def group_interval(self) -> Bools:
         """Iterations in which all members of the group were visible; (i,)."""
         return np.asarray(self.visible[: self.members].all(axis=0))
 
     @property
-    def area(self) -> NDArray[np.int64]:
+    def area(self) -> Ints:
         """Members x common interval of the first 1, 2, ... landmarks; (n,)."""
         together = np.logical_and.accumulate(self.visible, axis=0)
         return np.asarray(np.arange(1, len(together) + 1) * together.sum(axis=1))
@@ -91,7 +91,7 @@ def chart_picture(store: ObservationStore, seed: int, begin: int, end: int) -> C
     return ChartPicture(begin, landmarks, visible, members=len(group.rows))
 
 
-def paper_stops(area: NDArray[np.int64]) -> int:
+def paper_stops(area: Ints) -> int:
     """Return the group size by the paper's rule: up to the first that adds no area (n,)."""
     falls = np.flatnonzero(np.diff(area[FEWEST_MEMBERS - 1 :]) <= 0)
     return int(falls[0]) + FEWEST_MEMBERS if len(falls) else len(area)
@@ -123,7 +123,7 @@ class ChartedRun:
         latest = self.store.n_iterations - MARGIN
         return [visit for visit in visits if visit[1] >= MARGIN and visit[2] <= latest]
 
-    def truly_visible(self, chart: ChartPicture) -> NDArray[np.bool_]:
+    def truly_visible(self, chart: ChartPicture) -> Bools:
         """Return which cells (n, i) of a chart are truly visible.
 
         A row belongs to the true landmark of most of its observations.

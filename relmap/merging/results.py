@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.pairing import Motion, paired
 from relmap.core.association.tying import tie_submaps
 from relmap.core.errors import RelmapError
@@ -24,7 +24,6 @@ from relmap.planes.files import PlaneResult, read_any
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import ACROSS, LEAST_M, RIVAL, wall_ties
 
-Floats = NDArray[np.float64]
 Told = dict[str, Any]
 NOTHING = np.empty(0, dtype=np.int64)
 STATUS = ("static", "dynamic", "unmapped")
@@ -107,7 +106,7 @@ def _joined(a: Result, b: Result, motion: Motion, told: Told) -> tuple[Result, M
     return result if planes is None else _of_walls(result, planes), motion
 
 
-def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, NDArray[np.int64]]:
+def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, Ints]:
     """Return the alignment of a map of points to another, and the common landmarks' rows (k, 2)."""
     d = len(motion.t)
     rows = [np.flatnonzero(result.mapped) for result in (b, a)]
@@ -116,7 +115,7 @@ def _paired(a: Result, b: Result, motion: Motion) -> tuple[Motion, NDArray[np.in
     return motion, np.column_stack([rows[0][pairs[:, 0]], rows[1][pairs[:, 1]]])
 
 
-def _rows(labels: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+def _rows(labels: Ints, wanted: Ints) -> Ints:
     """Return the rows (k,) of the landmarks with the given labels, which all exist."""
     order = np.argsort(labels, kind="stable")
     return np.asarray(order[np.searchsorted(labels[order], wanted)])

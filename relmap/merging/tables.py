@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkTable
 
 COMBINED = {
@@ -16,9 +16,6 @@ COMBINED = {
     "level": np.maximum,
 }
 """How columns of merged landmarks are combined."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def joined(one: LandmarkTable, other: LandmarkTable, pairs: Ints) -> LandmarkTable:

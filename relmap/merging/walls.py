@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.pairing import Motion
 from relmap.planes.table import PlaneTable
 from relmap.planes.wall_tie import NEAR_M, SAMPLE_M, WallPoints, WallTie, lying
@@ -17,9 +18,6 @@ MOST = 0.5
 """Fraction of the shorter of two walls that must overlap if they are one."""
 COVERED = 0.8
 """Fraction of a wall covered by other walls above which it is redundant."""
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def lying_on(ends: Floats, others: Floats) -> Floats:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.equations import WallEquations, Walls
 from relmap.planes.history import PlaneHistory
 from relmap.planes.motion_factors import MotionFactors
@@ -33,8 +33,8 @@ class WallNumbers:
         Corner of each corner number, after merging.
     """
 
-    wall_of: NDArray[np.int64]
-    corner_of: NDArray[np.int64]
+    wall_of: Ints
+    corner_of: Ints
 
     def same_as(self, other: WallNumbers) -> bool:
         """Return whether two assignments are equal."""
@@ -43,16 +43,14 @@ class WallNumbers:
         )
 
     @classmethod
-    def of(
-        cls, n_planes: int, wall_end: NDArray[np.int64], corner_of: NDArray[np.int64]
-    ) -> WallNumbers:
+    def of(cls, n_planes: int, wall_end: Ints, corner_of: Ints) -> WallNumbers:
         """Join tracks whose corners turned out to be the same."""
         return cls(
             first_of(n_planes, np.column_stack([wall_end, wall_end[corner_of]]) // 2), corner_of
         )
 
 
-def first_of(n: int, pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+def first_of(n: int, pairs: Ints) -> Ints:
     """Return for each of n walls the first of those joined to it by pairs (k, 2)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -90,23 +88,23 @@ class Assembled:
     given: WallEquations
     typical_m: float
     state: Walls
-    iterations: NDArray[np.int64]
-    walls: NDArray[np.int64]
-    corners: NDArray[np.int64]
-    rows: NDArray[np.int64]
-    all_corners: NDArray[np.int64]
+    iterations: Ints
+    walls: Ints
+    corners: Ints
+    rows: Ints
+    all_corners: Ints
     settled: bool = True
-    reach: NDArray[np.float64] | None = None
+    reach: Floats | None = None
 
     @property
-    def corner_wall(self) -> NDArray[np.int64]:
+    def corner_wall(self) -> Ints:
         """Compact number of the wall of each corner; (c,)."""
         wall = np.zeros(len(self.corners), dtype=np.int64)
         wall[self.given.corner] = self.given.wall[self.given.corner_row]
         return wall
 
     @property
-    def corner_at(self) -> NDArray[np.float64]:
+    def corner_at(self) -> Floats:
         """Positions of the corners; (c, 2), map frame, metres."""
         wall, state = self.corner_wall, self.state
         normal, along = directions(state.angle[wall])
@@ -115,12 +113,12 @@ class Assembled:
         )
 
     @property
-    def corner_sd(self) -> NDArray[np.float64]:
+    def corner_sd(self) -> Floats:
         """Standard deviation of the average of each corner along its wall; (c,) metres."""
         weight = np.bincount(self.given.corner, 1 / self.given.corner_sd**2)
         return np.asarray(1 / np.sqrt(weight))
 
-    def only(self, kept: NDArray[np.bool_]) -> Assembled:
+    def only(self, kept: Bools) -> Assembled:
         """Return the walls of some rows (n,) with all poses, without solving again."""
         given, state = self.given, self.state
         seen = kept[given.corner_row]
@@ -154,7 +152,7 @@ class Assembled:
             reach=None if self.reach is None else self.reach[walls],
         )
 
-    def poses(self, n: int) -> NDArray[np.float64]:
+    def poses(self, n: int) -> Floats:
         """Return ``T_map_robot`` of all iterations (n, 4, 4); NaN where unknown."""
         poses = np.full((n, 4, 4), np.nan)
         poses[self.iterations] = np.eye(4)
@@ -165,17 +163,14 @@ class Assembled:
         return poses
 
 
-def directions(angle: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def directions(angle: Floats) -> tuple[Floats, Floats]:
     """Return unit normals (n, 2) at these angles, and directions along the walls, right to left."""
     normal = np.column_stack([np.cos(angle), np.sin(angle)])
     return normal, np.column_stack([normal[:, 1], -normal[:, 0]])
 
 
 def assemble(
-    history: PlaneHistory,
-    numbers: WallNumbers,
-    poses: NDArray[np.float64],
-    moving: NDArray[np.bool_],
+    history: PlaneHistory, numbers: WallNumbers, poses: Floats, moving: Bools
 ) -> Assembled | None:
     """Place all observations of walls by given poses.
 
@@ -213,9 +208,7 @@ def assemble(
     return Assembled(given, typical, state, iterations, walls, corners, rows, every)
 
 
-def _corners(
-    corner: NDArray[np.int64], corner_of: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _corners(corner: Ints, corner_of: Ints) -> tuple[Ints, Ints, Ints, Ints]:
     """Return row and end of each observation of frequent corners; these corners, and the index."""
     row, end = np.nonzero(corner >= 0)
     which = corner_of[corner[row, end]]
@@ -226,7 +219,7 @@ def _corners(
     return row, end, corners, compact
 
 
-def laid_out(given: WallEquations, poses: NDArray[np.float64]) -> Walls:
+def laid_out(given: WallEquations, poses: Floats) -> Walls:
     """Return walls and corners as averages of their observations, by given poses."""
     R, t = poses[:, :2, :2], poses[:, :2, 3]
     placed = np.einsum("nij,nej->nei", R[given.iteration], given.ends)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.geometry.alignment import fixes_rotation
 
 
-def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def relative_map(block: Floats) -> Floats | None:
     """Average a group's locations in a basis invariant to rotation and translation.
 
     Every iteration is rotated so that the line through the two points farthest apart is at 0

@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.linalg.compiling import compiled, helper
 
-Array = NDArray[np.float64]
-Fan = tuple[Array, Array, Array, NDArray[np.bool_]]
+Fan = tuple[Floats, Floats, Floats, Bools]
 
 BESIDE = 3
 """Number of beams on either side of a point whose surface it is compared with."""
@@ -26,7 +25,7 @@ GAP_RAD = 0.1
 
 
 @helper
-def _surfaces(seen: Fan) -> Array:
+def _surfaces(seen: Fan) -> Floats:
     """Return what lies between each beam and the one before, (n, 6).
 
     The end of the previous beam, the vector from it to the end of this one, the inverse of its
@@ -51,7 +50,7 @@ def _surfaces(seen: Fan) -> Array:
 
 
 @helper
-def _squared_distance(x: float, y: float, surface: Array) -> float:
+def _squared_distance(x: float, y: float, surface: Floats) -> float:
     """Return the squared distance of a point from a surface, or from the ends of a gap."""
     x, y = x - surface[0], y - surface[1]
     ux, uy = surface[2], surface[3]
@@ -63,7 +62,7 @@ def _squared_distance(x: float, y: float, surface: Array) -> float:
 
 @helper
 def _compare(
-    seen: Fan, surfaces: Array, other: Fan, motion: Array, near_m: float, step: int, sums: Array
+    seen: Fan, surfaces: Floats, other: Fan, motion: Floats, near_m: float, step: int, sums: Floats
 ) -> None:
     """Count the points of `other`, transformed into the frame of `seen`, that agree with its beams.
 
@@ -96,7 +95,7 @@ def _compare(
 
 
 @compiled
-def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int) -> Array:
+def compared(earlier: Fan, later: Fan, motions: Floats, near_m: float, step: int) -> Floats:
     """Return how many points of both scans agree, contradict, are undecided, and out of view.
 
     Shape (k, 4), for each of k motions; the beams are subsampled.
@@ -115,7 +114,7 @@ def compared(earlier: Fan, later: Fan, motions: Array, near_m: float, step: int)
 
 
 @compiled
-def on_walls(points: Array, ends: Array, near_m: float) -> NDArray[np.bool_]:
+def on_walls(points: Floats, ends: Floats, near_m: float) -> Bools:
     """Return which points (n, 2) lie on walls, given their ends (m, 2, 2)."""
     solid = np.zeros(len(points), dtype=np.bool_)
     for j in range(len(ends)):

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
 from relmap.core.state.growing import GrowingArray
@@ -37,15 +38,13 @@ class Beams:
         Which points are on walls: people and clutter may have moved.
     """
 
-    points: NDArray[np.float64]
-    bearings: NDArray[np.float64]
-    origin: NDArray[np.float64]
-    solid: NDArray[np.bool_]
+    points: Floats
+    bearings: Floats
+    origin: Floats
+    solid: Bools
 
     @classmethod
-    def of(
-        cls, points: NDArray[Any], origin: NDArray[np.float64], ends: NDArray[np.float64]
-    ) -> Beams:
+    def of(cls, points: NDArray[Any], origin: Floats, ends: Floats) -> Beams:
         """Return the beams that end at points (n, 2), some of them on walls by ends (m, 2, 2)."""
         from relmap.planes.beam_kernels import on_walls
 
@@ -81,7 +80,7 @@ class ToldBeams:
     """
 
     points: NDArray[np.float32]
-    origin: NDArray[np.float64]
+    origin: Floats
     in_order: bool
 
     @classmethod
@@ -129,9 +128,9 @@ class PlacedBeams(NamedTuple):
         Index of the pose of each beam.
     """
 
-    begins: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    scan: NDArray[np.int64]
+    begins: Floats
+    ends: Floats
+    scan: Ints
 
 
 class BeamStore:
@@ -158,7 +157,7 @@ class BeamStore:
         """Return the number of points."""
         return len(self._points)
 
-    def of(self, scan: int, ends: NDArray[np.float64]) -> Beams:
+    def of(self, scan: int, ends: Floats) -> Beams:
         """Return the beams of a laser scan, given the ends of its walls (m, 2, 2).
 
         None if they are not ordered, as for a cloud.
@@ -167,7 +166,7 @@ class BeamStore:
         end = end if self._in_order.values[scan] else begin
         return Beams.of(self._points.values[begin:end], self._origins.values[scan], ends)
 
-    def placed(self, poses: NDArray[np.float64], span: tuple[int, int], most: int) -> PlacedBeams:
+    def placed(self, poses: Floats, span: tuple[int, int], most: int) -> PlacedBeams:
         """Return begin and end points of the beams of some scans, by their poses.
 
         Parameters
@@ -191,9 +190,7 @@ class BeamStore:
         return PlacedBeams(begins, np.einsum("nij,nj->ni", R, ends) + t, scan)
 
 
-def compared(
-    earlier: Beams, later: Beams, motions: NDArray[np.float64], near_m: float, step: int = 1
-) -> NDArray[np.float64]:
+def compared(earlier: Beams, later: Beams, motions: Floats, near_m: float, step: int = 1) -> Floats:
     """Return how many points agree, contradict, are undecided, and are out of view; (k, 4).
 
     For each of the motions (k, 3), yaw, x, y, from the frame of the earlier scan into that of the

@@ -9,9 +9,9 @@ is used, not the motion.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import seen_in
@@ -44,12 +44,12 @@ DRIFT_RAD = np.deg2rad(4.0)
 CLOSED = np.zeros(3), np.empty((0, 2), dtype=np.int64)
 """For two scans that already share walls: no drift, and nothing new to join."""
 
-Loop = tuple[float, float, NDArray[np.float64], NDArray[np.int64]]
+Loop = tuple[float, float, Floats, Ints]
 """A later and an earlier scan, by distance travelled in metres; the drift between them; and the
 matching walls."""
 
 
-def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.int64]:
+def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> Ints:
     """Return pairs (k, 2) of compact wall numbers that are one wall, seen on two visits."""
     found: list[Loop] = []
     seen, way_m = _observation(assembled, history), gone_m(assembled)
@@ -61,14 +61,14 @@ def walls_seen_again(assembled: Assembled, history: PlaneHistory) -> NDArray[np.
     return voted(found)
 
 
-def _known(assembled: Assembled, pairs: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _known(assembled: Assembled, pairs: Ints) -> Bools:
     """Return which pairs of scans (k, 2) already share enough walls; (k,)."""
     seen = seen_in(assembled)
     both = seen[:, pairs[:, 0]].multiply(seen[:, pairs[:, 1]]).sum(axis=0)
     return np.asarray(both >= ENOUGH)
 
 
-def voted(found: list[Loop]) -> NDArray[np.int64]:
+def voted(found: list[Loop]) -> Ints:
     """Return pairs (k, 2) of distinct walls joined by loops with enough votes."""
     pairs = [pair for loop in found if votes(loop, found) >= VOTES for pair in loop[3]]
     unique = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
@@ -87,7 +87,7 @@ def votes(loop: Loop, found: list[Loop]) -> int:
     return len(agreeing)
 
 
-def _earlier(assembled: Assembled) -> NDArray[np.int64]:
+def _earlier(assembled: Assembled) -> Ints:
     """Return pairs of a later and an earlier scan (k, 2) to compare.
 
     For each of the nearest earlier visits, the scan nearest to the later one according to the map.
@@ -108,15 +108,13 @@ def _earlier(assembled: Assembled) -> NDArray[np.int64]:
     return _best(pairs, cost, pairs[:, 0], VISITS)[0]
 
 
-def gone_m(assembled: Assembled) -> NDArray[np.float64]:
+def gone_m(assembled: Assembled) -> Floats:
     """Return the distance travelled up to each scan of a map (i,), metres."""
     steps = np.linalg.norm(np.diff(assembled.state.t, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def _best(
-    pairs: NDArray[np.int64], cost: NDArray[np.float64], group: NDArray[np.int64], most: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _best(pairs: Ints, cost: Floats, group: Ints, most: int) -> tuple[Ints, Floats]:
     """Return the pairs (k, 2) of least cost of each group (k,), up to a maximum."""
     order = np.lexsort((pairs[:, 1], cost, group))
     group = group[order]
@@ -126,7 +124,7 @@ def _best(
 
 def _matched(
     assembled: Assembled, seen: PlaneObservation, j: int, i: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
+) -> tuple[Floats, Ints] | None:
     """Match an earlier scan to a later one.
 
     Returns

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
+
 CUT, CORNER, UNKNOWN = 0, 1, 2
 """Kinds of ends: of the visible part, of the wall itself, and unknown."""
 INTERVAL = 12
@@ -36,17 +38,13 @@ class ComparedEnds:
         For the right and the left end; both false if unknown.
     """
 
-    walls: NDArray[np.int64]
-    static: NDArray[np.bool_]
-    moving: NDArray[np.bool_]
+    walls: Ints
+    static: Bools
+    moving: Bools
 
 
 def compared_ends(
-    iteration: NDArray[np.int64],
-    wall: NDArray[np.int64],
-    ends: NDArray[np.float64],
-    sd: NDArray[np.float64],
-    kind: NDArray[np.int8],
+    iteration: Ints, wall: Ints, ends: Floats, sd: Floats, kind: NDArray[np.int8]
 ) -> ComparedEnds:
     """Test the ends of all walls seen in an interval; an end whose kind changed is unknown.
 

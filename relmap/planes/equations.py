@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.motion_factors import MotionFactors
 
 PARALLEL = np.sin(np.deg2rad(3.0)) ** 2
@@ -35,14 +35,14 @@ class WallEquations:
         Used where walls alone do not determine the motion.
     """
 
-    iteration: NDArray[np.int64]
-    wall: NDArray[np.int64]
-    ends: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    corner_row: NDArray[np.int64]
-    corner_end: NDArray[np.int64]
-    corner: NDArray[np.int64]
-    corner_sd: NDArray[np.float64]
+    iteration: Ints
+    wall: Ints
+    ends: Floats
+    sd: Floats
+    corner_row: Ints
+    corner_end: Ints
+    corner: Ints
+    corner_sd: Floats
     odometry: MotionFactors = field(default_factory=MotionFactors)
 
     @property
@@ -67,15 +67,15 @@ class Walls:
         Position of each corner along its wall, from the centre.
     """
 
-    yaw: NDArray[np.float64]
-    t: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    angle: NDArray[np.float64]
-    across: NDArray[np.float64]
-    along: NDArray[np.float64]
+    yaw: Floats
+    t: Floats
+    centre: Floats
+    angle: Floats
+    across: Floats
+    along: Floats
 
 
-def open_along(given: WallEquations) -> NDArray[np.float64]:
+def open_along(given: WallEquations) -> Floats:
     """Return the unobservable direction (i, 2) of each iteration, robot frame.
 
     The direction of its walls if they are parallel and show no corner; 0 otherwise, and where
@@ -95,7 +95,7 @@ def open_along(given: WallEquations) -> NDArray[np.float64]:
     return np.where(is_open[:, None], np.column_stack([np.cos(angle), np.sin(angle)]), 0.0)
 
 
-def between_neighbours(state: Walls, along: NDArray[np.float64]) -> Walls:
+def between_neighbours(state: Walls, along: Floats) -> Walls:
     """Return the state with unobservable positions interpolated at constant speed (motion model).
 
     Parameters

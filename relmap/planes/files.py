@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.io.files import atomic_write, write_tum
 from relmap.io.results import Result, read_result
 from relmap.io.tables import Kind, csv_text, read_table
@@ -61,13 +61,13 @@ class DrawnSubmap:
         Indices in `poses` of the scans whose motion since the previous one is not fully determined.
     """
 
-    iterations: NDArray[np.int64]
-    stamps_s: NDArray[np.float64]
-    poses: NDArray[np.float64]
+    iterations: Ints
+    stamps_s: Floats
+    poses: Floats
     planes: PlaneTable
-    points: NDArray[np.float64]
-    point_scan: NDArray[np.int64]
-    weak: NDArray[np.int64]
+    points: Floats
+    point_scan: Ints
+    weak: Ints
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -119,9 +119,7 @@ def write_planes(folder: Path, table: PlaneTable) -> None:
     atomic_write(folder / PLANES, text)
 
 
-def write_submaps(
-    folder: Path, submaps: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]
-) -> None:
+def write_submaps(folder: Path, submaps: Sequence[tuple[Floats, Floats]]) -> None:
     """Write times (k,) and poses (k, 4, 4) of all submaps except the first: ``submap-K.tum``.
 
     Scans of earlier logs, whose times are NaN, are left out.

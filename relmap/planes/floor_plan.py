@@ -8,8 +8,8 @@ observed more often is kept.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.planes.assembly import OFTEN, WallNumbers
 from relmap.planes.beams import BeamStore
 from relmap.planes.history import PlaneHistory
@@ -32,12 +32,8 @@ DOUBLED_M, PARALLEL = 0.12, np.cos(np.deg2rad(12.0))
 
 
 def floor_plan(
-    submap: WallSubmap,
-    numbers: WallNumbers,
-    history: PlaneHistory,
-    beams: BeamStore,
-    moving: NDArray[np.bool_],
-) -> tuple[WallSubmap, WallNumbers, NDArray[np.int64]]:
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, beams: BeamStore, moving: Bools
+) -> tuple[WallSubmap, WallNumbers, Ints]:
     """Return a submap with only the walls of its floor plan; one without walls unchanged.
 
     Parameters
@@ -68,7 +64,7 @@ def floor_plan(
     return WallSubmap.of(submap.span, submap.poses, drawn, submap.refined), numbers, moved
 
 
-def _standing(walls: Stretches) -> NDArray[np.bool_]:
+def _standing(walls: Stretches) -> Bools:
     """Return where walls exist (b,): seen, not seen through, and no duplicate of a stronger one."""
     hits, against = _around(walls.hits, 1), _around(walls.against, 1)
     no_wall = (against > AGAINST * hits) & (against > 1)
@@ -80,12 +76,12 @@ def _standing(walls: Stretches) -> NDArray[np.bool_]:
     return there | _small_gaps(walls, there, no_wall | doubled)
 
 
-def _around(counts: NDArray[np.int64], beside: int) -> NDArray[np.int64]:
+def _around(counts: Ints, beside: int) -> Ints:
     """Return counts summed over neighbouring stretches; margins separate the walls."""
     return np.asarray(np.convolve(counts, np.ones(2 * beside + 1, dtype=np.int64), "same"))
 
 
-def _doubled(walls: Stretches, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _doubled(walls: Stretches, there: Bools) -> Bools:
     """Return where a wall (b,) duplicates a wall that faces the same way and was seen more."""
     wall, half = walls.wall, BIN_M * np.diff(walls.first) / 2
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]
@@ -108,9 +104,7 @@ def _doubled(walls: Stretches, there: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return doubled
 
 
-def _small_gaps(
-    walls: Stretches, there: NDArray[np.bool_], known: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _small_gaps(walls: Stretches, there: Bools, known: Bools) -> Bools:
     """Return which stretches (b,) are gaps in a wall without evidence of an opening."""
     begin, end = _runs(~there & ~known)
     inside = (begin > 0) & (end < len(there)) & (BIN_M * (end - begin) <= GAP_M)
@@ -122,13 +116,13 @@ def _small_gaps(
     return np.asarray(np.cumsum(change)[:-1] > 0)
 
 
-def _runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _runs(mask: Bools) -> tuple[Ints, Ints]:
     """Return begin and end of each run of True."""
     edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     return edges[::2], edges[1::2]
 
 
-def _pieces(walls: Stretches, there: NDArray[np.bool_]) -> Pieces:
+def _pieces(walls: Stretches, there: Bools) -> Pieces:
     """Return the existing parts of walls, without marginal ones."""
     begin, end = _runs(there)
     sums = [np.append(0, np.cumsum(counts)) for counts in (walls.hits, walls.against)]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.map.pose import trajectory
 from relmap.core.mapper import RelativeMapper
 from relmap.core.state.table import NONE
@@ -65,12 +65,12 @@ class GroupedMap:
         )
 
     @property
-    def moving_corners(self) -> NDArray[np.int64]:
+    def moving_corners(self) -> Ints:
         """Corners (k,) that were seen moving."""
         return np.flatnonzero(self.engine.table.dynamic[::2])
 
     @property
-    def moving_walls(self) -> NDArray[np.bool_]:
+    def moving_walls(self) -> Bools:
         """Whether plane tracks were seen moving: all their known corners move; (p,)."""
         table, n = self.engine.table, self.walls.n_planes
         dynamic = table.dynamic[::2] | table.dynamic[1::2]
@@ -79,7 +79,7 @@ class GroupedMap:
         moves = np.bincount(planes[dynamic], minlength=n) > 0
         return np.asarray(moves & (np.bincount(planes[at_rest], minlength=n) == 0))
 
-    def submaps(self, numbers: WallNumbers, moving: NDArray[np.bool_]) -> list[WallSubmap]:
+    def submaps(self, numbers: WallNumbers, moving: Bools) -> list[WallSubmap]:
         """Return the submaps without moving plane tracks (p,), those with most scans first.
 
         Scan-to-scan motions bridge between groups; a submap without any group maps nothing.
@@ -94,7 +94,7 @@ class GroupedMap:
         return found
 
     @cached_property
-    def _paths(self) -> list[NDArray[np.float64]]:
+    def _paths(self) -> list[Floats]:
         """The poses (i, 4, 4) from each of the engine's submaps, the largest first."""
         table, rows = self.engine.table, self.engine.rows
         submaps, counts = np.unique(table.submap[table.submap != NONE], return_counts=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.steps import Steps
 
 
@@ -35,14 +35,14 @@ class PlaneHistory:
         Odometry, if available and accepted.
     """
 
-    iteration: NDArray[np.int64]
-    plane: NDArray[np.int64]
-    ends: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    z_extent: NDArray[np.float64]
-    corner: NDArray[np.int64]
-    motion: NDArray[np.float64]
-    submap: NDArray[np.int64]
+    iteration: Ints
+    plane: Ints
+    ends: Floats
+    sd: Floats
+    z_extent: Floats
+    corner: Ints
+    motion: Floats
+    submap: Ints
     odometry: Steps | None = None
 
     @property
@@ -62,11 +62,11 @@ class PlaneHistory:
         spans = np.column_stack([own[first], own[last] + 1])
         return [(a, b) for a, b in spans[np.lexsort((number, -count))].tolist()]
 
-    def own(self, span: tuple[int, int]) -> NDArray[np.bool_]:
+    def own(self, span: tuple[int, int]) -> Bools:
         """Return which iterations (k,) of the span of a submap belong to it."""
         return np.asarray(self.submap[slice(*span)] == self.submap[span[0]])
 
-    def within(self, span: tuple[int, int]) -> NDArray[np.int64]:
+    def within(self, span: tuple[int, int]) -> Ints:
         """Return the rows of the iterations of a submap, by its span."""
         begin, end = np.searchsorted(self.iteration, span).tolist()
         own = self.own(span)[self.iteration[begin:end] - span[0]]

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.judging import Candidates
 from relmap.planes.motions import after, others
 from relmap.planes.odometry import Expected
@@ -41,7 +41,7 @@ MARGIN = 15.0
 """Hypotheses less likely than the best by more than this, in log odds, are not evaluated
 further."""
 
-Judge = Callable[[NDArray[np.float64]], tuple[float, float, bool]]
+Judge = Callable[[Floats], tuple[float, float, bool]]
 """Evidence of a scan and the one two before for a motion (3,); see `Search.judged`."""
 
 
@@ -59,9 +59,9 @@ class Layer:
         The motion into the scan; NaN for a break.
     """
 
-    weight: NDArray[np.float64]
-    parent: NDArray[np.int64]
-    motion: NDArray[np.float64]
+    weight: Floats
+    parent: Ints
+    motion: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,18 +76,18 @@ class Verdict:
         Share of the total likelihood.
     """
 
-    motions: NDArray[np.float64]
-    share: NDArray[np.float64]
+    motions: Floats
+    share: Floats
 
     @property
-    def best(self) -> NDArray[np.float64] | None:
+    def best(self) -> Floats | None:
         """The motion (3,) of the most likely hypothesis with a motion; None if there is none."""
         known = np.isfinite(self.motions[:, 0])
         if not known.any():
             return None
         return np.asarray(self.motions[np.argmax(np.where(known, self.share, -1.0))])
 
-    def odds(self, motion: NDArray[np.float64]) -> float:
+    def odds(self, motion: Floats) -> float:
         """Return the log odds of a motion (3,)."""
         known = np.flatnonzero(np.isfinite(self.motions[:, 0]))
         share = self.share[known[~others(self.motions[known], motion)]].sum()
@@ -103,7 +103,7 @@ class Hypotheses:
         The motion into the first scan of the run; NaN if none is accepted.
     """
 
-    def __init__(self, before: NDArray[np.float64]) -> None:
+    def __init__(self, before: Floats) -> None:
         self._layers = [Layer(np.zeros(1), np.zeros(1, dtype=np.int64), before[None])]
 
     def __len__(self) -> int:
@@ -113,7 +113,7 @@ class Hypotheses:
     def go_on(
         self,
         found: Candidates,
-        usual: NDArray[np.float64],
+        usual: Floats,
         judge: Judge | None,
         expected: Expected | None = None,
     ) -> None:
@@ -154,9 +154,7 @@ class Hypotheses:
         return Verdict(self._layers[scan].motion[row], share / share.sum())
 
 
-def _change(
-    before: NDArray[np.float64], motions: NDArray[np.float64], usual: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _change(before: Floats, motions: Floats, usual: Floats) -> Floats:
     """Return the change of the step from previous motions (h, 3) to motions (k, 3); (h, k)."""
     known = np.isfinite(before[:, :1])
     step = np.where(known, before[:, 1:], usual[1:])[:, None] - motions[:, 1:]
@@ -164,9 +162,7 @@ def _change(
     return np.asarray(np.where(known, change, np.minimum(change, MOST_CHANGE)))
 
 
-def _two_back(
-    last: Layer, found: Candidates, looked_at: NDArray[np.bool_], judge: Judge
-) -> NDArray[np.float64]:
+def _two_back(last: Layer, found: Candidates, looked_at: Bools, judge: Judge) -> Floats:
     """Return the evidence of the scan two before for each motion and hypothesis; (h, k)."""
     told = np.zeros(looked_at.shape)
     known = np.isfinite(last.motion[:, 0])

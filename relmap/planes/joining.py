@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.assembly import Assembled, WallNumbers, directions, first_of
 
 TURN_RAD = np.deg2rad(6.0)
@@ -41,21 +41,19 @@ def join_walls(assembled: Assembled, numbers: WallNumbers) -> WallNumbers:
     )
 
 
-def join_pairs(assembled: Assembled, numbers: WallNumbers, pairs: NDArray[np.int64]) -> WallNumbers:
+def join_pairs(assembled: Assembled, numbers: WallNumbers, pairs: Ints) -> WallNumbers:
     """Return the association after merging pairs (k, 2) of compact wall numbers."""
     first = first_of(len(assembled.walls), pairs)
     return WallNumbers(_renamed(assembled, numbers, first), numbers.corner_of)
 
 
-def _renamed(
-    assembled: Assembled, numbers: WallNumbers, first: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _renamed(assembled: Assembled, numbers: WallNumbers, first: Ints) -> Ints:
     renamed = np.arange(len(numbers.wall_of))
     renamed[assembled.walls] = assembled.walls[first]
     return renamed[numbers.wall_of]
 
 
-def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def wall_extents(assembled: Assembled) -> tuple[Floats, Floats]:
     """Return the extent of each wall along itself, from its centre: right and left; (w,)."""
     from relmap.core.linalg.order_kernels import quantiles
 
@@ -70,9 +68,7 @@ def wall_extents(assembled: Assembled) -> tuple[NDArray[np.float64], NDArray[np.
     )
 
 
-def _pairs(
-    assembled: Assembled, low: NDArray[np.float64], high: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def _pairs(assembled: Assembled, low: Floats, high: Floats) -> Ints:
     """Return pairs (k, 2) of walls that coincide."""
     state = assembled.state
     normal, along = directions(state.angle)
@@ -94,9 +90,7 @@ def _pairs(
     return np.column_stack([a[on_one_another], b[on_one_another]])
 
 
-def _near(
-    middle: NDArray[np.float64], half: NDArray[np.float64], normal: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _near(middle: Floats, half: Floats, normal: Floats) -> tuple[Ints, Ints]:
     """Return pairs a < b of walls (w,) that face the same way and may touch, by their midpoints."""
     a, b = [], []
     for begin in range(0, len(half), BLOCK):
@@ -124,7 +118,7 @@ def seen_together(assembled: Assembled) -> Any:
     return (seen @ seen.T).tocsr()
 
 
-def joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[np.int64]:
+def joined_corners(assembled: Assembled, wall_of: Ints) -> Ints:
     """Return the corner of every corner number; -1 if it is none."""
     given, corners = assembled.given, assembled.corners
     every = np.arange(1 + int(max(corners.max(initial=-1), assembled.all_corners.max(initial=-1))))
@@ -150,12 +144,7 @@ def joined_corners(assembled: Assembled, wall_of: NDArray[np.int64]) -> NDArray[
     return every
 
 
-def _times_seen_beyond(
-    assembled: Assembled,
-    wall_of: NDArray[np.int64],
-    wall: NDArray[np.int64],
-    place: NDArray[np.float64],
-) -> NDArray[np.int64]:
+def _times_seen_beyond(assembled: Assembled, wall_of: Ints, wall: Ints, place: Floats) -> Ints:
     """Count how often the walls (c,) of corners were seen beyond the corners' positions (c,)."""
     own = wall_of[assembled.given.wall]
     along = directions(assembled.state.angle[own])[1]
@@ -174,7 +163,7 @@ def _times_seen_beyond(
     return found
 
 
-def placed_ends(assembled: Assembled) -> NDArray[np.float64]:
+def placed_ends(assembled: Assembled) -> Floats:
     """Return the ends (n, 2, 2) of the observations in the map frame."""
     given, state = assembled.given, assembled.state
     c, s = np.cos(state.yaw), np.sin(state.yaw)

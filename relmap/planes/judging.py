@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.planes.beams import Beams
 from relmap.planes.placement import Match
 
@@ -31,7 +31,7 @@ class View(NamedTuple):
     """Beams of an earlier scan, and the motion (3,) from its frame to that of the tracks."""
 
     beams: Beams
-    motion: NDArray[np.float64]
+    motion: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +50,12 @@ class Judged:
         Prior improbability of each motion: log odds.
     """
 
-    motions: NDArray[np.float64]
+    motions: Floats
     matches: list[Match]
-    agree: NDArray[np.float64]
-    contradict: NDArray[np.float64]
-    match: NDArray[np.float64]
-    surprise: NDArray[np.float64]
+    agree: Floats
+    contradict: Floats
+    match: Floats
+    surprise: Floats
 
     def and_those(self, more: Judged) -> Judged:
         """Return these motions and others."""
@@ -69,14 +69,14 @@ class Judged:
         )
 
     @property
-    def evidence(self) -> NDArray[np.float64]:
+    def evidence(self) -> Floats:
         """Log odds that each motion is right, (k,)."""
         evidence = NONE + MATCHED * self.match + MATCHES * self._many - self.surprise
         evidence += AGREEING * self.agree + CONTRADICTING * self.contradict
         return np.where((self.agree >= AGREES) & (self._many > 0), evidence, -np.inf)
 
     @property
-    def of_pair(self) -> NDArray[np.float64]:
+    def of_pair(self) -> Floats:
         """Evidence of two scans alone for each motion, (k,): log odds, without `MEASURED`."""
         against = np.log(self.contradict + HARDLY)
         told = [self.match, self._many, self.agree, against, np.ones(len(self.match))]
@@ -84,7 +84,7 @@ class Judged:
         return np.where(known, PAIR @ np.array(told), -np.inf)
 
     @property
-    def _many(self) -> NDArray[np.float64]:
+    def _many(self) -> Floats:
         return np.minimum([match.score for match in self.matches], MANY) / MANY
 
 
@@ -101,7 +101,7 @@ class Candidates(NamedTuple):
     matches : list of Match
     """
 
-    motions: NDArray[np.float64]
-    evidence: NDArray[np.float64]
-    measured: NDArray[np.bool_]
+    motions: Floats
+    evidence: Floats
+    measured: Bools
     matches: list[Match]

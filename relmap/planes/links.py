@@ -7,8 +7,8 @@ rest of the map. So the run breaks and continues in a new frame.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.motions import APART_M, APART_RAD
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.placement import LEVER_M, Match, PlanarMotion, worth
@@ -55,13 +55,13 @@ def believed(
     return match.score >= supported * (min(worth(tracks, seen, recent)) - 1)
 
 
-def usual_motion(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def usual_motion(motions: Floats) -> Floats:
     """Return the recent motion of the robot (3,): the median of its last motions (n, 3)."""
     last = np.sort(motions[-STEADY:], axis=0)
     return np.asarray(last[len(last) // 2]) if len(last) else np.zeros(3)
 
 
-def farthest_m(before: NDArray[np.float64]) -> float:
+def farthest_m(before: Floats) -> float:
     """Return the longest plausible step from one scan to the next, metres.
 
     Parameters
@@ -84,7 +84,7 @@ def measured_along(tracks: PlaneTracks, seen: PlaneObservation, match: Match) ->
     return bool(spread(seen.along[match.walls], of, 1)[0] >= CROSSING)
 
 
-def unsure_m(before: NDArray[np.float64]) -> float:
+def unsure_m(before: Floats) -> float:
     """Return the possible error of the length of an unmeasured step, metres.
 
     The step is predicted as the median of the last measured motions, of all (n, 3) so far; its
@@ -96,11 +96,11 @@ def unsure_m(before: NDArray[np.float64]) -> float:
     return float(max((high - low) / 2 / np.sqrt(STEADY), UNSURE * middle))
 
 
-def _lengths(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lengths(motions: Floats) -> Floats:
     return np.hypot(motions[:, 1], motions[:, 2])
 
 
-def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tuple[int, float]:
+def disagreement(poses: Floats, motions: Floats) -> tuple[int, float]:
     """Return the number of links at which a path is torn, and the mean error at the others.
 
     Compared with the motions measured from scan to scan; metres.
@@ -117,9 +117,7 @@ def disagreement(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> tu
     return int(torn.sum()), float(off_m[~torn].sum() / max((~torn).sum(), 1))
 
 
-def torn_links(
-    poses: NDArray[np.float64], motions: NDArray[np.float64], weak: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def torn_links(poses: Floats, motions: Floats, weak: Ints) -> Ints:
     """Return the scans (t,) before which a path deviates from its links.
 
     Parameters
@@ -136,15 +134,13 @@ def torn_links(
     return 1 + np.flatnonzero(torn)
 
 
-def _off_m(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _off_m(poses: Floats, motions: Floats) -> Floats:
     """Return the disagreement of a path with each of its links, NaN where unknown."""
     way_m, turn = _off(poses, motions)
     return np.asarray(way_m + LEVER_M * turn)
 
 
-def _off(
-    poses: NDArray[np.float64], motions: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _off(poses: Floats, motions: Floats) -> tuple[Floats, Floats]:
     """Return the same for translation, metres, and rotation, radians."""
     relative = np.linalg.inv(poses[1:]) @ poses[:-1]
     turn = np.arctan2(relative[:, 1, 0], relative[:, 0, 0]) - motions[1:, 0]
@@ -152,9 +148,7 @@ def _off(
     return way_m, np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
 
 
-def stretched_m(
-    poses: NDArray[np.float64], before: NDArray[np.float64], weak: NDArray[np.int64]
-) -> float:
+def stretched_m(poses: Floats, before: Floats, weak: Ints) -> float:
     """Return the largest difference between two paths over consecutive weak links, metres.
 
     Parameters
@@ -174,7 +168,7 @@ def stretched_m(
     return float(np.nan_to_num(np.abs(ways[0] - ways[1])).max())
 
 
-def spread(along: NDArray[np.float64], of: NDArray[np.int64], n: int) -> NDArray[np.float64]:
+def spread(along: Floats, of: Ints, n: int) -> Floats:
     """Return the spread (n,) of the wall directions (k, 2) of each of n scans.
 
     This is the smaller eigenvalue of the sum of the directions' outer products.

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.mapper import Place
 from relmap.planes.finding import WallFinder
@@ -40,7 +41,7 @@ class MapOfBefore:
     table: PlaneTable
     finder: WallFinder
     scan: int
-    pose: NDArray[np.float64]
+    pose: Floats
 
     @classmethod
     def of(cls, table: PlaneTable, submaps: list[WallSubmap]) -> MapOfBefore:
@@ -52,14 +53,14 @@ class MapOfBefore:
         finder = WallFinder(table.ends[table.status == "static"])
         return cls(table, finder, own.first_iteration + known, own.poses[known])
 
-    def carried_on(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def carried_on(self, motions: Floats) -> Floats:
         """Return the pose (4, 4) of the last scan, by the motions (i, 3) to each scan."""
         pose = self.pose
         for step in matrices(motions[self.scan + 1 :]):
             pose = pose @ np.linalg.inv(step)
         return np.asarray(pose)
 
-    def expected(self, T_map_robot: NDArray[np.float64], reach_m: float) -> PlaneTracks:
+    def expected(self, T_map_robot: Floats, reach_m: float) -> PlaneTracks:
         """Return the walls expected in a scan at a pose, in the robot frame."""
         rows = np.flatnonzero(self.table.status == "static")
         ends = (self.table.ends[rows] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
@@ -72,7 +73,7 @@ class MapOfBefore:
         chosen = front & near & (size > SHORTEST_M)
         return self._tracks(rows[chosen], ends[chosen])
 
-    def _tracks(self, rows: NDArray[np.int64], ends: NDArray[np.float64]) -> PlaneTracks:
+    def _tracks(self, rows: Ints, ends: Floats) -> PlaneTracks:
         """Return walls, with ends (k, 2, 2) in the robot frame, as tracks."""
         n, corner = len(rows), self.table.corner[rows]
         z_extent = self.table.z_extent[rows]
@@ -87,7 +88,7 @@ class LocatingMapper(MappedWalls):
 
     _finder: WallFinder | None = None
     _onto: MapOfBefore | None = None
-    _found: NDArray[np.float64] | None = None
+    _found: Floats | None = None
 
     def locate(self, points: Any, beams: ArrayLike | None = None) -> Place:
         """Localise a scan using only the map; the mapper does not change.
@@ -114,7 +115,7 @@ class LocatingMapper(MappedWalls):
             self._finder = MapOfBefore.of(self.planes, self.submaps).finder
         return self._finder.find(self._checked(points, beams))
 
-    def localise(self, points: Any, beams: ArrayLike | None = None) -> NDArray[np.float64]:
+    def localise(self, points: Any, beams: ArrayLike | None = None) -> Floats:
         """Return the pose ``T_map_robot`` (4, 4) of a scan; NaN if it is ambiguous.
 
         See `locate`.
@@ -154,7 +155,7 @@ class LocatingMapper(MappedWalls):
         self._found = place.T_map_robot if place.n_places == 1 else None
         return self._found is not None
 
-    def _attach(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> None:
+    def _attach(self, seen: PlaneObservation, walls: Ints) -> None:
         """Tie the last scan, whose walls have these numbers, to its place in the map."""
         if self._found is None or self._onto is None:
             return

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup
 from relmap.core.odometry import OdometryUse
 from relmap.core.refinement.joint import Refined
@@ -26,8 +26,8 @@ class MappedWalls(Mapper):
 
     _planes: PlaneRegistration
     _refined_walls: tuple[list[WallSubmap], WallNumbers] | None
-    _spread: NDArray[np.float64] | None
-    _moved: NDArray[np.int64]
+    _spread: Floats | None
+    _moved: Ints
 
     @property
     def history(self) -> PlaneHistory:
@@ -111,7 +111,7 @@ class MappedWalls(Mapper):
         return [corner_group(group, corner_of) for group in super().groups]
 
     @property
-    def group_walls(self) -> list[NDArray[np.int64]]:
+    def group_walls(self) -> list[Ints]:
         """Numbers of the walls that each group connects, in the order of mapping."""
         wall = self._own_numbers.wall_of[self._planes.wall_end // 2]
         return [np.unique(wall[group.landmarks // 2]) for group in super().groups]
@@ -128,7 +128,7 @@ class MappedWalls(Mapper):
         return [refined_walls(s.assembled, history) for s in submaps if s.refined and s.assembled]
 
     @property
-    def trajectory(self) -> NDArray[np.float64]:
+    def trajectory(self) -> Floats:
         """``T_map_robot`` of every iteration (k, 4, 4), for display; NaN outside the map."""
         history, submaps = self.history, self.submaps
         if not submaps:
@@ -136,7 +136,7 @@ class MappedWalls(Mapper):
         return among_all(submaps[0].poses, submaps[0].span, history)
 
     @property
-    def weak_links(self) -> NDArray[np.int64]:
+    def weak_links(self) -> Ints:
         """Iterations (k,) whose motion since the previous one is not fully determined."""
         return weak_links(self.history)
 
@@ -168,7 +168,7 @@ class MappedWalls(Mapper):
         return self._refined_walls[1] if self._refined_walls else self._grouped.numbers
 
     @property
-    def _covariances(self) -> NDArray[np.float64] | None:
+    def _covariances(self) -> Floats | None:
         """Covariances (c, 2, 2) of the first submap's corners, if refined; computed on access."""
         first = next(iter(self._refined_walls[0]), None) if self._refined_walls else None
         if first is None or first.assembled is None or not first.refined:
@@ -182,7 +182,7 @@ class MappedWalls(Mapper):
         return GroupedMap(self.engine, self._planes, self.history)
 
     @property
-    def _moving(self) -> NDArray[np.bool_]:
+    def _moving(self) -> Bools:
         """Whether plane tracks (p,) move, or are not where the refined map has them."""
         moving = self._grouped.moving_walls
         moving[self._moved] = True

@@ -7,9 +7,10 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from relmap.core import afterwards
+from relmap.core.arrays import Floats, Ints
 from relmap.core.config import WITH_WALLS, MapperConfig
 from relmap.core.errors import RelmapError
 from relmap.core.odometry import checked_odometry
@@ -86,7 +87,7 @@ class PlaneMapper(LocatingMapper):
         self._planes.links.wheels.given = self.engine.motions
         self._segmenter = segmenter
         self._refined_walls = None
-        self._spread: NDArray[np.float64] | None = None
+        self._spread: Floats | None = None
         self._moved = np.empty(0, dtype=np.int64)
 
     def update(
@@ -95,7 +96,7 @@ class PlaneMapper(LocatingMapper):
         ids: ArrayLike | None = None,
         beams: ArrayLike | None = None,
         odometry: ArrayLike | None = None,
-    ) -> NDArray[np.int64]:
+    ) -> Ints:
         """Process one iteration.
 
         Parameters
@@ -132,9 +133,7 @@ class PlaneMapper(LocatingMapper):
             motion = None if odometry is None else checked_odometry(odometry)
             return self._take_in(seen, motion)
 
-    def _take_in(
-        self, seen: PlaneObservation, motion: NDArray[np.float64] | None
-    ) -> NDArray[np.int64]:
+    def _take_in(self, seen: PlaneObservation, motion: Floats | None) -> Ints:
         if self._journal is not None:
             self._journal.ready()
         self._refined_walls = self._finder = None
@@ -183,7 +182,7 @@ class PlaneMapper(LocatingMapper):
         self._spread = self._finder = None
         return found.submaps
 
-    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
+    def landmarks_of(self, labels: ArrayLike) -> Ints:
         """Return the current numbers (n,) of walls, given numbers from earlier updates.
 
         Parameters
@@ -207,7 +206,7 @@ class PlaneMapper(LocatingMapper):
         self._planes = PlaneRegistration(self.config.max_missed, self.config.bridge_m)
         return WallModel(self._planes)
 
-    def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
+    def _again(self, scan: RecordedScan) -> Ints:
         seen = checked_planes(of_journal(scan.values))
         return self._take_in(replace(seen, beams=ToldBeams.from_bytes(scan.beams)), scan.odometry)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.config import MapperConfig
 from relmap.core.state.store import Rows, Shown
 from relmap.core.state.table import LandmarkState
@@ -49,7 +49,7 @@ class WallModel:
     def __init__(self, walls: PlaneRegistration) -> None:
         self._walls = walls
 
-    def rows(self, seen: PlaneObservation, walls: NDArray[np.int64]) -> Rows:
+    def rows(self, seen: PlaneObservation, walls: Ints) -> Rows:
         """Return the stored columns of the walls of one scan, with these numbers (m,)."""
         return {
             "landmark": self._walls.landmark,
@@ -72,7 +72,7 @@ class WallModel:
         """Return the association."""
         return self._walls
 
-    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def average_in_basis(self, block: Floats) -> Floats | None:
         """Average a group's locations (g, i, 2) with one line at 0 degrees (Figs 1 and 2)."""
         return relative_map(block)
 
@@ -80,7 +80,7 @@ class WallModel:
         """Return the minimum number of mapped points per group: a corner and its midpoint."""
         return 2
 
-    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones: corners.
 
         Midpoints are not: their distance from the corner differs between tracks.

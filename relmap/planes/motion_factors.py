@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.schur import Linearised
 from relmap.planes.tracks import wrapped
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,25 +29,25 @@ class MotionFactors:
         Standard deviations of the yaw, radians, and of x and y, metres.
     """
 
-    both: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
-    motion: Array = field(default_factory=lambda: np.empty((0, 3)))
-    sd: Array = field(default_factory=lambda: np.empty((0, 2)))
+    both: Ints = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    motion: Floats = field(default_factory=lambda: np.empty((0, 3)))
+    sd: Floats = field(default_factory=lambda: np.empty((0, 2)))
 
     def __len__(self) -> int:
         """Return the number of factors."""
         return len(self.both)
 
     @property
-    def iteration(self) -> NDArray[np.int64]:
+    def iteration(self) -> Ints:
         """Iteration of each residual, (6 l,): yaw, x, y of the earlier, then the later."""
         return np.repeat(self.both.T, 3)
 
     @property
-    def residual_sd(self) -> Array:
+    def residual_sd(self) -> Floats:
         """Standard deviation of each residual, (6 l,)."""
         return np.tile(self.sd[:, [0, 1, 1]].ravel() / np.sqrt(2), 2)
 
-    def added_to(self, seen: Linearised, yaw: Array, t: Array) -> Linearised:
+    def added_to(self, seen: Linearised, yaw: Floats, t: Floats) -> Linearised:
         """Append residuals and Jacobians of the factors.
 
         The Jacobians are by the pose and by the auxiliary pose, which is midway between the two.

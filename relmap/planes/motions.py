@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.placement import PlanarMotion
 from relmap.planes.tracks import wrapped
 
@@ -13,23 +13,16 @@ APART_M, APART_RAD = 0.3, np.deg2rad(8.0)
 
 
 def others(
-    motions: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    apart_m: float = APART_M,
-    apart_rad: float = APART_RAD,
-) -> NDArray[np.bool_]:
+    motions: Floats, motion: Floats, apart_m: float = APART_M, apart_rad: float = APART_RAD
+) -> Bools:
     """Return which motions (k, 3) are distinct from one (3,)."""
     off = np.hypot(*(motions[:, 1:] - motion[1:]).T)
     return np.asarray((off > apart_m) | (np.abs(wrapped(motions[:, 0] - motion[0])) > apart_rad))
 
 
 def distinct(
-    motions: NDArray[np.float64],
-    order: NDArray[np.int64],
-    most: int,
-    apart_m: float = APART_M,
-    apart_rad: float = APART_RAD,
-) -> NDArray[np.int64]:
+    motions: Floats, order: Ints, most: int, apart_m: float = APART_M, apart_rad: float = APART_RAD
+) -> Ints:
     """Return the first distinct motions in a given order, up to a maximum."""
     kept: list[int] = []
     for k in order.tolist():
@@ -40,14 +33,14 @@ def distinct(
     return np.array(kept, dtype=np.int64)
 
 
-def after(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def after(first: Floats, second: Floats) -> Floats:
     """Return the composition of a motion (3,) with each of others (k, 3)."""
     c, s = np.cos(second[:, 0]), np.sin(second[:, 0])
     x, y = c * first[1] - s * first[2], s * first[1] + c * first[2]
     return np.column_stack([first[0] + second[:, 0], x + second[:, 1], y + second[:, 2]])
 
 
-def motion_over(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def motion_over(motions: Floats) -> Floats:
     """Return the composition of motions (k, 3), in order, as one (3,)."""
     whole = np.zeros(3)
     for motion in motions:
@@ -55,19 +48,19 @@ def motion_over(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     return whole
 
 
-def inverse(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse(motion: Floats) -> Floats:
     """Return the inverse of a motion (3,)."""
     c, s = np.cos(motion[0]), np.sin(motion[0])
     x, y = motion[1:]
     return np.array([-motion[0], -c * x - s * y, s * x - c * y])
 
 
-def planar(motion: NDArray[np.float64]) -> PlanarMotion:
+def planar(motion: Floats) -> PlanarMotion:
     """Return a motion (3,) as a `PlanarMotion`."""
     return PlanarMotion(float(motion[0]), motion[1:])
 
 
-def matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def matrices(motions: Floats) -> Floats:
     """Return motions (k, 3) as (k, 4, 4)."""
     T = np.tile(np.eye(4), (len(motions), 1, 1))
     c, s = np.cos(motions[:, 0]), np.sin(motions[:, 0])
@@ -77,6 +70,6 @@ def matrices(motions: NDArray[np.float64]) -> NDArray[np.float64]:
     return T
 
 
-def from_matrices(T: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_matrices(T: Floats) -> Floats:
     """Return the planar motions (k, 3) of matrices (k, 4, 4)."""
     return np.column_stack([np.arctan2(T[:, 1, 0], T[:, 0, 0]), T[:, :2, 3]])

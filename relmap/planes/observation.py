@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.errors import RelmapError
 from relmap.core.scan import FARTHEST_M, numbers
 from relmap.planes.beams import ToldBeams
@@ -48,23 +49,19 @@ class PlaneObservation:
         None if not given.
     """
 
-    ends: NDArray[np.float64]
+    ends: Floats
     kind: NDArray[np.int8]
-    along: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    size: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    z_extent: NDArray[np.float64]
+    along: Floats
+    normal: Floats
+    offset: Floats
+    size: Floats
+    sd: Floats
+    z_extent: Floats
     beams: ToldBeams = NO_BEAMS
 
     @classmethod
     def of(
-        cls,
-        ends: NDArray[np.float64],
-        kind: NDArray[np.int8],
-        sd: NDArray[np.float64],
-        z_extent: NDArray[np.float64],
+        cls, ends: Floats, kind: NDArray[np.int8], sd: Floats, z_extent: Floats
     ) -> PlaneObservation:
         """Return walls from their stored rows."""
         across = ends[:, 1] - ends[:, 0]
@@ -79,7 +76,7 @@ class PlaneObservation:
         return len(self.ends)
 
     @property
-    def static(self) -> NDArray[np.bool_]:
+    def static(self) -> Bools:
         """Whether an end is given as an end of the wall itself; (m, 2)."""
         return np.asarray(self.kind == CORNER)
 
@@ -88,7 +85,7 @@ class PlaneObservation:
         """The walls in the form used by the compiled matching."""
         return self.ends, self.along, self.normal, self.size, self.sd, self.static
 
-    def only(self, rows: NDArray[np.bool_] | slice) -> PlaneObservation:
+    def only(self, rows: Bools | slice) -> PlaneObservation:
         """Return some of the walls, without beams."""
         walls = (getattr(self, field.name)[rows] for field in fields(self)[:-1])
         return PlaneObservation(*walls)
@@ -138,7 +135,7 @@ def _coded(end_type: NDArray[np.str_]) -> NDArray[np.int8]:
     return kind.astype(np.int8)
 
 
-def checked_ends(ends: Any) -> NDArray[np.float64]:
+def checked_ends(ends: Any) -> Floats:
     """Return the ends of walls as a new array (m, 2, 2).
 
     Raises
@@ -161,7 +158,7 @@ def checked_ends(ends: Any) -> NDArray[np.float64]:
     return array
 
 
-def _measured(planes: Any, m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _measured(planes: Any, m: int) -> tuple[Floats, Floats]:
     """Return the standard deviations of wall distances (m,) and z extents (m, 2), metres."""
     sd, z_extent = np.zeros(m), np.zeros((m, 2))
     if hasattr(planes, "n_points"):
@@ -172,7 +169,7 @@ def _measured(planes: Any, m: int) -> tuple[NDArray[np.float64], NDArray[np.floa
     return sd, z_extent
 
 
-def _column(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _column(values: Any, name: str, shape: tuple[int, ...]) -> Floats:
     array = numbers(values, name, f"a {shape} array of numbers")
     if array.size == 0 and shape[0] == 0:
         return np.zeros(shape)
@@ -183,13 +180,13 @@ def _column(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[np.float6
     return array
 
 
-def journaled(seen: PlaneObservation) -> NDArray[np.float64]:
+def journaled(seen: PlaneObservation) -> Floats:
     """Return the walls (m,) of one scan as rows (m, 9) for a journal."""
     ends = seen.ends.reshape(-1, 4)
     return np.column_stack([ends, seen.z_extent, seen.sd, seen.kind.astype(np.float64)])
 
 
-def of_journal(rows: NDArray[np.float64]) -> SimpleNamespace:
+def of_journal(rows: Floats) -> SimpleNamespace:
     """Return the walls stored as rows (m, 9)."""
     rows = rows.reshape(-1, 9)
     return SimpleNamespace(

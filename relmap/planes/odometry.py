@@ -10,8 +10,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.motion_noise import WRONG_SCALE, WRONG_WAY, MotionNoise, motion_noise
 from relmap.core.odometry import Motions, OdometryUse
 from relmap.planes.motions import from_matrices, inverse, matrices
@@ -47,17 +47,17 @@ class Expected(NamedTuple):
         Standard deviations, including those of the motions from walls that it is compared with.
     """
 
-    motion: NDArray[np.float64]
+    motion: Floats
     sd_m: float
     sd_rad: float
 
-    def off(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def off(self, motions: Floats) -> Floats:
         """Return the deviation of motions (k, 3) in standard deviations."""
         way = np.hypot(*(motions[:, 1:] - self.motion[1:]).T) / self.sd_m
         turn = wrapped(motions[:, 0] - self.motion[0]) / self.sd_rad
         return np.asarray(np.hypot(way, turn))
 
-    def supports(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def supports(self, motions: Floats) -> Floats:
         """Return the log odds of motions (k, 3) given odometry."""
         return np.asarray(AGREED - np.minimum(self.off(motions) ** 2 / 2, FAULT))
 
@@ -78,11 +78,7 @@ class Wheels:
         self._last: tuple[tuple[int, int, int], Expected | None] = NEVER, None
 
     def expected(
-        self,
-        earlier: int,
-        later: int,
-        motions: NDArray[np.float64],
-        measured: NDArray[np.bool_],
+        self, earlier: int, later: int, motions: Floats, measured: Bools
     ) -> Expected | None:
         """Return the motion from an earlier scan to a later one, as expected from odometry.
 
@@ -107,11 +103,7 @@ class Wheels:
         return self._last[1]
 
     def _expected(
-        self,
-        earlier: int,
-        later: int,
-        motions: NDArray[np.float64],
-        measured: NDArray[np.bool_],
+        self, earlier: int, later: int, motions: Floats, measured: Bools
     ) -> Expected | None:
         steps = self.given.between(earlier + 1, later + 1)
         noise = self.noise(motions, measured)
@@ -125,9 +117,7 @@ class Wheels:
         motion = inverse(path[-1])
         return Expected(motion, float(off_m), float(off_rad))
 
-    def noise(
-        self, motions: NDArray[np.float64], measured: NDArray[np.bool_]
-    ) -> MotionNoise | None:
+    def noise(self, motions: Floats, measured: Bools) -> MotionNoise | None:
         """Return the recent quality of odometry; None if it is rejected."""
         every = EVERY if len(motions) > EVERY else AT_FIRST
         now = len(motions) // every * every
@@ -138,9 +128,7 @@ class Wheels:
             self._noise_of, self._noise = now, found if is_believed else None
         return self._noise
 
-    def noise_over_all(
-        self, motions: NDArray[np.float64], measured: NDArray[np.bool_]
-    ) -> MotionNoise | None:
+    def noise_over_all(self, motions: Floats, measured: Bools) -> MotionNoise | None:
         """Return the quality of odometry over a whole run; None if missing or rejected."""
         if not len(self.given):
             return None
@@ -148,11 +136,7 @@ class Wheels:
         return found if is_believed else None
 
     def use(
-        self,
-        motions: NDArray[np.float64],
-        measured: NDArray[np.bool_],
-        left_out: NDArray[np.bool_],
-        hanging: NDArray[np.bool_],
+        self, motions: Floats, measured: Bools, left_out: Bools, hanging: Bools
     ) -> OdometryUse | None:
         """Return how odometry was used; None if there is none."""
         if not len(self.given):
@@ -161,9 +145,7 @@ class Wheels:
         use = OdometryUse.of(found, left_out)
         return replace(use, is_used=bool(hanging.any()), hanging=np.flatnonzero(hanging))
 
-    def _compared(
-        self, scans: NDArray[np.int64], motions: NDArray[np.float64]
-    ) -> tuple[MotionNoise, bool]:
+    def _compared(self, scans: Ints, motions: Floats) -> tuple[MotionNoise, bool]:
         """Return the quality of odometry in some scans (k,), and whether it is accepted."""
         begin, end = int(scans.min(initial=len(motions))), int(scans.max(initial=-1)) + 1
         steps = self.given.between(begin, max(begin, end))[scans - begin]
@@ -178,9 +160,7 @@ class Wheels:
         fails = faults > FAULTS and faults > FAULTY * len(steps)
         return found, not (is_noise or fails or abs(found.scale - 1) > WRONG_SCALE)
 
-    def left_out(
-        self, motions: NDArray[np.float64], measured: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
+    def left_out(self, motions: Floats, measured: Bools) -> Bools:
         """Return in which iterations (i,) odometry is rejected.
 
         Those that contradict the motion measured by walls; all if there are too many.
@@ -195,9 +175,7 @@ class Wheels:
         self._noise_of, self._last = -1, (NEVER, None)
 
 
-def _otherwise(
-    noise: MotionNoise, steps: NDArray[np.float64], motions: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _otherwise(noise: MotionNoise, steps: Floats, motions: Floats) -> Bools:
     """Return which steps (k, 4, 4) contradict the measured motions (k, 3)."""
     off, (sd_m, sd_rad) = (
         corrected(noise, steps) - from_matrices(_poses(motions)),
@@ -208,6 +186,6 @@ def _otherwise(
     return np.asarray(np.hypot(way, turn) > OTHERWISE)
 
 
-def _poses(motions: NDArray[np.float64]) -> NDArray[np.float64]:
+def _poses(motions: Floats) -> Floats:
     """Return motions (k, 3) as poses (k, 4, 4) of the robot in the previous frame."""
     return np.asarray(np.linalg.inv(matrices(motions)))

@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.history import PlaneHistory
 from relmap.planes.tracks import wrapped
 
@@ -40,16 +40,14 @@ class Relation:
         Number of common iterations.
     """
 
-    offset: NDArray[np.float64]
+    offset: Floats
     turn: float
     deviation: float
     ends: tuple[int, int]
     n: int
 
 
-def relate(
-    first: NDArray[np.float64], second: NDArray[np.float64], sizes: tuple[float, float]
-) -> Relation:
+def relate(first: Floats, second: Floats, sizes: tuple[float, float]) -> Relation:
     """Average the relation of two walls over their common interval.
 
     Parameters
@@ -69,14 +67,14 @@ def relate(
     return Relation(mean, steady, float(deviation[i, j]), (int(i), int(j)), len(first))
 
 
-def _turns(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turns(first: Floats, second: Floats) -> Floats:
     """Return the rotation from the first wall (k, 2, 2) to the second; (k,) radians."""
     along, other = (ends[:, 1] - ends[:, 0] for ends in (first, second))
     turns = np.arctan2(other[:, 1], other[:, 0]) - np.arctan2(along[:, 1], along[:, 0])
     return wrapped(turns)
 
 
-def pairwise_map(history: PlaneHistory, n_planes: int) -> NDArray[np.float64]:
+def pairwise_map(history: PlaneHistory, n_planes: int) -> Floats:
     """Return the ends of all walls by the chain of the strongest pairwise relations.
 
     The relations with the least deviation, divided by the square root of the common interval, form
@@ -112,16 +110,13 @@ def pairwise_map(history: PlaneHistory, n_planes: int) -> NDArray[np.float64]:
     return _chained(relations, order.astype(np.int64), before.astype(np.int64), size)
 
 
-def _largest(ends: NDArray[np.float64]) -> float:
+def _largest(ends: Floats) -> float:
     return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0))
 
 
 def _chained(
-    relations: dict[tuple[int, int], Relation],
-    order: NDArray[np.int64],
-    before: NDArray[np.int64],
-    size: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    relations: dict[tuple[int, int], Relation], order: Ints, before: Ints, size: Floats
+) -> Floats:
     midpoint, angle = np.full((len(size), 2), np.nan), np.zeros(len(size))
     midpoint[order[0]] = 0.0
     for b in order[1:].tolist():
@@ -139,6 +134,6 @@ def _chained(
     return np.stack([midpoint - half, midpoint + half], axis=1)
 
 
-def _turned(angle: float, v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turned(angle: float, v: Floats) -> Floats:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.observation import PlaneObservation
 from relmap.planes.tracks import PlaneTracks
 
@@ -47,7 +47,7 @@ class PlanarMotion:
     """A motion in the plane from one robot frame into another: ``R(yaw) @ p + t``."""
 
     yaw: float
-    t: NDArray[np.float64]
+    t: Floats
 
 
 STILL = PlanarMotion(0.0, np.zeros(2))
@@ -64,16 +64,13 @@ class Match:
         Score of the match: at most 1 for each wall and each corner.
     """
 
-    tracks: NDArray[np.int64]
-    walls: NDArray[np.int64]
+    tracks: Ints
+    walls: Ints
     score: float
 
 
 def place(
-    tracks: PlaneTracks,
-    seen: PlaneObservation,
-    before: PlanarMotion,
-    farthest_m: float = np.inf,
+    tracks: PlaneTracks, seen: PlaneObservation, before: PlanarMotion, farthest_m: float = np.inf
 ) -> tuple[PlanarMotion, Match] | None:
     """Find the motion from the tracks' frame to the scan's, and the resulting association.
 
@@ -125,9 +122,7 @@ def _doubt(motion: PlanarMotion, before: PlanarMotion) -> float:
     return float(0.5 + DOUBT * min(1.0, min(jumps) / SUDDEN_M))
 
 
-def worth(
-    tracks: PlaneTracks, seen: PlaneObservation, recent: NDArray[np.bool_]
-) -> tuple[float, float]:
+def worth(tracks: PlaneTracks, seen: PlaneObservation, recent: Bools) -> tuple[float, float]:
     """Return the maximum scores: if all recent tracks were seen, and if all walls were known."""
     return (
         float(recent.sum() + np.isfinite(tracks.corner_at[recent, :, 0]).sum()),

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.assembly import Assembled, directions
 from relmap.planes.beams import BeamStore
 from relmap.planes.joining import placed_ends
@@ -47,22 +47,22 @@ class Stretches:
         Number of beams that end there, and that pass through or end shortly before.
     """
 
-    base: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    along: NDArray[np.float64]
-    low: NDArray[np.float64]
-    first: NDArray[np.int64]
-    seen: NDArray[np.int64]
-    hits: NDArray[np.int64]
-    against: NDArray[np.int64]
+    base: Floats
+    normal: Floats
+    along: Floats
+    low: Floats
+    first: Ints
+    seen: Ints
+    hits: Ints
+    against: Ints
 
     @property
-    def wall(self) -> NDArray[np.int64]:
+    def wall(self) -> Ints:
         """The wall of each stretch, (b,)."""
         return np.repeat(np.arange(len(self.low)), np.diff(self.first))
 
     @property
-    def place(self) -> NDArray[np.float64]:
+    def place(self) -> Floats:
         """Position of the middle of each stretch along its wall; (b,) metres."""
         wall = self.wall
         place = self.low[wall] + BIN_M * (np.arange(len(wall)) - self.first[wall] + 0.5)
@@ -70,7 +70,7 @@ class Stretches:
 
 
 def stretches_of(
-    assembled: Assembled, poses: NDArray[np.float64], span: tuple[int, int], beams: BeamStore
+    assembled: Assembled, poses: Floats, span: tuple[int, int], beams: BeamStore
 ) -> Stretches:
     """Return the evidence of the scans and beams of a submap for its walls.
 
@@ -102,9 +102,7 @@ def stretches_of(
     return Stretches(base, normal, along, low, first, blank.seen, hits, against)
 
 
-def _crossed(
-    walls: Stretches, beams: tuple[NDArray[np.float64], NDArray[np.float64]]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _crossed(walls: Stretches, beams: tuple[Floats, Floats]) -> tuple[Ints, Ints]:
     """Return the number of beams that end in each stretch, and that contradict it."""
     from relmap.planes.plan_kernels import beams_on_walls
 
@@ -119,9 +117,7 @@ def _crossed(
     return hits, against
 
 
-def _grid(
-    walls: Stretches,
-) -> tuple[NDArray[np.float64], float, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _grid(walls: Stretches) -> tuple[Floats, float, Ints, Ints, Ints]:
     """Return a grid over the walls, listing those in or next to each cell; see `beams_on_walls`."""
     wall, n = walls.wall, len(walls.low)
     points = walls.base[wall] + walls.place[:, None] * walls.along[wall]

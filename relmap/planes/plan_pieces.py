@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.assembly import Assembled
 from relmap.planes.joining import CORNER_M
 from relmap.planes.plan_evidence import Stretches
@@ -39,24 +39,24 @@ class Pieces:
         Compact number of the corner at either end; -1 for none.
     """
 
-    wall: NDArray[np.int64]
-    reach: NDArray[np.float64]
-    corner: NDArray[np.int64]
+    wall: Ints
+    reach: Floats
+    corner: Ints
 
     def __len__(self) -> int:
         """Return the number of pieces."""
         return len(self.wall)
 
     @property
-    def length_m(self) -> NDArray[np.float64]:
+    def length_m(self) -> Floats:
         """Lengths, (n,) metres."""
         return np.asarray(self.reach[:, 1] - self.reach[:, 0])
 
-    def only(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Pieces:
+    def only(self, rows: Bools | Ints) -> Pieces:
         """Return some of them."""
         return Pieces(self.wall[rows], self.reach[rows], self.corner[rows])
 
-    def ends(self, walls: Stretches) -> NDArray[np.float64]:
+    def ends(self, walls: Stretches) -> Floats:
         """Return the end points; (n, 2, 2) map frame, metres."""
         base, along = walls.base[self.wall], walls.along[self.wall]
         return np.asarray(base[:, None] + self.reach[:, :, None] * along[:, None])
@@ -139,7 +139,7 @@ def met(pieces: Pieces, walls: Stretches) -> Pieces:
     return found.only(found.length_m > SHORTEST_M / 2)
 
 
-def _beside(pieces: Pieces, walls: Stretches) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _beside(pieces: Pieces, walls: Stretches) -> tuple[Ints, Ints]:
     """Return ends (k,), two per piece, and the other pieces (k,) near them."""
     n = np.ceil(pieces.length_m / MEETING_M).astype(np.int64) + 1
     piece = np.repeat(np.arange(len(pieces)), n)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Ints
 from relmap.planes.assembly import Assembled, WallNumbers, directions
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import placed_ends
@@ -35,9 +35,7 @@ def drawn_walls(
     return found, WallNumbers(wall_of, numbers.corner_of)
 
 
-def _piece_of_tracks(
-    walls: Assembled, pieces: Pieces, track: NDArray[np.int64], n_tracks: int
-) -> NDArray[np.int64]:
+def _piece_of_tracks(walls: Assembled, pieces: Pieces, track: Ints, n_tracks: int) -> Ints:
     """Return the piece that most of each track (p,) lies on; -1 for none.
 
     A piece without tracks takes one from a piece that has several.
@@ -53,9 +51,7 @@ def _piece_of_tracks(
     return found
 
 
-def _lying_on(
-    walls: Assembled, pieces: Pieces, track: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _lying_on(walls: Assembled, pieces: Pieces, track: Ints) -> tuple[Ints, Ints]:
     """Return tracks (k,) and the pieces (k,) they lie on, by ascending overlap."""
     state, of = walls.state, walls.given.wall
     normal, along = directions(state.angle)
@@ -75,9 +71,7 @@ def _lying_on(
     return key // max(len(pieces), 1), key % max(len(pieces), 1)
 
 
-def _of_pieces(
-    walls: Assembled, pieces: Pieces, of: NDArray[np.int64], numbers: NDArray[np.int64]
-) -> Assembled:
+def _of_pieces(walls: Assembled, pieces: Pieces, of: Ints, numbers: Ints) -> Assembled:
     """Return the walls of pieces, with these numbers, and the piece of each row (n,)."""
     given, state, wall = walls.given, walls.state, pieces.wall
     ends_piece = np.full(len(walls.corners), -1)

@@ -10,8 +10,8 @@ import logging
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.planes.assembly import Assembled, WallNumbers, assemble
 from relmap.planes.closing import walls_seen_again
 from relmap.planes.history import PlaneHistory
@@ -42,10 +42,7 @@ JOINED = 4
 
 
 def refined_map(
-    history: PlaneHistory,
-    numbers: WallNumbers,
-    chained: WallSubmap,
-    moving: NDArray[np.bool_],
+    history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools
 ) -> tuple[WallSubmap, WallNumbers] | None:
     """Move walls, corners and poses of a submap to the joint optimum of all observations.
 
@@ -77,20 +74,14 @@ def refined_map(
 
 
 def _solved(
-    history: PlaneHistory,
-    numbers: WallNumbers,
-    chained: WallSubmap,
-    moving: NDArray[np.bool_],
-    held: float,
+    history: PlaneHistory, numbers: WallNumbers, chained: WallSubmap, moving: Bools, held: float
 ) -> tuple[WallSubmap, WallNumbers, bool]:
     """Return the refined submap, its association, and whether a loop was closed."""
     span, closed = chained.span, False
     assert chained.assembled is not None
     motions = history.motion[slice(*span)]
 
-    def again(
-        joined: WallNumbers, rounds: Sequence[tuple[int, float]]
-    ) -> tuple[Assembled, NDArray[np.float64]]:
+    def again(joined: WallNumbers, rounds: Sequence[tuple[int, float]]) -> tuple[Assembled, Floats]:
         """Return the map and its poses after a change of the association."""
         laid = assemble(history, joined, among_all(poses, span, history), moving)
         found = best if laid is None else refined(laid, rounds, held)
@@ -144,9 +135,7 @@ def _stretched(found: WallSubmap, chained: WallSubmap, history: PlaneHistory) ->
     return stretched_m(found.poses, chained.poses, weak) > TORN_M
 
 
-def poses_of(
-    assembled: Assembled, span: tuple[int, int], history: PlaneHistory
-) -> NDArray[np.float64]:
+def poses_of(assembled: Assembled, span: tuple[int, int], history: PlaneHistory) -> Floats:
     """Return the poses (k, 4, 4) of a submap by its refined map, else by the motion since."""
     rows = slice(*span)
     poses, motion = assembled.poses(history.n_iterations)[rows], history.motion[rows]

@@ -12,8 +12,8 @@ from __future__ import annotations
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
@@ -45,9 +45,7 @@ REST = 0.03
 USUAL = 3.0
 """A residual below this multiple of the typical one, of all or of its scan, is no outlier."""
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Seen = tuple[Array, Indices, Indices, Indices]
+Seen = tuple[Floats, Ints, Ints, Ints]
 
 
 class WallSystem:
@@ -105,7 +103,7 @@ class WallSystem:
         """
         from relmap.core.linalg.order_kernels import smallest
 
-        def weigh(residual: Array) -> Array:
+        def weigh(residual: Floats) -> Floats:
             return self._weights(residual, doubtful, by_scan)
 
         found = gauss_newton(
@@ -130,17 +128,17 @@ class WallSystem:
         system._set(given)
         return system
 
-    def residuals(self, state: Walls) -> Array:
+    def residuals(self, state: Walls) -> Floats:
         """Return the deviations of points and corners, in standard deviations."""
         return np.asarray(self._linearised(state).off / self._sd)
 
-    def off(self, state: Walls) -> tuple[Array, Array]:
+    def off(self, state: Walls) -> tuple[Floats, Floats]:
         """Return the deviations of walls (n, 2), at two points, and of corners (k,)."""
         off = self._linearised(state).off[: len(self._rows[1])]
         return _by_kind(off, len(self._rows[3]))
 
     def equations(
-        self, state: Walls, weight: Array, with_matrix: bool, damping: float
+        self, state: Walls, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of walls and corners."""
         (x, y), c, s = self._open_along.T, np.cos(state.yaw), np.sin(state.yaw)
@@ -157,7 +155,7 @@ class WallSystem:
         return equations
 
     def stepped(
-        self, state: Walls, equations: NormalEquations, step: Array, weight: Array
+        self, state: Walls, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Walls | None:
         """Return the state after a step; None if the step is too long."""
         poses = equations.eliminated_steps(step)
@@ -175,7 +173,7 @@ class WallSystem:
             state.along + step[self._place],
         )
 
-    def corner_covariances(self, state: Walls, doubtful: float) -> Array:
+    def corner_covariances(self, state: Walls, doubtful: float) -> Floats:
         """Return the covariances of the line and position of each corner; (c, 3, 3).
 
         For the direction of the normal, radians, the distance across and the position along,
@@ -190,7 +188,7 @@ class WallSystem:
         chosen = np.column_stack([line, line + 1, self._place])
         return self.pattern.parts(self.pattern.inverse(values), chosen)
 
-    def _weights(self, residual: Array, doubtful: float, by_scan: bool) -> Array:
+    def _weights(self, residual: Floats, doubtful: float, by_scan: bool) -> Floats:
         """Return the weights of residuals that treat large ones as outliers."""
         from relmap.core.linalg.order_kernels import medians
 
@@ -241,16 +239,16 @@ class WallSystem:
         self.freedoms = max(len(iteration) - unknowns, 1)
 
 
-def _unknowns(state: Walls) -> Array:
+def _unknowns(state: Walls) -> Floats:
     return np.concatenate([state.yaw, state.t.ravel(), state.angle, state.across, state.along])
 
 
-def wall_residuals(given: WallEquations, state: Walls) -> tuple[Array, Array]:
+def wall_residuals(given: WallEquations, state: Walls) -> tuple[Floats, Floats]:
     """Return the deviations of walls (n, 2), at two points, and of corners (k,)."""
     return _by_kind(_linearised(state, _seen(given)).off, len(given.corner))
 
 
-def _by_kind(off: Array, n_corners: int) -> tuple[Array, Array]:
+def _by_kind(off: Floats, n_corners: int) -> tuple[Floats, Floats]:
     """Return the residuals of walls (n, 2) and of corners (k,)."""
     walls, corners = np.split(off, [len(off) - n_corners])
     return walls.reshape(2, -1).T, corners
@@ -275,9 +273,7 @@ def _linearised(state: Walls, seen: Seen) -> Linearised:
     return Linearised(*linearised(seen, (state.yaw, np.ascontiguousarray(state.t)), walls))
 
 
-def _blocks(
-    given: WallEquations, stretch: NDArray[np.int64], n_walls: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _blocks(given: WallEquations, stretch: Ints, n_walls: int) -> tuple[Ints, Ints, Ints]:
     """Return the size of each block, and the block and offset of each corner (c,).
 
     The first blocks are the walls, with the corners seen in most observations of them; other

@@ -8,8 +8,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.planes.assembly import WallNumbers
 from relmap.planes.floor_plan import floor_plan
 from relmap.planes.grouped_map import GroupedMap
@@ -26,12 +26,10 @@ class RefinedWalls(NamedTuple):
 
     submaps: list[WallSubmap]
     numbers: WallNumbers
-    moved: NDArray[np.int64]
+    moved: Ints
 
 
-def refined_submaps(
-    grouped: GroupedMap, moving: NDArray[np.bool_], links: ScanLinks
-) -> RefinedWalls:
+def refined_submaps(grouped: GroupedMap, moving: Bools, links: ScanLinks) -> RefinedWalls:
     """Refine each submap by itself, from the poses given by the groups.
 
     The association is computed anew from the refined positions of walls: some merges based on
@@ -61,7 +59,7 @@ def refined_submaps(
 
 
 def _refined(
-    grouped: GroupedMap, merged: WallNumbers, moving: NDArray[np.bool_]
+    grouped: GroupedMap, merged: WallNumbers, moving: Bools
 ) -> tuple[list[WallSubmap], WallNumbers]:
     """Return the submaps and the association; `merged` is that of the grouped map."""
     numbers, submaps = grouped.at_rest(grouped.unmerged), grouped.submaps(merged, moving)
@@ -81,7 +79,7 @@ def with_odometry(grouped: GroupedMap, odometry: Steps | None) -> GroupedMap:
     return replace(grouped, history=replace(grouped.history, odometry=odometry))
 
 
-def on_odometry(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
+def on_odometry(links: ScanLinks, history: PlaneHistory) -> Bools:
     """Return which iterations (i,) depend on odometry for their motion.
 
     There, walls do not determine the motion in all directions.
@@ -94,7 +92,7 @@ def on_odometry(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
     return np.asarray((weak | links.bridged | ~links.measured) & same & known)
 
 
-def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> NDArray[np.bool_]:
+def odometry_left_out(links: ScanLinks, history: PlaneHistory) -> Bools:
     """Return in which iterations (i,) odometry is rejected.
 
     There, walls measured another motion, or observations contradict it; all, if it is wrong too

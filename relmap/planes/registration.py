@@ -11,8 +11,8 @@ rest of the algorithm is the same as for points.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.planes.corners import CORNER, INTERVAL, UNKNOWN, compared_ends
 from relmap.planes.observation import PlaneObservation
@@ -75,25 +75,25 @@ class PlaneRegistration:
         self.landmark = np.empty((0, 2), dtype=np.int64)
 
     @property
-    def half(self) -> NDArray[np.float64]:
+    def half(self) -> Floats:
         """Half the size of its wall at the first observation of each corner; metres."""
         return self._half.values
 
     @property
-    def wall_end(self) -> NDArray[np.int64]:
+    def wall_end(self) -> Ints:
         """Wall end of each corner: twice the number of the wall, plus 1 for the left end."""
         return self._wall_end.values
 
     @property
-    def submap_of(self) -> NDArray[np.int64]:
+    def submap_of(self) -> Ints:
         """Submap of each corner."""
         return self._submap_of.values
 
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def labels_of(self, landmarks: Ints) -> Ints:
         """Return landmarks (n,) unchanged: their numbers are their labels."""
         return landmarks
 
-    def expect(self, landmarks: NDArray[np.int64], points_robot: NDArray[np.float64]) -> None:
+    def expect(self, landmarks: Ints, points_robot: Floats) -> None:
         """Do nothing: walls are predicted by their lines."""
 
     @property
@@ -101,9 +101,7 @@ class PlaneRegistration:
         """None: walls are accepted individually."""
         return []
 
-    def match(
-        self, seen: PlaneObservation, ids: NDArray[np.int64] | None = None
-    ) -> NDArray[np.int64]:
+    def match(self, seen: PlaneObservation, ids: Ints | None = None) -> Ints:
         """Return the number of each wall (m,) of one scan.
 
         If no link to earlier scans is accepted, a submap begins.
@@ -139,20 +137,18 @@ class PlaneRegistration:
         self._tracks = None
         self.links.begin_run()
 
-    def attach(self, motion: NDArray[np.float64], scan: int, walls: NDArray[np.int64]) -> None:
+    def attach(self, motion: Floats, scan: int, walls: Ints) -> None:
         """Tie the submap of the last scan to that of another scan; see `ScanLinks.attach`."""
         name = self.links.attach(motion, scan, walls)
         self._submap_of.values[:] = name[self.submap_of]
 
-    def tie(self) -> NDArray[np.int64]:
+    def tie(self) -> Ints:
         """Re-evaluate the doubtful links; return the scans (c,) whose links are now rejected."""
         name, cut = self.links.tie()
         self._submap_of.values[:] = name[self.submap_of]
         return cut
 
-    def _see_corners(
-        self, tracks: PlaneTracks, seen: PlaneObservation, walls: NDArray[np.int64]
-    ) -> None:
+    def _see_corners(self, tracks: PlaneTracks, seen: PlaneObservation, walls: Ints) -> None:
         """Assign a corner to every static end; create new ones where none is expected."""
         row_of = {plane: row for row, plane in enumerate(tracks.plane.tolist())}
         told = self._told.values[walls]
@@ -211,7 +207,7 @@ class PlaneRegistration:
         for k, end in np.argwhere(moving).tolist():
             self._name(found.walls[k], end, NO_CORNER)
 
-    def _ask_again(self, walls: NDArray[np.int64], ends: NDArray[np.int64]) -> None:
+    def _ask_again(self, walls: Ints, ends: Ints) -> None:
         """Begin a new interval for walls (k,), and forget the known types of their ends."""
         self._told.values[walls, ends] = UNTOLD
         self._since.values[walls] = len(self.links)
@@ -226,13 +222,13 @@ class PlaneRegistration:
         if corner == NO_CORNER:
             self.links.store.column("landmark")[rows][own, end] = corner
 
-    def _sd(self, seen: PlaneObservation) -> NDArray[np.float64]:
+    def _sd(self, seen: PlaneObservation) -> Floats:
         """Return approximate standard deviations of the ends (m,) along their walls."""
         return 3 * seen.sd
 
 
 def _followed(
-    tracks: PlaneTracks, seen: PlaneObservation, found: Found, walls: NDArray[np.int64]
+    tracks: PlaneTracks, seen: PlaneObservation, found: Found, walls: Ints
 ) -> PlaneTracks:
     """Return the tracks updated by a scan, and the walls (m,) that they are."""
     motion, match = found.motion, found.match
@@ -242,7 +238,7 @@ def _followed(
     return tracks
 
 
-def _best(size: NDArray[np.float64], times: NDArray[np.int64]) -> NDArray[np.int64]:
+def _best(size: Floats, times: Ints) -> Ints:
     """Return which corners (k,) the map uses: of long walls, and seen before."""
     rank = np.minimum(size, LONG_M) * (1 + np.minimum(times / FAMILIAR, 1))
     return np.argsort(-rank, kind="stable")[:MOST]

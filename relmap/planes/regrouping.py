@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.planes.assembly import Assembled, WallNumbers, assemble, directions, laid_out
 from relmap.planes.history import PlaneHistory
 from relmap.planes.joining import (
@@ -38,8 +38,8 @@ TIMES = 2
 
 
 def regrouped(
-    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: NDArray[np.bool_]
-) -> tuple[Assembled, WallNumbers, NDArray[np.int64]]:
+    submap: WallSubmap, numbers: WallNumbers, history: PlaneHistory, moving: Bools
+) -> tuple[Assembled, WallNumbers, Ints]:
     """Return the walls of a submap from its tracks, at the submap's poses.
 
     Parameters
@@ -86,9 +86,7 @@ def regrouped(
     return _as_refined(replace(again, state=state), given), found, moved
 
 
-def _with_corners(
-    wall_of: NDArray[np.int64], corner_of: NDArray[np.int64], history: PlaneHistory
-) -> WallNumbers:
+def _with_corners(wall_of: Ints, corner_of: Ints, history: PlaneHistory) -> WallNumbers:
     """Return the association with identical corners merged, unless they now belong to two walls."""
     wall = np.zeros(len(corner_of), dtype=np.int64)
     row, end = np.nonzero(history.corner >= 0)
@@ -97,7 +95,7 @@ def _with_corners(
     return WallNumbers(wall_of, np.where(same, corner_of, np.arange(len(corner_of))))
 
 
-def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int64], float]:
+def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[Ints, float]:
     """Return the tracks that do not keep to their lines, or whose corners slide along them.
 
     Also returns the usual distance of a wall from its line, metres.
@@ -124,9 +122,7 @@ def _moved(assembled: Assembled, history: PlaneHistory) -> tuple[NDArray[np.int6
     return np.union1d(tracks[scattered], owner[slides]), flat_m
 
 
-def _gathered(
-    assembled: Assembled, wall_of: NDArray[np.int64], across_m: float
-) -> NDArray[np.int64]:
+def _gathered(assembled: Assembled, wall_of: Ints, across_m: float) -> Ints:
     """Return the association of tracks (p,), with walls that lie on a larger one assigned to it."""
     from relmap.planes.regrouping_kernels import gathered
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.refinement.joint import Refined
 from relmap.core.refinement.residuals import MergeResiduals, SegmentResiduals, merge_residuals
 from relmap.planes.assembly import Assembled, directions
@@ -20,7 +20,7 @@ STRETCH = 8
 """Number of iterations whose residuals are reported together."""
 
 
-def corner_covariances(assembled: Assembled) -> NDArray[np.float64]:
+def corner_covariances(assembled: Assembled) -> Floats:
     """Return the covariances of the corners (c, 2, 2), map frame, square metres.
 
     Relative to the robot pose of the first iteration. Parts connected to it only by the motion
@@ -59,9 +59,7 @@ def refined_walls(assembled: Assembled, history: PlaneHistory) -> Refined:
     )
 
 
-def _stretches(
-    assembled: Assembled, across: NDArray[np.float64], along: NDArray[np.float64]
-) -> SegmentResiduals:
+def _stretches(assembled: Assembled, across: Floats, along: Floats) -> SegmentResiduals:
     """Compare the squared residuals of each stretch with their expectation under noise alone."""
     given, state = assembled.given, assembled.state
     stretch = assembled.iterations // STRETCH
@@ -81,9 +79,7 @@ def _stretches(
     )
 
 
-def _joined(
-    assembled: Assembled, history: PlaneHistory, along: NDArray[np.float64]
-) -> MergeResiduals:
+def _joined(assembled: Assembled, history: PlaneHistory, along: Floats) -> MergeResiduals:
     """Compare the positions of corners seen under each number that was joined to another."""
     given = assembled.given
     rows = assembled.rows[given.corner_row]

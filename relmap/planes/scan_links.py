@@ -10,8 +10,8 @@ from __future__ import annotations
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.state.growing import GrowingArray
 from relmap.core.state.store import ObservationStore
 from relmap.planes.beams import Beams, BeamStore
@@ -93,22 +93,22 @@ class ScanLinks:
         return len(self._motions)
 
     @property
-    def motions(self) -> NDArray[np.float64]:
+    def motions(self) -> Floats:
         """Approximate motion (i, 3) from each previous robot frame to the next: yaw, x, y."""
         return self._motions.values
 
     @property
-    def submaps(self) -> NDArray[np.int64]:
+    def submaps(self) -> Ints:
         """Submap of each iteration; (i,), -1 for none."""
         return self._submaps.values
 
     @property
-    def measured(self) -> NDArray[np.bool_]:
+    def measured(self) -> Bools:
         """Which motions (i,) are determined by walls in all directions."""
         return self._measured.values
 
     @property
-    def bridged(self) -> NDArray[np.bool_]:
+    def bridged(self) -> Bools:
         """Which motions (i,) are determined by odometry only."""
         return self._bridged.values
 
@@ -142,9 +142,7 @@ class ScanLinks:
         """Begin another run with the next scan, which is not tied to the last one."""
         self._begun.extend(np.array([len(self)]))
 
-    def attach(
-        self, motion: NDArray[np.float64], scan: int, walls: NDArray[np.int64]
-    ) -> NDArray[np.int64]:
+    def attach(self, motion: Floats, scan: int, walls: Ints) -> Ints:
         """Tie the submap of the last scan to that of another scan, in whose map it was localised.
 
         Parameters
@@ -264,7 +262,7 @@ class ScanLinks:
         return not others(np.array([[again.motion.yaw, *again.motion.t]]), expected)[0]
 
     @property
-    def _believed(self) -> NDArray[np.float64]:
+    def _believed(self) -> Floats:
         """The last motions (k, 3) that link scans of a submap."""
         last = slice(-USUAL, None)
         motions, submaps = self.motions[last], self.submaps[last]
@@ -288,7 +286,7 @@ class ScanLinks:
             motion = after(self.motions[i], motion[None])[0]
         return found
 
-    def leave_to_odometry(self, scans: NDArray[np.int64]) -> bool:
+    def leave_to_odometry(self, scans: Ints) -> bool:
         """Let odometry replace links into scans (t,) where it agrees; return if any changed.
 
         These are links that the map contradicts.
@@ -300,7 +298,7 @@ class ScanLinks:
                 self.measured[scan], found = False, True
         return found
 
-    def cut(self, scans: NDArray[np.int64]) -> None:
+    def cut(self, scans: Ints) -> None:
         """Begin submaps at scans (t,) whose links the map contradicts."""
         for scan in scans.tolist():
             old = self.submaps[scan]
@@ -309,7 +307,7 @@ class ScanLinks:
             self.submap = self._n_submaps if self.submap == old else self.submap
             self._n_submaps += 1
 
-    def tie(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def tie(self) -> tuple[Ints, Ints]:
         """Re-evaluate doubtful links and breaks with the surrounding scans.
 
         Returns
@@ -350,7 +348,7 @@ class ScanLinks:
         links = self.motions, self.measured, expected, self._begun.values
         return Scans(seen, wall, first_row, self.beams, *links)
 
-    def _known(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def _known(self) -> tuple[Bools, Bools]:
         """Return whether the motion into scans (i,) is accepted, and which to re-evaluate."""
         is_tied = (np.diff(self.submaps, prepend=-2) == 0) & (self.submaps >= 0)
         in_doubt = ~(is_tied & (self._evidence.values > IN_DOUBT))

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.planes.beams import NEAR_M, Beams, compared
 from relmap.planes.judging import MEASURED, Candidates, Judged, View
 from relmap.planes.motions import after, distinct, others, planar
@@ -149,7 +149,7 @@ class Search:
             motion = every.motions[best]
         return Found(planar(motion), every.matches[best], measured, float(every.evidence[best]))
 
-    def _explains(self, expected: Expected, motion: NDArray[np.float64]) -> bool:
+    def _explains(self, expected: Expected, motion: Floats) -> bool:
         """Return whether beams agree with odometry almost as well as with another motion (3,)."""
         motions = np.array([expected.motion, motion])
         if expected.off(motions)[1] < OTHERWISE:
@@ -188,7 +188,7 @@ class Search:
         evidence = evidence[best] + MEASURED * measured
         return Candidates(every.motions[best], evidence, measured, matches)
 
-    def judged(self, motion: NDArray[np.float64]) -> tuple[float, float, bool]:
+    def judged(self, motion: Floats) -> tuple[float, float, bool]:
         """Return the evidence of the scans for a motion (3,), after local optimisation.
 
         Returns
@@ -231,14 +231,12 @@ class Search:
         best = distinct(motions, order, CLOSELY, ALIKE_M, ALIKE_RAD)
         return [planar(motion) for motion in motions[best]]
 
-    def _along(self, match: Match) -> NDArray[np.float64]:
+    def _along(self, match: Match) -> Floats:
         """Return the direction of the longest wall that matches."""
         sizes = self._seen.size[match.walls]
         return np.asarray(self._seen.along[match.walls[np.argmax(sizes)]])
 
-    def _slides(
-        self, judged: Judged, k: int, way_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _slides(self, judged: Judged, k: int, way_m: Floats) -> tuple[Floats, Floats]:
         """Return a motion slid along the longest wall that matches, and the agreement of beams."""
         motions = np.tile(judged.motions[k], (len(way_m), 1))
         motions[:, 1:] += way_m[:, None] * self._along(judged.matches[k])
@@ -283,16 +281,14 @@ class Search:
             self._surprise(motions),
         )
 
-    def _surprise(self, motions: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _surprise(self, motions: Floats) -> Floats:
         """Return the prior improbability of motions (k, 3), given the usual motion."""
         way = np.hypot(*(motions[:, 1:] - self._before.t).T) / USUAL_M
         turn = wrapped(motions[:, 0] - self._before.yaw) / USUAL_RAD
         told = self._expected.supports(motions) if self._expected else 0.0
         return np.asarray((way**2 + turn**2) / 2 - told)
 
-    def _compared(
-        self, views: Sequence[View], motions: NDArray[np.float64], near_m: float, step: int
-    ) -> NDArray[np.float64]:
+    def _compared(self, views: Sequence[View], motions: Floats, near_m: float, step: int) -> Floats:
         """Return the number of points of the scan and of views that agree etc.; see `compared`."""
         sums = np.zeros((len(motions), 4))
         for view in views:

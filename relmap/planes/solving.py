@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.planes.assembly import FLAT_M, Assembled
 from relmap.planes.equations import WallEquations
 from relmap.planes.refinement import WallSystem
@@ -77,9 +77,7 @@ def _solved(
     return replace(assembled, given=given, state=state, settled=settled)
 
 
-def _reweighted(
-    given: WallEquations, across: NDArray[np.float64], along: NDArray[np.float64]
-) -> WallEquations:
+def _reweighted(given: WallEquations, across: Floats, along: Floats) -> WallEquations:
     """Return the equations with the noise of each wall and corner estimated from the residuals."""
     wall = _learnt(given.wall, across.mean(axis=1) / given.sd)
     corner = _learnt(given.corner, along / given.corner_sd)
@@ -88,7 +86,7 @@ def _reweighted(
     )
 
 
-def _learnt(of: NDArray[np.int64], residual: NDArray[np.float64]) -> NDArray[np.float64]:
+def _learnt(of: Ints, residual: Floats) -> Floats:
     """Return the factors for the standard deviations of each, at least 1.
 
     The median is used: single outliers are left to the robust weights of the refinement.

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.motion_noise import STILL_M, MotionNoise, motion_noise
 from relmap.planes.motion_factors import MotionFactors
 from relmap.planes.motions import from_matrices, matrices
@@ -34,11 +34,11 @@ class Steps:
         Which motions depend on it.
     """
 
-    motion: NDArray[np.float64]
-    variance: NDArray[np.float64]
-    needed: NDArray[np.bool_]
+    motion: Floats
+    variance: Floats
+    needed: Bools
 
-    def between(self, iterations: NDArray[np.int64]) -> MotionFactors:
+    def between(self, iterations: Ints) -> MotionFactors:
         """Return the needed factors between these iterations (k,) and their successors."""
         needed = np.append(0, np.cumsum(self.needed))[iterations + 1]
         pairs = np.flatnonzero(np.diff(needed) > 0)
@@ -56,10 +56,10 @@ class Steps:
 
 def steps_of(
     noise: MotionNoise,
-    given: NDArray[np.float64],
+    given: Floats,
     n_measured: int,
-    submaps: Sequence[tuple[slice, NDArray[np.float64]]],
-    hanging: NDArray[np.bool_],
+    submaps: Sequence[tuple[slice, Floats]],
+    hanging: Bools,
 ) -> Steps:
     """Return the odometry of a whole run for use in its map.
 
@@ -99,10 +99,8 @@ def steps_of(
 
 
 def _compared(
-    steps: NDArray[np.float64],
-    submaps: Sequence[tuple[slice, NDArray[np.float64]]],
-    known: NDArray[np.bool_],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    steps: Floats, submaps: Sequence[tuple[slice, Floats]], known: Bools
+) -> tuple[Floats, Floats]:
     """Return motions (k, 4, 4) over `WAY_M` by steps (i, 3) and by the poses of submaps."""
     way, path = np.hypot(steps[:, 1], steps[:, 2]), matrices(path_of(np.nan_to_num(steps)))
     pairs = [(np.empty((0, 4, 4)), np.empty((0, 4, 4)))]
@@ -116,26 +114,26 @@ def _compared(
     return over, true
 
 
-def corrected(noise: MotionNoise, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def corrected(noise: MotionNoise, steps: Floats) -> Floats:
     """Return planar steps (k, 4, 4) without the systematic errors (k, 3): yaw, x, y."""
     return _again(noise, from_matrices(steps))
 
 
-def _again(noise: MotionNoise, steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _again(noise: MotionNoise, steps: Floats) -> Floats:
     """Return steps (k, 3) without systematic errors."""
     way = np.hypot(steps[:, 1], steps[:, 2])
     yaw = steps[:, 0] + way * noise.turn_per_m[2]
     return np.column_stack([yaw, noise.scale * steps[:, 1:]])
 
 
-def _typical(steps: NDArray[np.float64]) -> float:
+def _typical(steps: Floats) -> float:
     """Return the typical length of the known steps (i, 3); metres."""
     way = np.hypot(steps[:, 1], steps[:, 2])
     known = way[np.isfinite(way)]
     return max(float(np.median(known)), STILL_M) if len(known) else STILL_M
 
 
-def _together(way: NDArray[np.float64], needed: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _together(way: Floats, needed: Bools) -> Floats:
     """Return the length (i,) of the run of consecutive needed steps that contains each, metres.
 
     Residual systematic errors, unlike noise, grow linearly with it.
@@ -144,7 +142,7 @@ def _together(way: NDArray[np.float64], needed: NDArray[np.bool_]) -> NDArray[np
     return np.asarray(np.bincount(run, np.nan_to_num(way) * needed)[run])
 
 
-def path_of(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def path_of(steps: Floats) -> Floats:
     """Return the poses (k, 3) after steps (k, 3), in the frame before the first: yaw, x, y."""
     yaw = np.cumsum(steps[:, 0])
     c, s = np.cos(yaw - steps[:, 0]), np.sin(yaw - steps[:, 0])
@@ -152,14 +150,12 @@ def path_of(steps: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([yaw, np.cumsum(c * x - s * y), np.cumsum(s * x + c * y)])
 
 
-def composed(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+def composed(steps: Floats) -> Floats:
     """Return the composition of steps (k, 3), in order, as one (3,)."""
     return np.asarray(path_of(steps)[-1])
 
 
-def _windows(
-    poses: NDArray[np.float64], way: NDArray[np.float64], known: NDArray[np.bool_]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _windows(poses: Floats, way: Floats, known: Bools) -> tuple[Ints, Ints]:
     """Return first and last iteration of sections of `WAY_M` with known poses (i, 4, 4).
 
     They overlap. `way` (i,) is the length of each step, and `known` (i,) whether it is known.

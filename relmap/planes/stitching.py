@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.history import PlaneHistory
 from relmap.planes.links import CROSSING, spread
 from relmap.planes.motions import matrices
@@ -22,9 +22,7 @@ FEW, ASTRAY_M = 5, 0.3
 """So few consecutive scans, so far from the others, are misplaced."""
 
 
-def stitched(
-    submaps: Sequence[NDArray[np.float64]], motions: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def stitched(submaps: Sequence[Floats], motions: Floats) -> Floats:
     """Return the path in the frame of the first submap.
 
     Parameters
@@ -52,7 +50,7 @@ def stitched(
     fixed = np.flatnonzero(submap == 0)
     if not len(fixed):
         return poses
-    placed: dict[int, NDArray[np.float64]] = {}
+    placed: dict[int, Floats] = {}
     for i in fixed[0] + np.flatnonzero(submap[fixed[0] :]):
         poses[i] = _placed(placed, submap[i], poses[i], poses[i - 1] @ steps[i])
     for i in reversed(range(fixed[0])):
@@ -61,12 +59,7 @@ def stitched(
     return poses
 
 
-def _placed(
-    placed: dict[int, NDArray[np.float64]],
-    submap: int,
-    own: NDArray[np.float64],
-    expected: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _placed(placed: dict[int, Floats], submap: int, own: Floats, expected: Floats) -> Floats:
     """Return the pose of an iteration; place its submap at the predicted pose if necessary."""
     if submap < 0:
         return expected
@@ -75,9 +68,7 @@ def _placed(
     return np.asarray(placed[submap] @ own)
 
 
-def with_strays_put_back(
-    poses: NDArray[np.float64], motions: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def with_strays_put_back(poses: Floats, motions: Floats) -> Floats:
     """Return the poses (n, 4, 4) with the few misplaced ones corrected.
 
     Misplaced poses deviate from both neighbours according to the motions (n, 3) from scan to scan:
@@ -95,14 +86,14 @@ def with_strays_put_back(
     return np.where(stray[run][:, None, None], led, poses)
 
 
-def _astray(poses: NDArray[np.float64], motions: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _astray(poses: Floats, motions: Floats) -> Bools:
     """Return which poses after the first one (n - 1,) do not follow from the motions (n, 3)."""
     off = np.linalg.inv(poses[:-1]) @ poses[1:] @ matrices(motions[1:])
     turn = np.abs(np.arctan2(off[:, 1, 0], off[:, 0, 0]))
     return np.asarray(np.hypot(off[:, 0, 3], off[:, 1, 3]) + LEVER_M * turn > ASTRAY_M)
 
 
-def weak_links(history: PlaneHistory) -> NDArray[np.int64]:
+def weak_links(history: PlaneHistory) -> Ints:
     """Return the iterations (k,) whose motion since the previous one relies on the motion model.
 
     The two scans share no static corner and no two crossing walls; constant motion is assumed in

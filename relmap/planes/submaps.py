@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.planes.assembly import Assembled
 from relmap.planes.history import PlaneHistory
@@ -30,7 +30,7 @@ class WallSubmap(Submap):
         Whether its walls and poses were refined.
     """
 
-    poses: NDArray[np.float64]
+    poses: Floats
     assembled: Assembled | None
     refined: bool
 
@@ -38,7 +38,7 @@ class WallSubmap(Submap):
     def of(
         cls,
         span: tuple[int, int],
-        poses: NDArray[np.float64],
+        poses: Floats,
         assembled: Assembled | None,
         refined: bool = False,
     ) -> WallSubmap:
@@ -67,18 +67,14 @@ class WallSubmap(Submap):
         return float(np.linalg.norm(steps, axis=1).sum())
 
 
-def among_all(
-    poses: NDArray[np.float64], span: tuple[int, int], history: PlaneHistory
-) -> NDArray[np.float64]:
+def among_all(poses: Floats, span: tuple[int, int], history: PlaneHistory) -> Floats:
     """Return the poses of a submap among those of all iterations (i, 4, 4), NaN elsewhere."""
     every = np.full((history.n_iterations, 4, 4), np.nan)
     every[slice(*span)] = poses
     return every
 
 
-def chained_poses(
-    paths: list[NDArray[np.float64]], span: tuple[int, int], history: PlaneHistory
-) -> NDArray[np.float64]:
+def chained_poses(paths: list[Floats], span: tuple[int, int], history: PlaneHistory) -> Floats:
     """Return the poses of a submap from the paths (i, 4, 4) of the engine's submaps.
 
     Stretches of few landmarks connected by odometry are checked against the links between scans.
@@ -93,7 +89,7 @@ def chained_poses(
     return poses
 
 
-def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> NDArray[np.int64]:
+def torn_in(submaps: Sequence[WallSubmap], history: PlaneHistory) -> Ints:
     """Return the scans (t,) before which submaps deviate from the links between scans."""
     torn, weak = [np.empty(0, dtype=np.int64)], weak_links(history)
     for submap in submaps:

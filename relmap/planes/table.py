@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.columns import Table
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, MappedGroup, in_space
 from relmap.planes.assembly import OFTEN, Assembled, WallNumbers, directions
@@ -35,22 +36,19 @@ class PlaneTable(Table):
         "static", "dynamic" or "unmapped".
     """
 
-    plane: NDArray[np.int64]
-    ends: NDArray[np.float64]
-    z_extent: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    corner: NDArray[np.int64]
-    observations: NDArray[np.int64]
-    first_iteration: NDArray[np.int64]
-    last_iteration: NDArray[np.int64]
+    plane: Ints
+    ends: Floats
+    z_extent: Floats
+    normal: Floats
+    corner: Ints
+    observations: Ints
+    first_iteration: Ints
+    last_iteration: Ints
     status: NDArray[np.str_]
 
 
 def plane_table(
-    history: PlaneHistory,
-    numbers: WallNumbers,
-    assembled: Assembled | None,
-    moving: NDArray[np.bool_],
+    history: PlaneHistory, numbers: WallNumbers, assembled: Assembled | None, moving: Bools
 ) -> PlaneTable:
     """Return the table of all walls.
 
@@ -80,18 +78,14 @@ def plane_table(
     return PlaneTable(plane, ends, z, normal, corner, count, first, last, status)
 
 
-def _sightings(
-    of: NDArray[np.int64], iteration: NDArray[np.int64], n: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def _sightings(of: Ints, iteration: Ints, n: int) -> tuple[Ints, Ints, Ints]:
     """Return count, first and last iteration for each of n; iterations (k,) ascend."""
     first, last = np.zeros((2, n), dtype=np.int64)
     first[of[::-1]], last[of] = iteration[::-1], iteration
     return np.bincount(of, minlength=n), first, last
 
 
-def _mapped(
-    assembled: Assembled,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def _mapped(assembled: Assembled) -> tuple[Floats, Floats, Ints]:
     """Return ends, normals and corners of the mapped walls."""
     state = assembled.state
     normal, along = directions(state.angle)
@@ -106,13 +100,13 @@ def _mapped(
     return base[:, None] + reach[:, :, None] * along[:, None], normal, corner
 
 
-def _often(assembled: Assembled) -> NDArray[np.bool_]:
+def _often(assembled: Assembled) -> Bools:
     """Return which walls (w,) were seen often enough to be mapped."""
     given = assembled.given
     return np.asarray(np.bincount(given.wall, minlength=len(assembled.walls)) >= OFTEN)
 
 
-def _at_ends(assembled: Assembled) -> NDArray[np.int64]:
+def _at_ends(assembled: Assembled) -> Ints:
     """Return the corner (w, 2) at either end of each wall, in compact numbers; -1 for none."""
     given = assembled.given
     corner = np.full((len(assembled.walls), 2), -1)
@@ -125,13 +119,13 @@ def _at_ends(assembled: Assembled) -> NDArray[np.int64]:
     return corner
 
 
-def mapped_corners(assembled: Assembled) -> NDArray[np.int64]:
+def mapped_corners(assembled: Assembled) -> Ints:
     """Return the corners (k,), compact and ascending, that are an end of a mapped wall."""
     at_end = _at_ends(assembled)[_often(assembled)]
     return np.unique(at_end[at_end >= 0])
 
 
-def corner_map(assembled: Assembled | None, spread: NDArray[np.float64] | None) -> LandmarkMap:
+def corner_map(assembled: Assembled | None, spread: Floats | None) -> LandmarkMap:
     """Return the mapped corners, in ascending order of their numbers.
 
     Parameters
@@ -155,8 +149,8 @@ def corner_table(
     history: PlaneHistory,
     numbers: WallNumbers,
     submaps: list[Assembled | None],
-    moving: NDArray[np.int64],
-    spread: NDArray[np.float64] | None,
+    moving: Ints,
+    spread: Floats | None,
 ) -> LandmarkTable:
     """Return the table of all corners, except those that turned out to be none.
 
@@ -208,7 +202,7 @@ def corner_table(
     )
 
 
-def corner_group(group: MappedGroup, corner: NDArray[np.int64]) -> MappedGroup:
+def corner_group(group: MappedGroup, corner: Ints) -> MappedGroup:
     """Return a group of corners without midpoints, by the numbers of corners.
 
     Parameters

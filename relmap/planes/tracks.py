@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.tracks import Tracks
 from relmap.planes.observation import PlaneObservation
 
@@ -45,19 +45,19 @@ class PlaneTracks(Tracks):
         How often it was seen.
     """
 
-    plane: NDArray[np.int64]
-    angle: NDArray[np.float64]
-    offset: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    sd: NDArray[np.float64]
-    corner: NDArray[np.int64]
-    corner_at: NDArray[np.float64]
-    corner_seen: NDArray[np.int64]
-    missed: NDArray[np.int64]
-    seen: NDArray[np.int64]
+    plane: Ints
+    angle: Floats
+    offset: Floats
+    ends: Floats
+    sd: Floats
+    corner: Ints
+    corner_at: Floats
+    corner_seen: Ints
+    missed: Ints
+    seen: Ints
 
     @classmethod
-    def begun(cls, plane: NDArray[np.int64], seen: PlaneObservation) -> PlaneTracks:
+    def begun(cls, plane: Ints, seen: PlaneObservation) -> PlaneTracks:
         """Return tracks of walls seen for the first time, without their corners yet."""
         n = len(seen)
         return cls(
@@ -74,7 +74,7 @@ class PlaneTracks(Tracks):
         )
 
     @property
-    def normal(self) -> NDArray[np.float64]:
+    def normal(self) -> Floats:
         """Unit vectors (n, 2) towards where the robot was."""
         return np.column_stack([np.cos(self.angle), np.sin(self.angle)])
 
@@ -83,7 +83,7 @@ class PlaneTracks(Tracks):
         """The tracks in the form used by the compiled matching."""
         return self.angle, self.offset, self.ends, self.sd, self.corner_at
 
-    def carried(self, yaw: float, t: NDArray[np.float64]) -> PlaneTracks:
+    def carried(self, yaw: float, t: Floats) -> PlaneTracks:
         """Return the tracks in another frame, where ``p`` is ``R(yaw) @ p + t``."""
         from relmap.planes.matching_kernels import carried
 
@@ -101,7 +101,7 @@ class PlaneTracks(Tracks):
             self.seen.copy(),
         )
 
-    def see(self, rows: NDArray[np.int64], seen: PlaneObservation, at: NDArray[np.int64]) -> None:
+    def see(self, rows: Ints, seen: PlaneObservation, at: Ints) -> None:
         """Record that walls `at` (k,) of a scan continue tracks `rows`; others were missed."""
         self.missed += 1
         self.missed[rows] = 0
@@ -119,6 +119,6 @@ class PlaneTracks(Tracks):
         self.sd[rows] = seen.sd[at]
 
 
-def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrapped(angle: Floats) -> Floats:
     """Return angles wrapped to half a turn around 0."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

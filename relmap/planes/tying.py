@@ -12,8 +12,8 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.planes.beams import Beams, BeamStore
 from relmap.planes.hypotheses import LATER, Hypotheses, Verdict
 from relmap.planes.judging import Candidates, View
@@ -61,13 +61,13 @@ class Scans:
     """
 
     walls: PlaneObservation
-    plane: NDArray[np.int64]
-    first_row: NDArray[np.int64]
+    plane: Ints
+    first_row: Ints
     beams: BeamStore
-    motions: NDArray[np.float64]
-    measured: NDArray[np.bool_]
+    motions: Floats
+    measured: Bools
     expected: Callable[[int, int], Expected | None]
-    begun: NDArray[np.int64]
+    begun: Ints
 
     def of_one_run(self, earlier: int, later: int) -> bool:
         """Return whether two scans belong to one run."""
@@ -135,14 +135,12 @@ class Link(NamedTuple):
 
     earlier: int
     later: int
-    motion: NDArray[np.float64]
-    walls: NDArray[np.int64]
+    motion: Floats
+    walls: Ints
     measured: bool
 
 
-def judged_links(
-    scans: Scans, is_tied: NDArray[np.bool_], in_doubt: NDArray[np.bool_]
-) -> tuple[list[Link], list[int]]:
+def judged_links(scans: Scans, is_tied: Bools, in_doubt: Bools) -> tuple[list[Link], list[int]]:
     """Re-evaluate the motions into doubtful scans with the surrounding ones.
 
     Parameters
@@ -190,7 +188,7 @@ def _by_odometry(scans: Scans, later: int) -> list[Link]:
     return [Link(later - 1, later, motion, np.empty((0, 2), dtype=np.int64), False)]
 
 
-def _over_gaps(scans: Scans, is_tied: NDArray[np.bool_]) -> list[Link]:
+def _over_gaps(scans: Scans, is_tied: Bools) -> list[Link]:
     """Return the links across a few unmatched scans."""
     links, breaks, last = list[Link](), np.flatnonzero(~is_tied), 0
     if np.median(np.hypot(*scans.motions[:, 1:].T)) > STEP_M:
@@ -243,7 +241,7 @@ def _believed(
     return [Link(earlier, later, motion, np.column_stack(walls), measured)]
 
 
-def _runs(in_doubt: NDArray[np.bool_], begun: NDArray[np.int64]) -> list[range]:
+def _runs(in_doubt: Bools, begun: Ints) -> list[range]:
     """Return runs of scans around doubtful ones, each from one scan before the first.
 
     None crosses the beginning of another log.

@@ -11,8 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Bools, Floats, Ints
 
 SAMPLE_M = 0.1
 """Spacing of the points along a wall."""
@@ -38,8 +39,6 @@ RIVAL = 0.7
 ACROSS = 0.1
 """Least fraction of it that must prevent the maps from sliding along the rest."""
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class WallPoints:
@@ -55,7 +54,7 @@ class WallPoints:
 
     at: Floats
     normal: Floats
-    wall: NDArray[np.int64]
+    wall: Ints
 
     @classmethod
     def of(cls, ends: Floats) -> WallPoints:
@@ -196,7 +195,7 @@ def _fitted(points: WallPoints, among: WallPoints, tree: cKDTree, guess: WallTie
 
 def lying(
     points: WallPoints, among: WallPoints, tree: cKDTree, tie: WallTie, near_m: float
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], Floats]:
+) -> tuple[Bools, Ints, Floats]:
     """Return which points lie on walls after a motion.
 
     Parameters

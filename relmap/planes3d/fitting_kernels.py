@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.order_kernels import medians
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @helper
 def _add_row(
-    R: Array, t: Array, arm: Array, plane: Array, root: float, with_way: bool, off: Array, J: Array
+    R: Floats,
+    t: Floats,
+    arm: Floats,
+    plane: Floats,
+    root: float,
+    with_way: bool,
+    off: Floats,
+    J: Floats,
 ) -> None:
     """Set the residual (1,) of a direction or point (3,), and its Jacobian (6,)."""
     x = np.zeros(3)
@@ -34,14 +38,14 @@ def _add_row(
 
 @compiled
 def placement_equations(
-    R: Array,
-    t: Array,
-    axes: Array,
-    centre: Array,
-    planes: Array,
-    root: Array,
+    R: Floats,
+    t: Floats,
+    axes: Floats,
+    centre: Floats,
+    planes: Floats,
+    root: Floats,
     doubtful: float,
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Return the normal equations of a turn and a way, (6, 6) and (6,).
 
     Parameters
@@ -80,7 +84,7 @@ def placement_equations(
 
 @helper
 def _way_of_two(
-    a: Array, b: Array, off_a: float, off_b: float, held: Array, area: float, way: Array
+    a: Floats, b: Floats, off_a: float, off_b: float, held: Floats, area: float, way: Floats
 ) -> None:
     """Set the way (3,) nearest to the held one on which two matches agree."""
     cosine = 0.0
@@ -95,8 +99,8 @@ def _way_of_two(
 
 @compiled
 def crossings(
-    normal: Array, off: Array, of: Index, held: Array, least_three: float, least_two: float
-) -> Array:
+    normal: Floats, off: Floats, of: Ints, held: Floats, least_three: float, least_two: float
+) -> Floats:
     """Return the ways (w, 3) on which three matches agree, and those on which two do.
 
     Parameters

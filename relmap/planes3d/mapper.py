@@ -6,9 +6,9 @@ import itertools
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from relmap.core.arrays import Floats
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_labels
 from relmap.planes3d.fitting import Surfaces
@@ -66,7 +66,7 @@ class Plane3dMapper:
         self._n_iterations = self._n_planes = 0
         self._name: dict[int, int] = {}
 
-    def update(self, points: ArrayLike | Patches) -> NDArray[np.int64]:
+    def update(self, points: ArrayLike | Patches) -> Ints:
         """Take in one scan.
 
         Parameters
@@ -123,7 +123,7 @@ class Plane3dMapper:
                 self._parts[k], name = refined(part)
                 self._rename(name)
 
-    def landmarks_of(self, labels: ArrayLike) -> NDArray[np.int64]:
+    def landmarks_of(self, labels: ArrayLike) -> Ints:
         """Return the numbers (n,) that planes, numbered by earlier updates, have now.
 
         Raises

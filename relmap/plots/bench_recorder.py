@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.datasets.scans import PointScan, ScanLog, SensorView
 from relmap.evaluation.feeding import segment_scan
 from relmap.evaluation.truth import Truth
@@ -23,7 +23,7 @@ FRAMES = 80
 COLUMNS = ("what", "number", "x0", "y0", "x1", "y1")
 
 
-def rows_of(shapes: Mapping[str, NDArray[np.float64]]) -> Iterator[tuple[object, ...]]:
+def rows_of(shapes: Mapping[str, Floats]) -> Iterator[tuple[object, ...]]:
     """Yield a row for each line (n, 2, 2) and known place (n, 2), as `COLUMNS` name them."""
     for what, each in shapes.items():
         rest = () if each.ndim == 3 else ("", "")
@@ -61,16 +61,16 @@ class BenchFrame:
     """
 
     iteration: int
-    points_robot: NDArray[np.float64]
-    label: NDArray[np.int64]
-    ends_robot: NDArray[np.float64]
-    static_end: NDArray[np.bool_]
-    walls: NDArray[np.float64]
-    corners: NDArray[np.float64]
-    links: NDArray[np.float64]
-    path: NDArray[np.float64]
-    T_world_robot: NDArray[np.float64]
-    true_walls: NDArray[np.float64]
+    points_robot: Floats
+    label: Ints
+    ends_robot: Floats
+    static_end: Bools
+    walls: Floats
+    corners: Floats
+    links: Floats
+    path: Floats
+    T_world_robot: Floats
+    true_walls: Floats
 
     def rows(self) -> Iterator[tuple[object, ...]]:
         """Yield a row for everything drawn, with columns `COLUMNS`; points with their plane."""
@@ -177,7 +177,7 @@ class BenchRecorder:
             np.empty((0, 2, 2)) if self._truth is None else self._truth.ends,
         )
 
-    def _world(self, poses: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _world(self, poses: Floats) -> tuple[Floats, Floats]:
         """Return the motion R (2, 2), t (2,) from the map to the world frame."""
         placed = np.flatnonzero(np.isfinite(poses[:, 0, 0]))
         stamps_s = np.array(self._stamps_s)[placed]
@@ -185,9 +185,7 @@ class BenchRecorder:
         return found or (np.eye(2), np.zeros(2))
 
 
-def _links(
-    groups: list[NDArray[np.int64]], walls: NDArray[np.int64], middles: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _links(groups: list[Ints], walls: Ints, middles: Floats) -> Floats:
     """Return lines (l, 2, 2) from the centre of each group to the midpoints of its walls."""
     links = [np.empty((0, 2, 2))]
     for members in groups:

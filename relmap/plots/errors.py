@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
@@ -74,11 +74,11 @@ def plot_errors(result: Result, truth: Overlay, scale: float, title: str) -> Fig
     return sheet.figure
 
 
-def _lengths(truth: Overlay) -> NDArray[np.float64]:
+def _lengths(truth: Overlay) -> Floats:
     return np.asarray(np.linalg.norm(truth.errors_map[:, 0] - truth.errors_map[:, 1], axis=1))
 
 
-def _extent(places: NDArray[np.float64]) -> float:
+def _extent(places: Floats) -> float:
     return float(np.ptp(places, axis=0).max()) if len(places) else 0.0
 
 

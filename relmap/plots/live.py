@@ -11,8 +11,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.evaluation.feeding import AnyMapper
 from relmap.planes import PlaneMapper
@@ -100,13 +100,13 @@ class LiveView:
         self._stream.flush()
         self._stream.disconnect()
 
-    def _points(self, name: str, places: NDArray[np.float64]) -> None:
+    def _points(self, name: str, places: Floats) -> None:
         """Show points (n, d)."""
         kind = self._rerun.Points2D if places.shape[1] == 2 else self._rerun.Points3D
         shown = kind(places.astype(np.float32), colors=COLOURS[name], radii=RADIUS_M)
         self._stream.log(name, shown)
 
-    def _lines(self, name: str, ways: list[NDArray[np.float64]], d: int) -> None:
+    def _lines(self, name: str, ways: list[Floats], d: int) -> None:
         """Show polylines, each (k, d)."""
         kind = self._rerun.LineStrips2D if d == 2 else self._rerun.LineStrips3D
         shown = [way.astype(np.float32) for way in ways if len(way)]

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 from relmap.plots.path import broken_at_gaps
 from relmap.plots.planes import draw_walls
@@ -17,10 +17,10 @@ from relmap.plots.sheet import BLUE, INK, Sheet, to_png
 def plot_localised(
     landmarks: LandmarkMap,
     planar: bool,
-    scan: NDArray[np.int64],
-    poses: NDArray[np.float64],
+    scan: Ints,
+    poses: Floats,
     n_scans: int,
-    ends: NDArray[np.float64] | None = None,
+    ends: Floats | None = None,
 ) -> Figure:
     """Draw a map and the localised scans; the path is interrupted at scans not found.
 

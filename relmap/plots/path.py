@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.evaluation.metrics import match_stamps
 from relmap.evaluation.truth import Truth
 
@@ -18,21 +18,19 @@ USUAL = 0.9
 """Steps up to `GAP` times this quantile of all steps are no jumps."""
 
 
-def broken_at_gaps(
-    stamps_s: NDArray[np.float64], position: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def broken_at_gaps(stamps_s: Floats, position: Floats) -> Floats:
     """Return positions (k + gaps, d), with NaN in gaps of the times (k,)."""
     step_s = np.diff(stamps_s)
     usual_s = np.median(step_s) if len(step_s) else 0.0
     return _broken(position, step_s > GAP * usual_s)
 
 
-def broken_at_jumps(position: NDArray[np.float64]) -> NDArray[np.float64]:
+def broken_at_jumps(position: Floats) -> Floats:
     """Return positions (k + jumps, d), with NaN where the path jumps, without times."""
     return _broken(position, jumps(position))
 
 
-def jumps(position: NDArray[np.float64]) -> NDArray[np.bool_]:
+def jumps(position: Floats) -> Bools:
     """Return for each step (k - 1,) between positions (k, d) whether the path jumps there."""
     step_m = np.linalg.norm(np.diff(position, axis=0), axis=1)
     if not len(step_m):
@@ -43,13 +41,11 @@ def jumps(position: NDArray[np.float64]) -> NDArray[np.bool_]:
     return np.asarray(step_m > most_m)
 
 
-def _broken(position: NDArray[np.float64], gap: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _broken(position: Floats, gap: Bools) -> Floats:
     return np.insert(position, np.flatnonzero(gap) + 1, np.nan, axis=0)
 
 
-def fit_poses(
-    poses: NDArray[np.float64], others: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def fit_poses(poses: Floats, others: Floats) -> tuple[Floats, Floats]:
     """Return the planar motion that best aligns poses to others.
 
     Its rotation is the mean over the poses, so that one pose suffices.
@@ -69,9 +65,7 @@ def fit_poses(
     return R, (others[:, :2, 3] - poses[:, :2, 3] @ R.T).mean(axis=0)
 
 
-def fit_to_truth(
-    stamps_s: NDArray[np.float64], poses: NDArray[np.float64], truth: Truth
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def fit_to_truth(stamps_s: Floats, poses: Floats, truth: Truth) -> tuple[Floats, Floats] | None:
     """Return the planar motion that best aligns poses to the true ones of the same times.
 
     Parameters

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.evaluation.corners import MatchedCorners
 from relmap.evaluation.truth import Truth
 from relmap.planes.files import DrawnSubmap
@@ -104,7 +104,7 @@ def _draw_submap(axes: Axes, submap: DrawnSubmap) -> tuple[int, int]:
     return counts
 
 
-def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tuple[int, int]:
+def _draw_map(axes: Axes, planes: PlaneTable, poses: Floats) -> tuple[int, int]:
     """Draw mapped walls, their corners and the path; return the number of walls and corners."""
     mapped = planes.status == "static"
     draw_walls(axes, planes.ends[mapped], "wall", width=FINE)
@@ -116,14 +116,14 @@ def _draw_map(axes: Axes, planes: PlaneTable, poses: NDArray[np.float64]) -> tup
     return int(mapped.sum()), len(at)
 
 
-def _sheet(places: NDArray[np.float64], poses: NDArray[np.float64]) -> Sheet:
+def _sheet(places: Floats, poses: Floats) -> Sheet:
     """Return a figure for positions (n, 2) and the path of poses (k, 4, 4)."""
     return Sheet(_in_space(places), _in_space(poses[:, :2, 3]), planar=True, dpi=FINE_DPI)
 
 
 def plot_planes(
     planes: PlaneTable,
-    poses: NDArray[np.float64],
+    poses: Floats,
     truth: tuple[Truth, MatchedCorners] | None = None,
     title: str | None = None,
 ) -> Figure:
@@ -183,7 +183,7 @@ def plot_building(building: Building) -> Figure:
 
 def draw_walls(
     axes: Axes,
-    ends: NDArray[np.float64],
+    ends: Floats,
     label: str = "mapped wall",
     colour: str = WALL,
     width: float = 1.5,
@@ -195,12 +195,12 @@ def draw_walls(
     axes.plot([], [], color=colour, linewidth=width, label=label)
 
 
-def draw_true_walls(axes: Axes, ends: NDArray[np.float64]) -> None:
+def draw_true_walls(axes: Axes, ends: Floats) -> None:
     """Draw true walls (m, 2, 2) as thin lines, below those of the map."""
     draw_walls(axes, ends, "true wall", TRUE_WALL, width=1.0, zorder=4.0)
 
 
-def _in_space(flat: NDArray[np.float64]) -> NDArray[np.float64]:
+def _in_space(flat: Floats) -> Floats:
     return np.column_stack([flat, np.zeros(len(flat))])
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import Submap
 from relmap.io.results import Result
 from relmap.planes.files import DrawnSubmap, PlaneResult
@@ -98,14 +99,12 @@ def _name(number: int) -> str:
     return f"submap {number}" if number else "map"
 
 
-def _limits(places: NDArray[np.float64], way: NDArray[np.float64]) -> list[list[float]]:
+def _limits(places: Floats, way: Floats) -> list[list[float]]:
     """Return the minimum and maximum coordinates of the initial view."""
     return [limit.tolist() for limit in limits_of(places, way)]
 
 
-def _path(
-    iterations: NDArray[np.int64], stamps_s: NDArray[np.float64], poses: NDArray[Any], axes: int
-) -> View:
+def _path(iterations: Ints, stamps_s: Floats, poses: NDArray[Any], axes: int) -> View:
     """Return positions and headings of the robot, their times, and where the path jumps."""
     position = poses[:, :axes, 3]
     yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0])
@@ -119,7 +118,7 @@ def _path(
     }
 
 
-def _points(points: NDArray[np.float64], scan: NDArray[np.int64]) -> View:
+def _points(points: Floats, scan: Ints) -> View:
     """Return quantised points with their range, and the scan of each."""
     if not len(points):
         return {}

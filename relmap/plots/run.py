@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.evaluation.landmarks import Overlay
 from relmap.io.results import Result
 from relmap.plots.path import broken_at_gaps, broken_at_jumps
@@ -29,7 +29,7 @@ MOST_LINKS = 6000
 
 def plot_run(
     result: Result,
-    groups: Sequence[NDArray[np.int64]] = (),
+    groups: Sequence[Ints] = (),
     truth: Overlay | None = None,
     title: str | None = None,
 ) -> Figure:
@@ -114,7 +114,7 @@ def _draw_path(axes: Axes, result: Result, pair: list[int]) -> None:
     axes.plot(*position[-1], "s", label="end", **style)
 
 
-def on_odometry_alone(result: Result) -> NDArray[np.int64]:
+def on_odometry_alone(result: Result) -> Ints:
     """Return the rows (k,) of the poses that odometry alone ties to the one before.
 
     Of a result that was read it is not known which iteration each pose is of: none.
@@ -128,13 +128,11 @@ def on_odometry_alone(result: Result) -> NDArray[np.int64]:
     return np.flatnonzero(alone[1:]) + 1
 
 
-def _draw_groups(
-    axes: Axes, result: Result, groups: Sequence[NDArray[np.int64]], pair: list[int]
-) -> None:
+def _draw_groups(axes: Axes, result: Result, groups: Sequence[Ints], pair: list[int]) -> None:
     mapped, table = result.mapped, result.landmarks
     at = table.position[mapped][:, pair]
     place = dict(zip(table.landmark[mapped].tolist(), at, strict=True))
-    links: list[NDArray[np.float64]] = []
+    links: list[Floats] = []
     every = max(1, math.ceil(sum(map(len, groups)) / MOST_LINKS))
     for group in groups[::every]:
         members = np.array([place[label] for label in group.tolist() if label in place])
@@ -159,7 +157,7 @@ def _draw_weak_places(axes: Axes, result: Result, pair: list[int]) -> None:
             axes.scatter(x, y, marker=marker, linewidths=1.4, zorder=7, label=label, **style)
 
 
-def weak_places(result: Result) -> dict[str, NDArray[np.float64]]:
+def weak_places(result: Result) -> dict[str, Floats]:
     """Return positions (n, 3) with residuals much larger than noise explains, by kind."""
     refinement = result.summary.get("refinement") or {}
     segments, merges = (

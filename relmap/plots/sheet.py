@@ -16,8 +16,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, StrMethodFormatter
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.io.files import atomic_write
 
 P = ParamSpec("P")
@@ -40,7 +40,7 @@ BULK = (0.05, 0.95)
 """Quantiles that bound most of the drawn positions."""
 FAR = 1.0
 """Largest distance beyond these bounds at which a position is shown, relative to their extent."""
-Limits = tuple[NDArray[np.float64], NDArray[np.float64]]
+Limits = tuple[Floats, Floats]
 """Lowest and highest coordinates, metres."""
 
 
@@ -68,7 +68,7 @@ def legend_below(figure: Figure, ncols: int, *panels: Axes) -> Legend:
     return figure.legend(list(named.values()), list(named), loc="outside lower center", **style)
 
 
-def limits_of(places: NDArray[np.float64], way: NDArray[np.float64], rim_m: float = 0.0) -> Limits:
+def limits_of(places: Floats, way: Floats, rim_m: float = 0.0) -> Limits:
     """Return the limits of a picture, with a margin.
 
     Parameters
@@ -126,13 +126,7 @@ class Sheet:
         Panels, and which coordinates each shows.
     """
 
-    def __init__(
-        self,
-        places: NDArray[np.float64],
-        way: NDArray[np.float64],
-        planar: bool,
-        dpi: int = 150,
-    ) -> None:
+    def __init__(self, places: Floats, way: Floats, planar: bool, dpi: int = 150) -> None:
         low, high = _padded(limits_of(places, way))
         self._outside = int(((places < low) | (places > high)).any(axis=1).sum())
         pairs = [[0, 1]] if planar else [[0, 1], [0, 2]]

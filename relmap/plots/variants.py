@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.evaluation.surface_points import SurfacePoints
 from relmap.evaluation.truth import Truth
 from relmap.evaluation.variants import METHODS, VariantRun, map_of
@@ -34,8 +34,8 @@ class PlacedMap:
     """
 
     run: VariantRun
-    shapes: NDArray[np.float64]
-    path: NDArray[np.float64]
+    shapes: Floats
+    path: Floats
 
     @property
     def said(self) -> str:
@@ -54,7 +54,7 @@ class BothMaps:
 
     planes: PlacedMap
     points: PlacedMap
-    true_walls: NDArray[np.float64]
+    true_walls: Floats
 
 
 def plot_both(maps: BothMaps, title: str) -> Figure:
@@ -111,7 +111,7 @@ def _placed(result: Result, run: VariantRun, truth: Truth) -> PlacedMap:
     return PlacedMap(run, shapes @ R.T + t, path)
 
 
-def _draw_points(axes: Axes, points: NDArray[np.float64]) -> None:
+def _draw_points(axes: Axes, points: Floats) -> None:
     if len(points):
         axes.plot(*points.T, ".", color=WALL, markersize=1.5, label="mapped point")
         return

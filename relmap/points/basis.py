@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fixes_rotation
 
 
-def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
+def choose_basis(points: Floats) -> Ints | None:
     """Choose well-separated basis points.
 
     B0 is the point farthest from the centre, B1 the farthest from B0, and in space B2 the farthest
@@ -36,7 +36,7 @@ def choose_basis(points: NDArray[np.float64]) -> NDArray[np.int64] | None:
     return np.array([b0, b1, int(np.argmax(np.sum(across**2, axis=1)))])
 
 
-def to_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np.float64]:
+def to_basis(block: Floats, basis: Ints) -> Floats:
     """Transform every iteration of a group into the consistent basis.
 
     B0 is the origin, B1 lies on the negative x axis, and in space B2 in the xz plane, at positive
@@ -57,7 +57,7 @@ def to_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np
     return into_basis(block, basis)
 
 
-def relative_map(block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def relative_map(block: Floats) -> Floats | None:
     """Average a group's locations in its consistent basis (section III).
 
     Parameters

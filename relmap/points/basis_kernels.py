@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 
 
 @helper
-def _scale(axis: NDArray[np.float64]) -> None:
+def _scale(axis: Floats) -> None:
     """Normalise an axis (d,)."""
     square = 0.0
     for a in range(len(axis)):
@@ -19,9 +19,7 @@ def _scale(axis: NDArray[np.float64]) -> None:
 
 
 @helper
-def _axes(
-    block: NDArray[np.float64], i: int, basis: NDArray[np.int64], axes: NDArray[np.float64]
-) -> None:
+def _axes(block: Floats, i: int, basis: Ints, axes: Floats) -> None:
     """Enter the axes (d, d) of one iteration's basis."""
     d, first, last, along = len(axes), axes[0], axes[len(axes) - 1], 0.0
     for a in range(d):
@@ -42,7 +40,7 @@ def _axes(
 
 
 @compiled
-def into_basis(block: NDArray[np.float64], basis: NDArray[np.int64]) -> NDArray[np.float64]:
+def into_basis(block: Floats, basis: Ints) -> Floats:
     """Transform each iteration of a block (g, i, d) into the basis of rows; see `to_basis`."""
     g, m, d = block.shape
     placed, axes = np.empty((g, m, d)), np.empty((d, d))

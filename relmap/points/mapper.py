@@ -6,9 +6,10 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from relmap.core import afterwards
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.placement import Placement
 from relmap.core.association.recognition import PlaceFinder, is_clear
 from relmap.core.config import MapperConfig
@@ -68,7 +69,7 @@ class PointMapper(Mapper):
         ids: ArrayLike | None = None,
         covariances: ArrayLike | None = None,
         odometry: ArrayLike | None = None,
-    ) -> NDArray[np.int64]:
+    ) -> Ints:
         """Process the observations of one iteration.
 
         Parameters
@@ -105,12 +106,8 @@ class PointMapper(Mapper):
             return self._take_in(points_robot, known, noise, motion)
 
     def _take_in(
-        self,
-        points_robot: NDArray[np.float64],
-        known: NDArray[np.int64] | None,
-        noise: NDArray[np.float64] | None,
-        motion: NDArray[np.float64] | None,
-    ) -> NDArray[np.int64]:
+        self, points_robot: Floats, known: Ints | None, noise: Floats | None, motion: Floats | None
+    ) -> Ints:
         if len(points_robot) and self._has_covariances not in (None, noise is not None):
             given = "came with" if noise is None else "did not come with"
             raise RelmapError(
@@ -134,7 +131,7 @@ class PointMapper(Mapper):
         return False if len(self.engine.table) else None
 
     @property
-    def rejected_observations(self) -> NDArray[np.int64]:
+    def rejected_observations(self) -> Ints:
         """Iteration and row of each observation (r, 2) whose id was overruled.
 
         It lies far from the landmark of that id, so it was assigned to no landmark or to the one
@@ -174,7 +171,7 @@ class PointMapper(Mapper):
             afterwards.tie(self.engine)
             afterwards.leave_out_rare(self.engine)
 
-    def localise(self, points: ArrayLike) -> NDArray[np.float64]:
+    def localise(self, points: ArrayLike) -> Floats:
         """Localise a scan in the map, without changing the mapper.
 
         Parameters
@@ -249,7 +246,7 @@ class PointMapper(Mapper):
             registration.expect(landmarks[near], around[near])
         return True
 
-    def _placed(self, points_robot: NDArray[np.float64]) -> tuple[Placement | None, int]:
+    def _placed(self, points_robot: Floats) -> tuple[Placement | None, int]:
         """Return the placement of a scan in the map, if unique, and the number of placements."""
         if self._finder is None:
             positions = positions_in_largest_submap(self.engine.table)
@@ -263,5 +260,5 @@ class PointMapper(Mapper):
     def _model(self) -> PointModel:
         return PointModel()
 
-    def _again(self, scan: RecordedScan) -> NDArray[np.int64]:
+    def _again(self, scan: RecordedScan) -> Ints:
         return self.update(scan.values, scan.ids, scan.covariances, scan.odometry)

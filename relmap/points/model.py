@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.association import Constellation, NearestPrevious, Registration
 from relmap.core.config import MapperConfig
 from relmap.core.state.store import POINTS, Rows, Shown, shown_points
@@ -27,7 +27,7 @@ class PointModel:
             return NearestPrevious(config.gate_m)
         return Constellation(config.max_missed)
 
-    def rows(self, seen: NDArray[np.float64], landmarks: NDArray[np.int64]) -> Rows:
+    def rows(self, seen: Floats, landmarks: Ints) -> Rows:
         """Return the stored columns of the identified points (n, d) of one scan."""
         known = landmarks >= 0
         return {"landmark": landmarks[known], "location": seen[known]}
@@ -36,7 +36,7 @@ class PointModel:
         """Return the observed points unchanged."""
         return shown_points(rows)
 
-    def average_in_basis(self, block: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def average_in_basis(self, block: Floats) -> Floats | None:
         """Average a group's locations (g, i, d) in the basis of three of its points (Fig. 8)."""
         return relative_map(block)
 
@@ -44,7 +44,7 @@ class PointModel:
         """Return the minimum number of mapped points that determine the pose of a group."""
         return dimension
 
-    def is_compared(self, landmarks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def is_compared(self, landmarks: Ints) -> Bools:
         """Return which points (n,) are compared with older ones: all of them."""
         return np.ones(len(landmarks), dtype=bool)
 

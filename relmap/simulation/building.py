@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.datasets.scans import planar_poses
 from relmap.simulation.coverage import seen_extents, times_seen
 from relmap.simulation.drive import STEP_M, drive_round
 from relmap.simulation.floor_plan import World, make_floor_plan
 from relmap.simulation.moving_walls import make_moving
-from relmap.simulation.noise import Array, Noise, check_arguments
+from relmap.simulation.noise import Noise, check_arguments
 from relmap.simulation.sensor import BuildingScan, Sampling, Scanner, Sensor, sensor_of
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 from relmap.simulation.things import Things, walking
@@ -47,14 +47,14 @@ class Building:
         The simulated sensor.
     """
 
-    walls: NDArray[np.float64]
-    moving: NDArray[np.bool_]
-    trajectory: NDArray[np.float64]
-    stamps_s: NDArray[np.float64]
+    walls: Floats
+    moving: Bools
+    trajectory: Floats
+    stamps_s: Floats
     scans: list[BuildingScan]
     sensor: Sensor
 
-    def times_seen(self) -> NDArray[np.int64]:
+    def times_seen(self) -> Ints:
         """Count in how many scans each wall was seen.
 
         Returns
@@ -65,7 +65,7 @@ class Building:
         """
         return times_seen(self.walls, self.scans)
 
-    def seen_extents(self) -> NDArray[np.float64]:
+    def seen_extents(self) -> Floats:
         """Return the extent of each wall that was seen in ten scans by five points each.
 
         Returns
@@ -243,7 +243,7 @@ def _check(
     check_arguments(scanner.noise, scanner.sigma, seed, *limits)
 
 
-def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Array:
+def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Floats:
     """Draw a pose (4, 4), uniform over the floor that is clear of walls."""
     low, high = plan.floors[:, :2] + CLEARANCE_M, plan.floors[:, 2:] - CLEARANCE_M
     share = np.prod(high - low, axis=1)
@@ -257,8 +257,8 @@ def _random_pose(plan: FloorPlan, rng: np.random.Generator) -> Array:
 
 
 def _scan(
-    walls: Array,
-    T_map_robot: Array,
+    walls: Floats,
+    T_map_robot: Floats,
     scanner: Scanner,
     rng: np.random.Generator,
     things: Things | None = None,

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Floats
 from relmap.simulation.rooms import CORRIDOR_M
 from relmap.simulation.shapes import FloorPlan, cut, edges, ring, rounded, turned
 
-NO_FLOORS: Array = np.empty((0, 4))
+NO_FLOORS: Floats = np.empty((0, 4))
 WIDTH_M, DEPTH_M, DOOR_M = 4.0, 4.5, 1.1
 """Size of all twin rooms."""
 TWINS = 3
@@ -73,7 +73,7 @@ def curved(rng: np.random.Generator) -> FloorPlan:
     return FloorPlan(np.vstack([*around, *pillars]), NO_FLOORS, _stadium(RADIUS_M - CORRIDOR_M / 2))
 
 
-def _rooms_below(hall: Array, count: int) -> tuple[Array, Array]:
+def _rooms_below(hall: Floats, count: int) -> tuple[Floats, Floats]:
     """Return the walls (w, 4) and doors (count, 2, 2) of identical rooms."""
     walls, doors = [], []
     for k in range(count):
@@ -85,7 +85,7 @@ def _rooms_below(hall: Array, count: int) -> tuple[Array, Array]:
     return np.vstack(walls), np.array(doors)
 
 
-def _with_doors(edge: Array) -> Array:
+def _with_doors(edge: Floats) -> Floats:
     """Return a wall (2, 2) as the parts (w, 4) between doors, their jambs, and the doors."""
     length = float(np.linalg.norm(edge[1] - edge[0]))
     along = (edge[1] - edge[0]) / length
@@ -98,7 +98,7 @@ def _with_doors(edge: Array) -> Array:
     return np.hstack([way[:-1], way[1:]])
 
 
-def _way_round(x: float, front: float) -> Array:
+def _way_round(x: float, front: float) -> Floats:
     """Return the path (n, 2) from the corridor into the room below x, round, and out again."""
     angle = np.linspace(np.pi / 2, 2.5 * np.pi, 60)
     middle = np.array([x, front - DEPTH_M / 2])
@@ -108,7 +108,7 @@ def _way_round(x: float, front: float) -> Array:
     return np.vstack([into, around, out])
 
 
-def _stadium(radius: float) -> Array:
+def _stadium(radius: float) -> Floats:
     """Return the points of two half circles, counter-clockwise; two straight lines join them."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, round(np.pi * radius / CHORD_M))
     arc = radius * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -116,7 +116,7 @@ def _stadium(radius: float) -> Array:
     return np.vstack([right, -right])
 
 
-def _pillar(end: int, angle: float) -> Array:
+def _pillar(end: int, angle: float) -> Floats:
     """Return the three sides (3, 4) of a pilaster at the outer wall of one of two half circles."""
     outwards = np.array([np.cos(angle), np.sin(angle)])
     along = np.array([-outwards[1], outwards[0]]) * PILLAR_M[0] / 2

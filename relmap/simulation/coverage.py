@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.simulation.sensor import BuildingScan
 
 OFTEN, POINTS, CELL_M = 10, 5, 0.05
@@ -17,7 +16,7 @@ STRAIGHT, CHORD_M, SAME_M = np.cos(np.deg2rad(5.0)), 0.2, 1e-6
 """Walls shorter than this that continue this straight (cosine) form no corner."""
 
 
-def times_seen(walls: Array, scans: Sequence[BuildingScan]) -> NDArray[np.int64]:
+def times_seen(walls: Floats, scans: Sequence[BuildingScan]) -> Ints:
     """Count the scans that saw each wall (w, 6), and its right and left end; (w, 3)."""
     counts = np.zeros((len(walls), 3), dtype=np.int64)
     for scan in scans:
@@ -30,7 +29,7 @@ def times_seen(walls: Array, scans: Sequence[BuildingScan]) -> NDArray[np.int64]
     return counts
 
 
-def _go_on(ends: Array) -> NDArray[np.bool_]:
+def _go_on(ends: Floats) -> Bools:
     """Return at which ends (w, 2) of walls (w, 2, 2) another wall continues, as in a curve."""
     along = ends[:, 1] - ends[:, 0]
     length_m = np.linalg.norm(along, axis=1)
@@ -41,7 +40,7 @@ def _go_on(ends: Array) -> NDArray[np.bool_]:
     return np.column_stack([follows.any(axis=0), follows.any(axis=1)])
 
 
-def seen_extents(walls: Array, trajectory: Array, scans: Sequence[BuildingScan]) -> Array:
+def seen_extents(walls: Floats, trajectory: Floats, scans: Sequence[BuildingScan]) -> Floats:
     """Return the observed extent of each wall, metres from its first end.
 
     Parameters

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from relmap.core.arrays import Floats
 from relmap.datasets.scans import planar_poses
-from relmap.simulation.noise import Array
 
 STEP_M = 0.22
 TURN_RAD = np.deg2rad(4.0)
@@ -19,8 +19,8 @@ SMOOTH_M = 0.4
 
 
 def drive_round(
-    loop: Array, loops: int, iterations: int | None, step_m: float, rng: np.random.Generator
-) -> Array:
+    loop: Floats, loops: int, iterations: int | None, step_m: float, rng: np.random.Generator
+) -> Floats:
     """Return the poses (k, 4, 4) of a robot on a closed line (l, 2), slower where it turns.
 
     It starts at a random point; without a number of iterations it drives round `loops` times.
@@ -39,7 +39,7 @@ def drive_round(
     return planar_poses(x, y, angle)
 
 
-def _fine_line(loop: Array, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def _fine_line(loop: Floats, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
     """Return points (g + 1, 2), yaw (g + 1,) and turn rate per metre (g,) of a path of g cells."""
     closed = np.vstack([loop, loop[:1]])
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])

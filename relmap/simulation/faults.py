@@ -11,8 +11,8 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.odometry import composed, motions, path_of, poses_at, relative
@@ -45,7 +45,7 @@ def ghosts(log: ObservationLog, share: float, rng: np.random.Generator) -> Obser
 
 
 def duplicated_landmarks(
-    log: ObservationLog, landmarks: NDArray[np.int64], sigma_m: float, rng: np.random.Generator
+    log: ObservationLog, landmarks: Ints, sigma_m: float, rng: np.random.Generator
 ) -> ObservationLog:
     """Report landmarks twice whenever they are seen, the second time under another id.
 
@@ -139,7 +139,7 @@ def stale_odometry(log: Log, late: float) -> Log:
     return replace(log, odometry=stale)
 
 
-def _odometry(log: ObservationLog | ScanLog) -> NDArray[np.float64]:
+def _odometry(log: ObservationLog | ScanLog) -> Floats:
     if log.odometry is None:
         raise RelmapError("the log has no odometry, and a fault of wheels needs it")
     return log.odometry
@@ -150,18 +150,18 @@ def _check_share(share: float) -> None:
         raise RelmapError(f"share is {share}; it must lie in [0, 1]")
 
 
-def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> NDArray[np.int64]:
+def _drawn(log: ObservationLog, share: float, rng: np.random.Generator) -> Ints:
     """Draw a fraction of the observations, in ascending order."""
     _check_share(share)
     n = len(log.iteration)
     return np.sort(rng.choice(n, round(share * n), replace=False))
 
 
-def _within(log: ObservationLog, first: int, count: int) -> NDArray[np.bool_]:
+def _within(log: ObservationLog, first: int, count: int) -> Bools:
     return (log.iteration >= first) & (log.iteration < first + count)
 
 
-def _ids(log: ObservationLog) -> NDArray[np.int64]:
+def _ids(log: ObservationLog) -> Ints:
     if log.ids is None:
         raise RelmapError("the log has no ids, and a fault that concerns landmarks needs them")
     return log.ids
@@ -171,7 +171,7 @@ def _new_ids(log: ObservationLog) -> int:
     return int(_ids(log).max(initial=-1)) + 1
 
 
-def _rows(log: ObservationLog, rows: NDArray[np.int64]) -> ObservationLog:
+def _rows(log: ObservationLog, rows: Ints) -> ObservationLog:
     """Return some observations, renumbered."""
     return replace(
         log,
@@ -183,12 +183,7 @@ def _rows(log: ObservationLog, rows: NDArray[np.int64]) -> ObservationLog:
     )
 
 
-def _joined(
-    log: ObservationLog,
-    beside: NDArray[np.int64],
-    points: NDArray[np.float64],
-    ids: NDArray[np.int64],
-) -> ObservationLog:
+def _joined(log: ObservationLog, beside: Ints, points: Floats, ids: Ints) -> ObservationLog:
     """Add observations to the iterations of others in given rows."""
     everything = replace(
         log,

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
-from relmap.simulation.noise import Array, Noise, check_arguments, draw_noise
+from relmap.simulation.noise import Noise, check_arguments, draw_noise
 
 LOOP_LENGTH_M = 740.0
 LOOP_ITERATIONS = 900
@@ -52,10 +53,10 @@ class FigureEight:
     """
 
     log: ObservationLog
-    landmark_ids: NDArray[np.int64]
-    landmarks_map: NDArray[np.float64]
+    landmark_ids: Ints
+    landmarks_map: Floats
     status: NDArray[np.str_]
-    trajectory: NDArray[np.float64]
+    trajectory: Floats
 
 
 def simulate_figure_eight(
@@ -118,7 +119,7 @@ def simulate_figure_eight(
     return FigureEight(log, np.arange(m), landmarks_map, status, trajectory)
 
 
-def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Array:
+def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Floats:
     """Draw the motion of dynamic landmarks, every kind in equal proportion.
 
     The kinds are constant velocity (turning back at the end of the reach), random walk, circling,
@@ -159,12 +160,12 @@ def dynamic_offsets(count: int, iterations: int, rng: np.random.Generator) -> Ar
     return np.asarray(np.choose(kind[:, None], ways))
 
 
-def _folded(travelled: Array) -> Array:
+def _folded(travelled: Floats) -> Floats:
     """Return the position after a distance travelled back and forth within the reach."""
     return np.asarray(np.abs(travelled % (4 * REACH_M) - 2 * REACH_M) - REACH_M)
 
 
-def _path(phase: Array, half_size_m: float) -> Array:
+def _path(phase: Floats, half_size_m: float) -> Floats:
     """Return the points (k, 3) of the eight at phases (k,), one loop per 2 pi."""
     x = half_size_m * np.sin(phase)
     y = half_size_m / 2 * np.sin(2 * phase)
@@ -172,11 +173,11 @@ def _path(phase: Array, half_size_m: float) -> Array:
     return np.column_stack([x, y, z])
 
 
-def _phase_of_length() -> tuple[float, Array, Array]:
+def _phase_of_length() -> tuple[float, Floats, Floats]:
     """Return the half size that gives the required length of the loop, and phase over length."""
     phase = np.linspace(0, 2 * np.pi, 20_001)
 
-    def lengths(half_size_m: float) -> Array:
+    def lengths(half_size_m: float) -> Floats:
         steps = np.linalg.norm(np.diff(_path(phase, half_size_m), axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -187,7 +188,7 @@ def _phase_of_length() -> tuple[float, Array, Array]:
     return low, phase, lengths(low)
 
 
-def _frames(length_m: Array) -> Array:
+def _frames(length_m: Floats) -> Floats:
     """Return the poses (k, 4, 4) at path lengths (k,): x ahead along the path, gently rolling."""
     half_size_m, phase, lengths = _phase_of_length()
     at = np.interp(length_m % LOOP_LENGTH_M, lengths, phase)
@@ -199,7 +200,7 @@ def _frames(length_m: Array) -> Array:
     return poses_of(Rotation.from_euler("ZYX", angles), _path(at, half_size_m))
 
 
-def _scatter_landmarks(density: float, rng: np.random.Generator) -> Array:
+def _scatter_landmarks(density: float, rng: np.random.Generator) -> Floats:
     """Return landmark positions (m, 3) in a tube around the path, in random order."""
     m = max(1, round(density * LOOP_LENGTH_M / 100))
     frames = _frames(rng.uniform(0, LOOP_LENGTH_M, m))
@@ -208,13 +209,13 @@ def _scatter_landmarks(density: float, rng: np.random.Generator) -> Array:
     return np.asarray(frames[:, :3, 3] + side[:, None] * frames[:, :3, 1] + up[:, None] * [0, 0, 1])
 
 
-def _in_view(in_robot: Array) -> NDArray[np.int64]:
+def _in_view(in_robot: Floats) -> Ints:
     distance = np.linalg.norm(in_robot, axis=1)
     ahead = in_robot[:, 0] >= distance * np.cos(HALF_VIEW_RAD)
     return np.flatnonzero(ahead & (distance <= RANGE_M))
 
 
-def _log_of(ids: list[NDArray[np.int64]], points: list[Array]) -> ObservationLog:
+def _log_of(ids: list[Ints], points: list[Floats]) -> ObservationLog:
     counts = [len(seen) for seen in ids]
     return ObservationLog(
         points_robot=np.concatenate(points),

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.simulation.floor_plan import World
-from relmap.simulation.noise import Array
 from relmap.simulation.rooms import DOOR_M
 from relmap.simulation.shapes import CLEARANCE_M, FloorPlan, wall_distances
 
@@ -40,14 +39,14 @@ class MovingWalls:
         Scans, and radians.
     """
 
-    row: NDArray[np.int64]
-    pivot: NDArray[np.float64]
+    row: Ints
+    pivot: Floats
     swing_rad: float
-    slide_m: NDArray[np.float64]
-    period: NDArray[np.float64]
-    phase: NDArray[np.float64]
+    slide_m: Floats
+    period: Floats
+    phase: Floats
 
-    def at(self, walls: Array, iteration: int) -> Array:
+    def at(self, walls: Floats, iteration: int) -> Floats:
         """Return all walls (w, 6) of the plan at the time of one scan."""
         if not len(self.row):
             return walls
@@ -100,7 +99,7 @@ def make_moving(
     return plan, MovingWalls(row, pivot, swing_rad, slide_m, *rhythm)
 
 
-def _hung_doors(plan: FloorPlan, count: int, rng: np.random.Generator) -> Array:
+def _hung_doors(plan: FloorPlan, count: int, rng: np.random.Generator) -> Floats:
     """Return both sides (2 d, 4) of half-open doors that touch neither walls nor each other."""
     leaves = [np.empty((0, 4))]
     hinges = np.empty((0, 2))

@@ -5,18 +5,17 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 
-Array = NDArray[np.float64]
 Noise = Literal["gaussian", "uniform"]
 """Distribution of the noise; both have the same standard deviation."""
 
 
 def draw_noise(
     noise: Noise, sigma: float, shape: tuple[int, ...], rng: np.random.Generator
-) -> Array:
+) -> Floats:
     """Draw independent errors with mean 0 and standard deviation `sigma`."""
     if noise == "gaussian":
         return rng.normal(0.0, sigma, shape)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.odometry import motions
 from relmap.datasets.scans import poses_of
-from relmap.simulation.noise import Array
 
 UPRIGHT = 1 - 1e-12
 """The cosine of zero tilt, up to rounding."""
@@ -48,7 +48,7 @@ LASER_WHEELS = Wheels(turn_deg=0.0, turn_deg_per_m=0.5, way_bias=0.01, turn_bias
 """Odometry errors of a robot in a building."""
 
 
-def wheel_odometry(poses: Array, wheels: Wheels, rng: np.random.Generator) -> Array:
+def wheel_odometry(poses: Floats, wheels: Wheels, rng: np.random.Generator) -> Floats:
     """Return the motions (k, 4, 4) measured by wheels on a path.
 
     Parameters

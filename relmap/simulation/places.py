@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Floats
 
 ROUNDING_M = 2.0
 """Standard deviation of the filter that rounds the corners of a path, metres."""
@@ -48,8 +48,8 @@ class Place:
         Whether everything is in the plane z = 0.
     """
 
-    way: Array
-    landmarks_map: Array
+    way: Floats
+    landmarks_map: Floats
     planar: bool
 
 
@@ -148,14 +148,14 @@ def raised(place: Place, rng: np.random.Generator) -> Place:
     return Place(way, landmarks, False)
 
 
-def sampled(way: Array, step_m: float) -> Array:
+def sampled(way: Floats, step_m: float) -> Floats:
     """Return the points (n, 3) of a path at a given spacing."""
     lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1)))
     at = np.arange(0, lengths[-1] + 1e-9, step_m)
     return np.column_stack([np.interp(at, lengths, axis) for axis in way.T])
 
 
-def driven(way: Array, iterations: int) -> tuple[Array, Array]:
+def driven(way: Floats, iterations: int) -> tuple[Floats, Floats]:
     """Return positions and directions (k, 3) along a path with rounded corners."""
     fine = gaussian_filter1d(sampled(way, FINE_M), ROUNDING_M / FINE_M, axis=0, mode="nearest")
     ahead = np.gradient(fine, axis=0)
@@ -165,7 +165,7 @@ def driven(way: Array, iterations: int) -> tuple[Array, Array]:
     return both[:, :3], both[:, 3:]
 
 
-def _along(way: Array, spacing_m: float, rng: np.random.Generator) -> Place:
+def _along(way: Floats, spacing_m: float, rng: np.random.Generator) -> Place:
     """Return a planar path with landmarks scattered uniformly on both sides of it."""
     low, high = way.min(axis=0) - ASIDE_M, way.max(axis=0) + ASIDE_M
     area = np.prod((high - low)[:2])
@@ -176,7 +176,7 @@ def _along(way: Array, spacing_m: float, rng: np.random.Generator) -> Place:
     return Place(way, landmarks[np.array(apart) <= ASIDE_M], True)
 
 
-def _scattered(size_m: float, spacing_m: float, rng: np.random.Generator) -> Array:
+def _scattered(size_m: float, spacing_m: float, rng: np.random.Generator) -> Floats:
     low, high = -BEYOND_M, size_m + BEYOND_M
     landmarks = np.zeros((max(round((high - low) ** 2 / spacing_m**2), 1), 3))
     landmarks[:, :2] = rng.uniform(low, high, (len(landmarks), 2))

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Floats
 from relmap.simulation.shapes import FloorPlan, boxes, cut, edges, panels, ring, rounded
 
 CORRIDOR_M = 2.4
@@ -52,7 +52,7 @@ def building(rng: np.random.Generator, glass: bool = False) -> FloorPlan:
     return FloorPlan(np.vstack([opaque, both]), floors, loop, doors, rows)
 
 
-def _rooms_inside(block: Array, rng: np.random.Generator) -> list[tuple[Array, int]]:
+def _rooms_inside(block: Floats, rng: np.random.Generator) -> list[tuple[Floats, int]]:
     """Return rooms side by side, each with the side of its door: below or above."""
     splits = _split(block[0], block[2], rng)
     return [
@@ -61,7 +61,7 @@ def _rooms_inside(block: Array, rng: np.random.Generator) -> list[tuple[Array, i
     ]
 
 
-def _rooms_along(hall: Array, side: int, rng: np.random.Generator) -> list[tuple[Array, int]]:
+def _rooms_along(hall: Floats, side: int, rng: np.random.Generator) -> list[tuple[Floats, int]]:
     """Return rooms beyond one side of the hall, each with the side of its door."""
     across = 1 - side % 2
     along = 1 - across
@@ -79,14 +79,14 @@ def _rooms_along(hall: Array, side: int, rng: np.random.Generator) -> list[tuple
     return rooms
 
 
-def _split(low: float, high: float, rng: np.random.Generator) -> Array:
+def _split(low: float, high: float, rng: np.random.Generator) -> Floats:
     """Return the limits of parts of an interval that are about as wide as rooms."""
     count = int((high - low) / np.mean(ROOM_M))
     cuts = np.cumsum(rng.uniform(*ROOM_M, count))
     return np.concatenate([[low], low + (high - low) * cuts[:-1] / cuts[-1], [high]])
 
 
-def _door(edge: Array, rng: np.random.Generator) -> Array:
+def _door(edge: Floats, rng: np.random.Generator) -> Floats:
     """Return a door (2, 2) at a random place of a wall (2, 2)."""
     length = float(np.linalg.norm(edge[1] - edge[0]))
     width = rng.uniform(*DOOR_M)
@@ -95,7 +95,7 @@ def _door(edge: Array, rng: np.random.Generator) -> Array:
     return np.asarray(edge[0] + t * (edge[1] - edge[0]))
 
 
-def _pane(edge: Array, door: Array) -> Array:
+def _pane(edge: Floats, door: Floats) -> Floats:
     """Return a pane (2, 2) in the longer part of a wall beside a door, between two frames."""
     parts = np.array([[edge[0], door[0]], [door[1], edge[1]]])
     right, left = parts[np.argmax(np.linalg.norm(parts[:, 1] - parts[:, 0], axis=1))]
@@ -127,7 +127,7 @@ def oblique(rng: np.random.Generator) -> FloorPlan:
     scale_m, shear = np.linalg.norm(high - low) / 2, rng.uniform(*SHEAR) * rng.choice([-1, 1])
     away = rng.uniform(*TAPER) * rng.choice([-1, 1], 2)
 
-    def moved(points: Array) -> Array:
+    def moved(points: Floats) -> Floats:
         u = (points - (low + high) / 2) / scale_m
         sheared = u + shear * u[..., 1:] * [1.0, 0.0]
         return np.asarray(scale_m * sheared / (1 + u @ away)[..., None])

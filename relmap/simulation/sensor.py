@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relmap.simulation.noise import Array, Noise, draw_noise
+from relmap.core.arrays import Floats, Ints
+from relmap.simulation.noise import Noise, draw_noise
 from relmap.simulation.visibility import SeenWalls, ray_distances
 
 Sampling = Literal["surface", "rays", "laser"]
 """Sampling of points: uniform on the visible surface, or where equally spaced beams hit it (in
 azimuth and elevation, or in the plane of the sensor)."""
 
-Before = Callable[[Array, Array], Array]
+Before = Callable[[Floats, Floats], Floats]
 """From bearings (b,) and ranges (b,) of beams to their distances (b,) from objects in front of the
 walls; infinite if there is none."""
 
@@ -71,13 +71,13 @@ class BuildingScan:
         For a laser: the range of every beam, right to left; infinite without a return.
     """
 
-    points: NDArray[np.float64]
+    points: Floats
     seen: SeenWalls
-    stretch: NDArray[np.int64]
-    ranges_m: NDArray[np.float64] | None = None
+    stretch: Ints
+    ranges_m: Floats | None = None
 
     @property
-    def wall(self) -> NDArray[np.int64]:
+    def wall(self) -> Ints:
         """The wall of each point, -1 for none; (n,)."""
         return np.append(self.seen.wall, -1)[self.stretch]
 
@@ -99,7 +99,7 @@ class Scanner:
     def scan(
         self,
         seen: SeenWalls,
-        z_robot: Array,
+        z_robot: Floats,
         rng: np.random.Generator,
         before: Before | None = None,
     ) -> BuildingScan:
@@ -124,7 +124,7 @@ class Scanner:
             return self._cast(seen, z_robot, rng)
         return self._sweep(seen, rng, before)
 
-    def _scatter(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
+    def _scatter(self, seen: SeenWalls, z_robot: Floats, rng: np.random.Generator) -> BuildingScan:
         """Sample points uniformly on the visible surface, with noise in each coordinate."""
         across = seen.ends[:, 1] - seen.ends[:, 0]
         reach = np.cumsum(np.linalg.norm(across, axis=1))
@@ -140,7 +140,7 @@ class Scanner:
         points = np.column_stack([flat, rng.uniform(z_robot[0], z_robot[1], self.points)])
         return BuildingScan(points + self._errors(points, rng), seen, stretch)
 
-    def _cast(self, seen: SeenWalls, z_robot: Array, rng: np.random.Generator) -> BuildingScan:
+    def _cast(self, seen: SeenWalls, z_robot: Floats, rng: np.random.Generator) -> BuildingScan:
         """Measure a grid of beams; those that pass above or below all walls return nothing.
 
         The points go from right to left, those of one azimuth upwards.
@@ -175,10 +175,10 @@ class Scanner:
         points = _points(ranges[met], bearing[met], np.zeros(int(met.sum())))
         return BuildingScan(points, seen, stretch[met], np.where(met, ranges, np.inf))
 
-    def _errors(self, of: Array, rng: np.random.Generator) -> Array:
+    def _errors(self, of: Floats, rng: np.random.Generator) -> Floats:
         return draw_noise(self.noise, self.sigma, of.shape, rng)
 
-    def _met(self, seen: SeenWalls, beams: int) -> tuple[Array, NDArray[np.int64], Array]:
+    def _met(self, seen: SeenWalls, beams: int) -> tuple[Floats, Ints, Floats]:
         """Return bearing (b,), stretch, -1 for none, and distance at which each beam hits."""
         bearing = np.linspace(-self.sensor.view_rad / 2, self.sensor.view_rad / 2, beams)
         if not len(seen.wall):
@@ -190,7 +190,7 @@ class Scanner:
         return bearing, np.where(met, at, -1), np.where(met, distance, 0.0)
 
 
-def _put_on_ends(stretch: NDArray[np.int64], t: Array) -> None:
+def _put_on_ends(stretch: Ints, t: Floats) -> None:
     """Move the first point of each stretch to its right end, the second to its left."""
     order = np.argsort(stretch, kind="stable")
     rank = np.arange(len(order)) - np.searchsorted(stretch[order], stretch[order])
@@ -199,5 +199,5 @@ def _put_on_ends(stretch: NDArray[np.int64], t: Array) -> None:
     t[order[enough & (rank == 1)]] = 1.0
 
 
-def _points(flat: Array, bearing: Array, z: Array) -> Array:
+def _points(flat: Floats, bearing: Floats, z: Floats) -> Floats:
     return np.column_stack([flat * np.cos(bearing), flat * np.sin(bearing), z])

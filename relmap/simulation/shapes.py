@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Floats, Ints
 
 TURN_RADIUS_M = 1.8
 """Radius at which the robot rounds corners in the middle of the corridor."""
@@ -23,7 +22,7 @@ TRIALS = 30
 """Maximum number of attempts to place a panel."""
 BOX_M, BOX_GAP_M, BOX_TRIALS = (0.3, 1.2), 0.15, 10
 """Sides of a piece of furniture, its minimum distance from walls, and attempts to place it."""
-NOTHING: Array = np.empty((0, 4))
+NOTHING: Floats = np.empty((0, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +45,14 @@ class FloorPlan:
         Which walls are of glass.
     """
 
-    walls: NDArray[np.float64]
-    floors: NDArray[np.float64]
-    loop: NDArray[np.float64]
-    doors: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
-    glass: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    walls: Floats
+    floors: Floats
+    loop: Floats
+    doors: Floats = field(default_factory=lambda: np.empty((0, 2, 2)))
+    glass: Ints = field(default_factory=lambda: np.empty(0, np.int64))
 
 
-def wall_distances(points: Array, walls: Array) -> Array:
+def wall_distances(points: Floats, walls: Floats) -> Floats:
     """Return the distances (n, w) of points (n, 2) from walls (w, 4 or more), metres."""
     first, along = walls[:, :2], walls[:, 2:4] - walls[:, :2]
     offset = points[:, None] - first
@@ -61,13 +60,13 @@ def wall_distances(points: Array, walls: Array) -> Array:
     return np.asarray(np.linalg.norm(offset - t[..., None] * along, axis=2))
 
 
-def edges(box: Array) -> Array:
+def edges(box: Floats) -> Floats:
     """Return the sides (4, 2, 2) of a rectangle, counter-clockwise: below, right, above, left."""
     corners = box[np.array([[0, 1], [2, 1], [2, 3], [0, 3]])]
     return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
-def cut(edge: Array, doors: Array) -> Array:
+def cut(edge: Floats, doors: Floats) -> Floats:
     """Return the parts of a wall (2, 2) between doors (d, 2, 2), as rows x0, y0, x1, y1."""
     along = edge[1] - edge[0]
     offset = doors - edge[0]
@@ -78,7 +77,9 @@ def cut(edge: Array, doors: Array) -> Array:
     return np.vstack([edge[:1], gaps, edge[1:]]).reshape(-1, 4)
 
 
-def panels(box: Array, count: int, rng: np.random.Generator, obstacles: Array = NOTHING) -> Array:
+def panels(
+    box: Floats, count: int, rng: np.random.Generator, obstacles: Floats = NOTHING
+) -> Floats:
     """Place panels in a rectangle, clear of its sides, of each other and of obstacles (o, 4).
 
     Returns
@@ -103,13 +104,13 @@ def panels(box: Array, count: int, rng: np.random.Generator, obstacles: Array = 
     return np.vstack(placed)
 
 
-def ring(hall: Array, block: Array) -> Array:
+def ring(hall: Floats, block: Floats) -> Floats:
     """Return the four rectangles (4, 4) between two rectangles."""
     (x0, y0, x1, y1), (a0, b0, a1, b1) = hall, block
     return np.array([[x0, y0, x1, b0], [x0, b1, x1, y1], [x0, b0, a0, b1], [a1, b0, x1, b1]])
 
 
-def rounded(box: Array) -> Array:
+def rounded(box: Floats) -> Floats:
     """Return a rectangle with rounded corners as a dense line, counter-clockwise."""
     quarter = np.linspace(-np.pi / 2, 0, 60)
     arcs = []
@@ -121,7 +122,7 @@ def rounded(box: Array) -> Array:
     return np.vstack(arcs)
 
 
-def boxes(plan: FloorPlan, floor: Array, count: int, rng: np.random.Generator) -> Array:
+def boxes(plan: FloorPlan, floor: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Place boxes on a floor, clear of walls and of the robot's path.
 
     Returns
@@ -147,7 +148,7 @@ def boxes(plan: FloorPlan, floor: Array, count: int, rng: np.random.Generator) -
     return np.vstack(placed)
 
 
-def turned(points: Array, quarters: int, about: Array) -> Array:
+def turned(points: Floats, quarters: int, about: Floats) -> Floats:
     """Return points (..., 2) rotated by a number of right angles about a centre."""
     R = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarters)
     return np.asarray((points - about) @ R.T + about)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from relmap.core.arrays import Floats, Ints
@@ -158,9 +158,7 @@ def storey_faces() -> tuple[Floats, Floats]:
     return array[:, 0], array[:, 1:]
 
 
-def cast_rays(
-    start: Floats, rays: Floats, origin: Floats, sides: Floats
-) -> tuple[Floats, NDArray[np.int64]]:
+def cast_rays(start: Floats, rays: Floats, origin: Floats, sides: Floats) -> tuple[Floats, Ints]:
     """Return the distances of rays (n, 3) from a point to the faces (n,) they hit."""
     range_m, face = np.full(len(rays), np.inf), np.full(len(rays), -1)
     for k, (corner, (a, b)) in enumerate(zip(origin, sides, strict=True)):

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Floats, Ints
 from relmap.simulation.sensor import Before
 from relmap.simulation.shapes import FloorPlan, wall_distances
 from relmap.simulation.visibility import ray_distances
@@ -39,8 +38,8 @@ class Things:
     rng : numpy.random.Generator
     """
 
-    people: Array
-    glass: NDArray[np.int64]
+    people: Floats
+    glass: Ints
     clutter: float
     rng: np.random.Generator
 
@@ -49,12 +48,12 @@ class Things:
         """Whether there are any objects."""
         return bool(len(self.people) or len(self.glass) or self.clutter)
 
-    def seen_from(self, T_map_robot: Array, walls_robot: Array) -> Before:
+    def seen_from(self, T_map_robot: Floats, walls_robot: Floats) -> Before:
         """Return a function for the ranges of beams; walls (w, 2, 2) are in the robot frame."""
         at = (self.people[:, :2] - T_map_robot[:2, 3]) @ T_map_robot[:2, :2]
         discs = np.column_stack([at, self.people[:, 2]])
 
-        def before(bearing: Array, ranges_m: Array) -> Array:
+        def before(bearing: Floats, ranges_m: Floats) -> Floats:
             panes = glass_ranges(walls_robot[self.glass], bearing, self.rng)
             solid_m = np.minimum(round_ranges(discs, bearing), panes)
             free_m = np.minimum(solid_m, ranges_m).clip(NEAREST_M)
@@ -64,7 +63,7 @@ class Things:
         return before
 
 
-def round_ranges(discs: Array, bearing: Array) -> Array:
+def round_ranges(discs: Floats, bearing: Floats) -> Floats:
     """Return the distances of beams to discs.
 
     Parameters
@@ -86,7 +85,7 @@ def round_ranges(discs: Array, bearing: Array) -> Array:
     return np.asarray(ranges.min(axis=0, initial=np.inf))
 
 
-def glass_ranges(panes: Array, bearing: Array, rng: np.random.Generator) -> Array:
+def glass_ranges(panes: Floats, bearing: Floats, rng: np.random.Generator) -> Floats:
     """Return the distances of beams to the panes that return them.
 
     Parameters
@@ -117,8 +116,8 @@ def glass_ranges(panes: Array, bearing: Array, rng: np.random.Generator) -> Arra
 
 
 def walking(
-    plan: FloorPlan, count: int, stamps_s: Array, trajectory: Array, rng: np.random.Generator
-) -> Array:
+    plan: FloorPlan, count: int, stamps_s: Floats, trajectory: Floats, rng: np.random.Generator
+) -> Floats:
     """Simulate people who walk along the corridor, into rooms and out again.
 
     Returns
@@ -140,7 +139,7 @@ def walking(
     return people
 
 
-def _way(plan: FloorPlan, rng: np.random.Generator) -> Array:
+def _way(plan: FloorPlan, rng: np.random.Generator) -> Floats:
     """Return the closed path (n, 2) of a person: along the corridor from door to door."""
     line = _dense(plan.loop)
     ahead = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
@@ -163,7 +162,7 @@ def _way(plan: FloorPlan, rng: np.random.Generator) -> Array:
     return np.vstack([*parts, _along(lane, at, start)])
 
 
-def _dense(loop: Array) -> Array:
+def _dense(loop: Floats) -> Floats:
     """Return points of a closed line some `LANE_STEP_M` apart."""
     closed = np.vstack([loop, loop[:1]])
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
@@ -171,7 +170,7 @@ def _dense(loop: Array) -> Array:
     return np.column_stack([np.interp(at, length, axis) for axis in closed.T])
 
 
-def _along(line: Array, at: int, goal: int) -> Array:
+def _along(line: Floats, at: int, goal: int) -> Floats:
     """Return the shorter path (n, 2) on a closed line from one of its points to another."""
     n = len(line)
     there = (goal - at) % n

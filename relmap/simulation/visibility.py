@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from relmap.simulation.noise import Array
+from relmap.core.arrays import Floats, Ints
 
 END_TYPES = ("corner", "view", "range", "occluded")
 """Why a stretch ends; if several reasons hold, the first is given."""
@@ -38,12 +38,12 @@ class SeenWalls:
         hidden behind another wall.
     """
 
-    wall: NDArray[np.int64]
-    ends: NDArray[np.float64]
+    wall: Ints
+    ends: Floats
     end_type: NDArray[np.str_]
 
 
-def seen_walls(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenWalls:
+def seen_walls(ends_robot: Floats, range_m: float, half_view_rad: float) -> SeenWalls:
     """Return the visible stretches of walls that do not cross.
 
     Parameters
@@ -85,7 +85,7 @@ def _joined(right: SeenWalls, left: SeenWalls) -> SeenWalls:
     return SeenWalls(wall, ends, end_type)
 
 
-def _seen_ahead(ends_robot: Array, range_m: float, half_view_rad: float) -> SeenWalls:
+def _seen_ahead(ends_robot: Floats, range_m: float, half_view_rad: float) -> SeenWalls:
     """Return the visible stretches within at most a half turn."""
     wall, ends, kind = _clipped(ends_robot, range_m, half_view_rad)
     events, at = _merged(np.arctan2(ends[..., 1], ends[..., 0]))
@@ -100,7 +100,7 @@ def _seen_ahead(ends_robot: Array, range_m: float, half_view_rad: float) -> Seen
     return SeenWalls(wall[part], np.where(whole[..., None], ends[part], hidden), types)
 
 
-def ray_distances(walls: Array, bearing: Array) -> Array:
+def ray_distances(walls: Floats, bearing: Floats) -> Floats:
     """Return the distances along rays from the robot to the lines of walls.
 
     Parameters
@@ -120,14 +120,12 @@ def ray_distances(walls: Array, bearing: Array) -> Array:
     return np.asarray(_cross(first, last) / np.where(across == 0, np.nan, across))
 
 
-def _on_rays(walls: Array, bearing: Array) -> Array:
+def _on_rays(walls: Floats, bearing: Floats) -> Floats:
     ray = np.stack([np.cos(bearing), np.sin(bearing)], axis=-1)
     return np.asarray(ray_distances(walls, bearing)[..., None] * ray)
 
 
-def _clipped(
-    ends: Array, range_m: float, half_view_rad: float
-) -> tuple[NDArray[np.int64], Array, NDArray[np.int64]]:
+def _clipped(ends: Floats, range_m: float, half_view_rad: float) -> tuple[Ints, Floats, Ints]:
     """Clip the walls that face the robot to both edges of the view and to the range.
 
     Returns
@@ -159,7 +157,7 @@ def _clipped(
     return wall[inside], points[inside], kind[inside]
 
 
-def _merged(bearings: Array) -> tuple[Array, NDArray[np.int64]]:
+def _merged(bearings: Floats) -> tuple[Floats, Ints]:
     """Return the distinct bearings in order, and the index of each given one."""
     order = np.argsort(bearings, axis=None)
     ordered = bearings.ravel()[order]
@@ -169,7 +167,7 @@ def _merged(bearings: Array) -> tuple[Array, NDArray[np.int64]]:
     return ordered[new], at.reshape(bearings.shape)
 
 
-def _nearest(ends: Array, at: NDArray[np.int64], bearing: Array) -> NDArray[np.int64]:
+def _nearest(ends: Floats, at: Ints, bearing: Floats) -> Ints:
     """Return the first part hit by a ray between each two events; -1 for none.
 
     As walls do not cross, it is the first one at every bearing between the two.
@@ -182,6 +180,6 @@ def _nearest(ends: Array, at: NDArray[np.int64], bearing: Array) -> NDArray[np.i
     return np.where(covers.any(axis=1), np.argmin(distance, axis=1), -1)
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: Floats, b: Floats) -> Floats:
     """Return the z of the cross product of vectors in the plane, (..., 2) each."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import known_name
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import poses_of
-from relmap.simulation.noise import Array, check_arguments
+from relmap.simulation.noise import check_arguments
 from relmap.simulation.places import KINDS, driven, raised
 
 REACH_M = 25.0
@@ -105,12 +106,12 @@ class World:
     """
 
     log: ObservationLog
-    true_ids: NDArray[np.int64]
-    covariances: Array
-    landmark_ids: NDArray[np.int64]
-    landmarks_map: Array
+    true_ids: Ints
+    covariances: Floats
+    landmark_ids: Ints
+    landmarks_map: Floats
     status: NDArray[np.str_]
-    trajectory: Array
+    trajectory: Floats
 
 
 def simulate_world(spec: WorldSpec) -> World:
@@ -148,7 +149,7 @@ def simulate_world(spec: WorldSpec) -> World:
     return World(log, true_ids, covariances, ids, place.landmarks_map, status, trajectory)
 
 
-def covariances_of(points_robot: Array, sigma: float, noise: str) -> Array:
+def covariances_of(points_robot: Floats, sigma: float, noise: str) -> Floats:
     """Return the covariances (n, d, d), square metres, of points (n, d), robot frame.
 
     Parameters
@@ -170,7 +171,7 @@ def covariances_of(points_robot: Array, sigma: float, noise: str) -> Array:
     )
 
 
-SENSORS: dict[str, Callable[[Array], tuple[Array, Array]]] = {
+SENSORS: dict[str, Callable[[Floats], tuple[Floats, Floats]]] = {
     "isotropic": lambda far: (np.ones_like(far), np.ones_like(far)),
     "range": lambda far: (np.full_like(far, UNEQUAL), np.ones_like(far)),
     "bearing": lambda far: (np.ones_like(far), UNEQUAL * far),
@@ -186,7 +187,7 @@ range; growing with the distance; of a stereo camera, growing along the ray with
 """
 
 
-def _poses(at: Array, ahead: Array, turn_deg: float, d: int, rng: np.random.Generator) -> Array:
+def _poses(at: Floats, ahead: Floats, turn_deg: float, d: int, rng: np.random.Generator) -> Floats:
     """Return poses (k, 4, 4) looking along the path and, optionally, turning to both sides."""
     steps = np.deg2rad(turn_deg) * rng.choice([-1.0, 1.0], len(at))
     steps[0] = 0.0
@@ -196,8 +197,8 @@ def _poses(at: Array, ahead: Array, turn_deg: float, d: int, rng: np.random.Gene
 
 
 def _seen(
-    landmarks_map: Array, T_map_robot: Array, d: int, spec: WorldSpec, rng: np.random.Generator
-) -> tuple[NDArray[np.int64], Array]:
+    landmarks_map: Floats, T_map_robot: Floats, d: int, spec: WorldSpec, rng: np.random.Generator
+) -> tuple[Ints, Floats]:
     """Return the detections of one scan, without noise: ids (n,) and points (n, d), robot frame."""
     points = ((landmarks_map - T_map_robot[:3, 3]) @ T_map_robot[:3, :3])[:, :d]
     half_view = np.deg2rad(spec.view_deg) / 2
@@ -225,9 +226,7 @@ def _seen(
     return both[order], np.concatenate([points[ids], false])[order]
 
 
-def _misread(
-    ids: NDArray[np.int64], share: float, n_landmarks: int, rng: np.random.Generator
-) -> NDArray[np.int64]:
+def _misread(ids: Ints, share: float, n_landmarks: int, rng: np.random.Generator) -> Ints:
     """Return the ids (n,) of a scan, some wrong: half swapped, half of other landmarks."""
     read = ids.copy()
     wrong = rng.permutation(np.flatnonzero((ids >= 0) & (rng.random(len(ids)) < share)))
@@ -239,7 +238,7 @@ def _misread(
     return read
 
 
-def _roots(covariances: Array) -> Array:
+def _roots(covariances: Floats) -> Floats:
     """Return matrices (n, d, d) whose products with their transposes are the covariances."""
     values, vectors = np.linalg.eigh(covariances)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation
 from relmap.core.landmarks import LandmarkMap, LandmarkTable, Submap, in_space
 
 NO_MAP = LandmarkMap(np.empty(0, np.int64), np.empty((0, 3)))
-Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
+Pose = tuple[Floats, Floats]
 """``T_map_robot`` as R (d, d) and t (d,), metres; d is 2 or 3."""
 
 
@@ -31,17 +31,13 @@ class Baseline(ABC):
     def __init__(self, dimension: int = 3) -> None:
         self._d = dimension
         self._labels = [np.empty(0, np.int64)]
-        self._poses: list[NDArray[np.float64]] = []
+        self._poses: list[Floats] = []
 
     @abstractmethod
-    def update(
-        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
-    ) -> NDArray[np.int64]:
+    def update(self, points_robot: Floats, /, ids: Ints | None = None) -> Ints:
         """Process one scan; see `Method.update`."""
 
-    def _keep(
-        self, labels: NDArray[np.int64], T_map_robot: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _keep(self, labels: Ints, T_map_robot: Floats) -> Ints:
         """Store the results of a scan, and return its labels (n,)."""
         self._labels.append(labels)
         self._poses.append(T_map_robot)
@@ -51,7 +47,7 @@ class Baseline(ABC):
         """Finish the log: nothing to do for incremental methods."""
         return
 
-    def landmarks_of(self, labels: NDArray[np.int64], /) -> NDArray[np.int64]:
+    def landmarks_of(self, labels: Ints, /) -> Ints:
         """Return the labels (n,) unchanged: landmarks are never merged."""
         return labels
 
@@ -61,7 +57,7 @@ class Baseline(ABC):
         return NO_MAP
 
     @property
-    def trajectory(self) -> NDArray[np.float64]:
+    def trajectory(self) -> Floats:
         """``T_map_robot`` of every scan, as estimated at that time, (k, 4, 4); NaN if unknown."""
         return np.array(self._poses).reshape(-1, 4, 4)
 
@@ -94,9 +90,7 @@ class Baseline(ABC):
 class KnownBaseline(Baseline):
     """A baseline with known association; observations without an id are left out."""
 
-    def update(
-        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
-    ) -> NDArray[np.int64]:
+    def update(self, points_robot: Floats, /, ids: Ints | None = None) -> Ints:
         """Process one scan; see `Method.update`."""
         ids = np.full(len(points_robot), -1, np.int64) if ids is None else ids
         labels = np.where(ids >= 0, ids, -1)
@@ -109,11 +103,11 @@ class KnownBaseline(Baseline):
         return self._keep(labels, T_map_robot)
 
     @abstractmethod
-    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
+    def _placed(self, points: Floats, labels: Ints) -> Pose | None:
         """Process points (n, d) of landmarks (n,); return the pose, None if undetermined."""
 
 
-def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Pose | None:
+def fitted(points_robot: Floats, places: Floats) -> Pose | None:
     """Return the pose that brings a scan closest to the map.
 
     Parameters
@@ -129,7 +123,7 @@ def fitted(points_robot: NDArray[np.float64], places: NDArray[np.float64]) -> Po
     return fit_rigid(points_robot, places) if fixes_rotation(places) else None
 
 
-def map_of(places: Mapping[int, NDArray[np.float64]]) -> LandmarkMap:
+def map_of(places: Mapping[int, Floats]) -> LandmarkMap:
     """Return the map of landmarks by label; each position is (d,), metres."""
     labels = sorted(places)
     if not labels:
@@ -137,14 +131,14 @@ def map_of(places: Mapping[int, NDArray[np.float64]]) -> LandmarkMap:
     return LandmarkMap(np.array(labels, np.int64), in_space(np.array([places[i] for i in labels])))
 
 
-def turned_by(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def turned_by(points: Floats) -> Floats:
     """Return the Jacobian (n, d, r) of rotated points (n, d) by a rotation about each axis."""
     if points.shape[1] == 2:
         return np.stack([-points[:, 1], points[:, 0]], axis=1)[:, :, None]
     return np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=2)
 
 
-def rotations(turns: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotations(turns: Floats) -> Floats:
     """Return rotations (n, d, d) from angles (n, 1) in the plane or vectors (n, 3), radians."""
     if turns.shape[1] == 3:
         return Rotation.from_rotvec(turns).as_matrix()

@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from relmap.comparison.baselines.base import fitted, rotations, turned_by
+from relmap.core.arrays import Floats, Ints
 from relmap.core.errors import RelmapError
 
 CONVERGED_M = 1e-9
@@ -34,14 +34,12 @@ class Batch:
         0 to m - 1.
     """
 
-    points_robot: NDArray[np.float64]
-    pose: NDArray[np.int64]
-    landmark: NDArray[np.int64]
+    points_robot: Floats
+    pose: Ints
+    landmark: Ints
 
 
-def batch_least_squares(
-    observations: Batch, start_map: NDArray[np.float64], iterations: int = 50
-) -> NDArray[np.float64]:
+def batch_least_squares(observations: Batch, start_map: Floats, iterations: int = 50) -> Floats:
     """Return the landmarks (m, d) that best fit all observations.
 
     Parameters
@@ -82,9 +80,7 @@ def _require_one_map(observations: Batch, m: int) -> None:
         raise RelmapError("batch least squares: the observations do not connect into one map")
 
 
-def _mean_of_one_pose(
-    observations: Batch, R: NDArray[np.float64], t: NDArray[np.float64], m: int
-) -> NDArray[np.float64]:
+def _mean_of_one_pose(observations: Batch, R: Floats, t: Floats, m: int) -> Floats:
     """Return the landmarks (m, d) as seen from the only pose."""
     sums, counts = np.zeros((m, len(t))), np.zeros(m)
     np.add.at(sums, observations.landmark, observations.points_robot @ R.T + t)
@@ -92,9 +88,7 @@ def _mean_of_one_pose(
     return np.asarray(sums / counts[:, None])
 
 
-def _poses(
-    observations: Batch, landmarks: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _poses(observations: Batch, landmarks: Floats) -> tuple[Floats, Floats]:
     k, d = int(observations.pose.max()) + 1, landmarks.shape[1]
     R, t = np.empty((k, d, d)), np.empty((k, d))
     for pose in range(k):
@@ -109,11 +103,8 @@ def _poses(
 
 
 def _gauss_newton(
-    observations: Batch,
-    R: NDArray[np.float64],
-    t: NDArray[np.float64],
-    landmarks: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    observations: Batch, R: Floats, t: Floats, landmarks: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Return a step: rotations (k, d, d) and shifts (k, d) of poses, shifts of landmarks."""
     n, d = observations.points_robot.shape
     k, m = len(R), len(landmarks)
@@ -135,9 +126,7 @@ def _gauss_newton(
     return rotations(step[:, : q - d]), step[:, q - d :], landmark_step.reshape(m, d)
 
 
-def _block_columns(
-    blocks: NDArray[np.float64], column: NDArray[np.int64], n_columns: int
-) -> sparse.csr_array:
+def _block_columns(blocks: Floats, column: Ints, n_columns: int) -> sparse.csr_array:
     """Return the sparse matrix with block i (d, q) in block row i and block column `column[i]`."""
     n, d, q = blocks.shape
     columns = np.repeat((column[:, None] * q + np.arange(q))[:, None], d, axis=1)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.base import turned_by
+from relmap.core.arrays import Floats
 
 if TYPE_CHECKING:
     from relmap.comparison.baselines.ekf import EkfConfig
-
-Floats = NDArray[np.float64]
 
 
 def predicted(

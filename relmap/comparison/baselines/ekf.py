@@ -21,12 +21,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of, rotations
 from relmap.comparison.baselines.bearing import inverse_model, predicted
 from relmap.comparison.methods.base import Setup
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 
 UNKNOWN_M, UNKNOWN_RAD = 10.0, 1.0
@@ -56,7 +56,7 @@ class EkfConfig:
     turn_sd_rad: float = 0.1
     range_sd_m: float = 0.05
     bearing_sd_rad: float | None = None
-    T_robot_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    T_robot_sensor: Floats = field(default_factory=lambda: np.eye(4))
 
 
 class Ekf(KnownBaseline):
@@ -80,7 +80,7 @@ class Ekf(KnownBaseline):
         self._map = np.empty((0, dimension))
         self._P = np.zeros((self._q, self._q))
 
-    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose:
+    def _placed(self, points: Floats, labels: Ints) -> Pose:
         """Predict, correct with mapped landmarks, add new ones."""
         rows = np.array([self._row.get(label, -1) for label in labels.tolist()], np.int64)
         old = rows >= 0
@@ -90,7 +90,7 @@ class Ekf(KnownBaseline):
         self._add(labels[~old].tolist(), points[~old])
         return self._R, self._t
 
-    def _predict(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+    def _predict(self, points: Floats, rows: Ints) -> None:
         """Predict the pose, with the process noise."""
         step, turn = self._config.step_sd_m, self._config.turn_sd_rad
         if self._config.prediction == "fitted":
@@ -99,7 +99,7 @@ class Ekf(KnownBaseline):
         noise = np.repeat([step**2, turn**2], [self._d, self._turns])
         self._P[np.arange(self._q), np.arange(self._q)] += noise
 
-    def _correct(self, points: NDArray[np.float64], rows: NDArray[np.int64]) -> None:
+    def _correct(self, points: Floats, rows: Ints) -> None:
         """Update with observations of mapped landmarks, all at once."""
         if not len(rows):
             return
@@ -120,13 +120,13 @@ class Ekf(KnownBaseline):
         self._move(W @ solve_triangular(L, innovation.ravel(), lower=True, check_finite=False))
         self._P -= W @ W.T
 
-    def _move(self, step: NDArray[np.float64]) -> None:
+    def _move(self, step: Floats) -> None:
         d, q = self._d, self._q
         self._t = self._t + step[:d]
         self._R = rotations(step[None, d:q])[0] @ self._R
         self._map = self._map + step[q:].reshape(-1, d)
 
-    def _add(self, labels: list[int], points: NDArray[np.float64]) -> None:
+    def _add(self, labels: list[int], points: Floats) -> None:
         """Add new landmarks to the map."""
         if not labels:
             return

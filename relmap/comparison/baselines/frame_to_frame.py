@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 
 
@@ -24,11 +24,11 @@ class FrameToFrame(KnownBaseline):
     def __init__(self, dimension: int) -> None:
         super().__init__(dimension)
         self._pose: Pose = np.eye(dimension), np.zeros(dimension)
-        self._last: tuple[NDArray[np.int64], NDArray[np.float64]] | None = None
-        self._sums: dict[int, NDArray[np.float64]] = {}
+        self._last: tuple[Ints, Floats] | None = None
+        self._sums: dict[int, Floats] = {}
         self._counts: dict[int, int] = {}
 
-    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
+    def _placed(self, points: Floats, labels: Ints) -> Pose | None:
         if not len(labels) or not self._step(points, labels):
             return None
         self._last = labels, points
@@ -38,7 +38,7 @@ class FrameToFrame(KnownBaseline):
             self._counts[label] = self._counts.get(label, 0) + 1
         return R, t
 
-    def _step(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> bool:
+    def _step(self, points: Floats, labels: Ints) -> bool:
         """Advance the pose to a scan; return whether the last one determines it."""
         if self._last is None:
             return True

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association import KnownAssociation
 from relmap.core.landmarks import LandmarkMap, in_space
 from relmap.core.state.growing import GrowingArray
@@ -31,7 +31,7 @@ class FrameToMap(KnownBaseline):
         self._means: GrowingArray[np.float64] = GrowingArray(np.float64, (dimension,))
         self._counts: GrowingArray[np.int64] = GrowingArray(np.int64)
 
-    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
+    def _placed(self, points: Floats, labels: Ints) -> Pose | None:
         landmarks = self._association.match(points, labels)
         believed = landmarks >= 0
         landmarks, points = landmarks[believed], points[believed]
@@ -42,14 +42,14 @@ class FrameToMap(KnownBaseline):
             self._average_in(landmarks, points @ pose[0].T + pose[1])
         return pose
 
-    def _fitted(self, landmarks: NDArray[np.int64], points: NDArray[np.float64]) -> Pose | None:
+    def _fitted(self, landmarks: Ints, points: Floats) -> Pose | None:
         """Return the pose of a scan, or None if the map does not determine it."""
         if len(points) and not self._counts.values.any():
             return np.eye(self._d), np.zeros(self._d)
         known = self._counts.values[landmarks] > 0
         return fitted(points[known], self._means.values[landmarks[known]])
 
-    def _average_in(self, landmarks: NDArray[np.int64], placed: NDArray[np.float64]) -> None:
+    def _average_in(self, landmarks: Ints, placed: Floats) -> None:
         counts, means = self._counts.values, self._means.values
         counts[landmarks] += 1
         before = np.where(counts[landmarks, None] > 1, means[landmarks], placed)

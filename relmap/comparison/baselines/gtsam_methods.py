@@ -13,11 +13,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.base import KnownBaseline, Pose, fitted, map_of
 from relmap.comparison.baselines.frame_to_map import FrameToMap, frame_to_map
 from relmap.comparison.baselines.solved import SolvedAtTheEnd
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.base import ObservationLog
 
@@ -70,13 +70,11 @@ class Factors:
     def _pose_key(self, k: int) -> int:
         return int(self.gtsam.symbol("x", k))
 
-    def add_landmark(self, label: int, place: NDArray[np.float64]) -> None:
+    def add_landmark(self, label: int, place: Floats) -> None:
         """Add a landmark with an initial position (d,), metres."""
         self.values.insert(self.landmark_key(label), place)
 
-    def add_scan(
-        self, k: int, pose: Pose, points: NDArray[np.float64], labels: Sequence[int]
-    ) -> None:
+    def add_scan(self, k: int, pose: Pose, points: Floats, labels: Sequence[int]) -> None:
         """Add iteration `k` with its observations; the first one defines the frame.
 
         Parameters
@@ -104,7 +102,7 @@ class Factors:
         ):
             self.graph.add(self._seen(key, label, point, r))
 
-    def _seen(self, pose_key: int, label: int, point: NDArray[np.float64], r: float) -> Any:
+    def _seen(self, pose_key: int, label: int, point: Floats, r: float) -> Any:
         """Return the factor of one observation, `r` metres away."""
         gtsam, wide = self.gtsam, [self._sigma_m / r] * (self._d - 1)
         noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([*wide, self._sigma_m]))
@@ -114,12 +112,12 @@ class Factors:
             bearing, kind = gtsam.Unit3(point), gtsam.BearingRangeFactor3D
         return kind(pose_key, self.landmark_key(label), bearing, r, noise)
 
-    def landmark(self, values: Any, label: int) -> NDArray[np.float64]:
+    def landmark(self, values: Any, label: int) -> Floats:
         """Return the position (d,) of a landmark in gtsam's values."""
         at = values.atPoint2 if self._d == 2 else values.atPoint3
         return np.asarray(at(self.landmark_key(label)))
 
-    def pose_matrix(self, values: Any, k: int) -> NDArray[np.float64]:
+    def pose_matrix(self, values: Any, k: int) -> Floats:
         """Return ``T_map_robot`` (4, 4) of iteration `k` in gtsam's values."""
         at = values.atPose2 if self._d == 2 else values.atPose3
         T, d, matrix = np.eye(4), self._d, at(self._pose_key(k)).matrix()
@@ -144,9 +142,9 @@ class Isam2(KnownBaseline):
         parameters.setRelinearizeThreshold(RELINEARIZE)
         parameters.relinearizeSkip = 1
         self._solver: Any = self._factors.gtsam.ISAM2(parameters)
-        self._places: dict[int, NDArray[np.float64]] = {}
+        self._places: dict[int, Floats] = {}
 
-    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
+    def _placed(self, points: Floats, labels: Ints) -> Pose | None:
         """Add one scan and smooth; return the initial pose."""
         seen, k = labels.tolist(), len(self._poses)
         start = self._start(points, seen)
@@ -165,7 +163,7 @@ class Isam2(KnownBaseline):
             self._places[label] = estimate(factors.landmark_key(label))
         return start
 
-    def _start(self, points: NDArray[np.float64], seen: list[int]) -> Pose | None:
+    def _start(self, points: Floats, seen: list[int]) -> Pose | None:
         """Return an initial pose; None if the map does not determine one."""
         if not self._places:
             return (np.eye(self._d), np.zeros(self._d)) if seen else None
@@ -180,7 +178,7 @@ class Isam2(KnownBaseline):
         return map_of({label: self._factors.landmark(values, label) for label in self._places})
 
     @property
-    def trajectory(self) -> NDArray[np.float64]:
+    def trajectory(self) -> Floats:
         """The poses, smoothed over all scans so far."""
         values, poses = self._solver.calculateEstimate(), super().trajectory
         for k in np.flatnonzero(np.isfinite(poses[:, 0, 0])).tolist():

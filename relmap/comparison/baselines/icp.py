@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.base import Baseline
+from relmap.core.arrays import Floats, Ints
 from relmap.core.landmarks import in_space
 
 BEYOND = 1.25
@@ -47,9 +47,7 @@ class KissIcp(Baseline):
         config.registration.max_num_threads = 1
         self._pipeline: Any = KissICP(config)
 
-    def update(
-        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
-    ) -> NDArray[np.int64]:
+    def update(self, points_robot: Floats, /, ids: Ints | None = None) -> Ints:
         """Register one scan; ids are not used."""
         self._pipeline.register_frame(in_space(points_robot), np.empty(0))
         none = np.full(len(points_robot), -1, np.int64)
@@ -74,9 +72,7 @@ class SmallGicp(Baseline):
         self._last = np.empty((0, 3))
         self._motion, self._pose = np.eye(4), np.eye(4)
 
-    def update(
-        self, points_robot: NDArray[np.float64], /, ids: NDArray[np.int64] | None = None
-    ) -> NDArray[np.int64]:
+    def update(self, points_robot: Floats, /, ids: Ints | None = None) -> Ints:
         """Register one scan; ids are not used."""
         points = in_space(points_robot)
         if min(len(points), len(self._last)) >= FEWEST:
@@ -85,7 +81,7 @@ class SmallGicp(Baseline):
         self._last = points
         return self._keep(np.full(len(points), -1, np.int64), self._pose)
 
-    def _registered(self, points: NDArray[np.float64]) -> Any:
+    def _registered(self, points: Floats) -> Any:
         """Register points (n, 3) to those of the previous scan."""
         align, reach = self._small_gicp.align, REACH * self._range_m
         if min(len(points), len(self._last)) < ENOUGH:

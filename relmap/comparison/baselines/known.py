@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
 from relmap.comparison.baselines.frame_to_map import frame_to_map
 from relmap.comparison.baselines.solved import SolvedAtTheEnd
+from relmap.core.arrays import Ints
 from relmap.core.errors import RelmapError
 from relmap.core.landmarks import LandmarkMap, in_space
 from relmap.datasets.base import ObservationLog
@@ -51,7 +51,7 @@ def least_squares_map(log: ObservationLog) -> LandmarkMap:
     return LandmarkMap(labels, in_space(batch_least_squares(observations, places)))
 
 
-def _of_landmarks(log: ObservationLog, labels: NDArray[np.int64]) -> ObservationLog:
+def _of_landmarks(log: ObservationLog, labels: Ints) -> ObservationLog:
     """Return the observations of some landmarks, in iterations that see enough of them."""
     assert log.ids is not None
     used = np.isin(log.ids, labels)

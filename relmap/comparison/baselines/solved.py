@@ -5,9 +5,9 @@ from __future__ import annotations
 from abc import abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.comparison.baselines.base import NO_MAP, KnownBaseline, Pose
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.landmarks import LandmarkMap
 from relmap.datasets.base import ObservationLog
@@ -27,7 +27,7 @@ class SolvedAtTheEnd(KnownBaseline):
         self._points = [np.empty((0, dimension))]
         self._map = NO_MAP
 
-    def _placed(self, points: NDArray[np.float64], labels: NDArray[np.int64]) -> Pose | None:
+    def _placed(self, points: Floats, labels: Ints) -> Pose | None:
         self._points.append(points)
         return None
 
@@ -53,7 +53,7 @@ class SolvedAtTheEnd(KnownBaseline):
         return self._map
 
     @property
-    def trajectory(self) -> NDArray[np.float64]:
+    def trajectory(self) -> Floats:
         """The poses (k, 4, 4) that fit each scan to the map; NaN if undetermined."""
         log, found = self._log, self._map
         assert log.ids is not None

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from time import process_time
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from relmap.comparison.memory import PeakMemory
 from relmap.comparison.methods.base import MethodInfo, Setup
 from relmap.comparison.methods.registry import find_method
+from relmap.core.arrays import Floats
 from relmap.core.errors import RelmapError
 from relmap.datasets.base import ObservationLog
 from relmap.datasets.scans import ScanLog
@@ -156,7 +156,7 @@ def setup_for(data: Data[Log], sigma_m: float | None = None) -> Setup:
     return Setup(log.points_robot.shape[1], sigma, _reach(log.points_robot))
 
 
-def _reach(points: NDArray[np.float64]) -> float:
+def _reach(points: Floats) -> float:
     return float(np.linalg.norm(points, axis=1).max(initial=1.0))
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import Registration
 from relmap.core.association.constellation import Constellation
 from relmap.core.association.known import KnownAssociation
@@ -43,11 +43,11 @@ class DataAssociation:
     def match(
         self,
         seen: Any,
-        ids: NDArray[np.int64] | None,
+        ids: Ints | None,
         iteration: int,
-        motion: NDArray[np.float64] | None = None,
-        covariances: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.int64]:
+        motion: Floats | None = None,
+        covariances: Floats | None = None,
+    ) -> Ints:
         """Return the landmark of each observation (n,) of an iteration; negative if unknown.
 
         Raises
@@ -70,11 +70,7 @@ class DataAssociation:
         return self.registration.match(seen, ids)
 
     def weigh_own(
-        self,
-        landmarks: NDArray[np.int64],
-        seen: Any,
-        iteration: int,
-        weighed: WeighedObservations,
+        self, landmarks: Ints, seen: Any, iteration: int, weighed: WeighedObservations
     ) -> None:
         """Add observations without covariances to `weighed` if their noise is unequal."""
         if isinstance(self.registration, Constellation):
@@ -109,13 +105,13 @@ class DataAssociation:
         return self.is_known is not False
 
     @property
-    def rejected(self) -> NDArray[np.int64]:
+    def rejected(self) -> Ints:
         """Iterations (r,), ascending, whose scans match no other scan and do not enter the map."""
         scans = [] if self.registration is None else self.registration.rejected
         return np.array(scans, dtype=np.int64) + self._first_scan
 
     @property
-    def overruled(self) -> NDArray[np.int64]:
+    def overruled(self) -> Ints:
         """Iteration and row of each observation (r, 2) that was not assigned to its given id."""
         if not isinstance(self.registration, KnownAssociation):
             return np.empty((0, 2), dtype=np.int64)
@@ -134,6 +130,6 @@ class DataAssociation:
         registration = self.registration
         return registration.unique_share if isinstance(registration, Constellation) else None
 
-    def labels_of(self, landmarks: NDArray[np.int64]) -> NDArray[np.int64]:
+    def labels_of(self, landmarks: Ints) -> Ints:
         """Return the public labels of landmarks (n,)."""
         return landmarks if self.registration is None else self.registration.labels_of(landmarks)

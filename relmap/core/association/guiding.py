@@ -7,13 +7,11 @@ they may be, and where none are it carries the tracks along.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats
 from relmap.core.association.placement import Placement
 from relmap.core.motion_noise import MotionNoise, motion_noise
 from relmap.core.state.growing import GrowingArray
-
-Array = NDArray[np.float64]
 
 MEMORY = 256
 """Comparisons with what landmarks tell that are remembered."""
@@ -46,7 +44,7 @@ class OdometryGuide:
         self._steps = 0
         self._n_seen = 0
 
-    def note(self, motion: Array | None) -> None:
+    def note(self, motion: Floats | None) -> None:
         """Take in the motion (4, 4) since the scan before; None where it is not known."""
         if motion is None:
             motion = np.full((4, 4), np.nan)
@@ -67,13 +65,13 @@ class OdometryGuide:
         T_now_before = np.linalg.inv(self.noise.corrected(self._since[None])[0])
         return Placement(T_now_before[:d, :d], T_now_before[:d, 3], 0)
 
-    def sigma_at(self, points: Array) -> Array:
+    def sigma_at(self, points: Floats) -> Floats:
         """Return how far off points (n, d) may be where they are predicted, metres, typically."""
         sigma_m, sigma_rad = self.noise.sigmas(self._since[None])
         away = np.linalg.norm(points, axis=1)
         return np.asarray(np.hypot(sigma_m[0], sigma_rad[0] * away) * np.sqrt(self._steps))
 
-    def contradicts(self, placement: Placement, points: Array, noise_m: float) -> bool:
+    def contradicts(self, placement: Placement, points: Floats, noise_m: float) -> bool:
         """Tell whether a placement brings points (n, d) where the robot hardly can have gone."""
         off = np.linalg.norm(
             placement.apply(points) - self.predicted(points.shape[1]).apply(points), axis=1
@@ -98,7 +96,9 @@ class OdometryGuide:
             found = motion_noise(self._odometry.values, self._measured.values)
             self.noise = found or self.noise
 
-    def placement(self, expected: Array, points: Array, noise_m: float, most_m: float) -> Placement:
+    def placement(
+        self, expected: Floats, points: Floats, noise_m: float, most_m: float
+    ) -> Placement:
         """Return the placement of the tracks' frame by odometry and the few landmarks in view.
 
         Parameters
@@ -124,14 +124,14 @@ class OdometryGuide:
         rows = np.flatnonzero(matched)
         return self._fitted(guess, there[rows], points[target[rows]], noise_m)
 
-    def _clear(self, there: Array, points: Array, distance: Array) -> NDArray[np.bool_]:
+    def _clear(self, there: Floats, points: Floats, distance: Floats) -> Bools:
         """Tell for which tracks no other point is nearly as near as the nearest."""
         apart = np.linalg.norm(there[:, None] - points[None], axis=2)
         if apart.shape[1] < 2:
             return np.ones(len(there), dtype=bool)
         return np.asarray(distance <= ALONE * np.partition(apart, 1, axis=1)[:, 1])
 
-    def _fitted(self, guess: Placement, here: Array, there: Array, noise_m: float) -> Placement:
+    def _fitted(self, guess: Placement, here: Floats, there: Floats, noise_m: float) -> Placement:
         """Return a guess corrected by matches, each as far as it can be believed."""
         if not len(here):
             return guess

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -264,7 +263,7 @@ def _voted(stretch: Stretch, tolerance_m: float) -> Iterator[Placement]:
         yield Placement(R, shifts[peak // 2, peak % 2] + middle - R @ middle, 0)
 
 
-def lying_together(table: LandmarkState, noise_m: float) -> NDArray[np.int64]:
+def lying_together(table: LandmarkState, noise_m: float) -> Ints:
     """Return pairs (k, 2) of a newer and an older landmark that coincide.
 
     All others are much farther from both.
@@ -292,13 +291,11 @@ def lying_together(table: LandmarkState, noise_m: float) -> NDArray[np.int64]:
     order = np.lexsort((own, table.first[own], place))
     oldest = order[np.unique(place[order], return_index=True)[1]][place]
     newer = (np.arange(n) != oldest) & ~crowded[place]
-    pairs: NDArray[np.int64] = np.column_stack([own, own[oldest]])[newer]
+    pairs: Ints = np.column_stack([own, own[oldest]])[newer]
     return pairs
 
 
-def seen_with_both(
-    pairs: NDArray[np.int64], landmark: NDArray[np.int64], iteration: NDArray[np.int64], m: int
-) -> NDArray[np.int64]:
+def seen_with_both(pairs: Ints, landmark: Ints, iteration: Ints, m: int) -> Ints:
     """Return the number of landmarks seen at about the time of each of a pair (k, 2); (k,).
 
     Parameters

@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.association.base import UNIDENTIFIED
 
 PLENTY = 6
@@ -53,20 +53,18 @@ class _Places:
     since each was seen; ``times`` (n,) int64 number of observations, under the given id.
     """
 
-    ids: NDArray[np.int64]
-    points: NDArray[np.float64]
-    missed: NDArray[np.int64]
-    times: NDArray[np.int64]
+    ids: Ints
+    points: Floats
+    missed: Ints
+    times: Ints
 
     @classmethod
-    def begun(cls, ids: NDArray[np.int64], points: NDArray[np.float64]) -> _Places:
+    def begun(cls, ids: Ints, points: Floats) -> _Places:
         """Return the places of a single scan."""
         return cls(ids, points, np.zeros_like(ids), np.ones_like(ids))
 
     @property
-    def parts(
-        self,
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    def parts(self) -> tuple[Ints, Floats, Ints, Ints]:
         """The arrays in the order used by the kernels."""
         return self.ids, self.points, self.missed, self.times
 
@@ -78,15 +76,15 @@ class _Fit:
     In metres; if too few agree there are no misfits, and the last two are infinite.
     """
 
-    rows: NDArray[np.int64]
-    shared: NDArray[np.int64]
-    R: NDArray[np.float64]
-    t: NDArray[np.float64]
-    misfit_m: NDArray[np.float64]
+    rows: Ints
+    shared: Ints
+    R: Floats
+    t: Floats
+    misfit_m: Floats
     usual_m: float
     largest_m: float
 
-    def apply(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def apply(self, points: Floats) -> Floats:
         """Transform points (n, d) into the frame of the scan."""
         return points @ self.R.T + self.t
 
@@ -107,9 +105,7 @@ class Rigidity:
         self._wary = 0
         self._extent_m = 0.0
 
-    def believed(
-        self, ids: NDArray[np.int64], points_robot: NDArray[np.float64]
-    ) -> NDArray[np.int64] | None:
+    def believed(self, ids: Ints, points_robot: Floats) -> Ints | None:
         """Return the landmarks of the observations.
 
         Parameters
@@ -148,7 +144,7 @@ class Rigidity:
         believed[order] = named
         return believed
 
-    def _named(self, fit: _Fit, scan: _Places, far: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _named(self, fit: _Fit, scan: _Places, far: Ints) -> Ints:
         """Return the ids (n,) of a scan, doubtful ones replaced by the landmarks expected there.
 
         Doubtful are observations far from their prediction and, after such observations, new ids.
@@ -221,7 +217,7 @@ class Rigidity:
         self._usual_m += SLOWNESS * (usual_m - self._usual_m)
         self._doubted, self._n_doubted = None, 0
 
-    def _far(self, fit: _Fit, scan: _Places) -> NDArray[np.int64]:
+    def _far(self, fit: _Fit, scan: _Places) -> Ints:
         """Return the pairs of a fit that are inconsistent for the first time.
 
         A landmark found twice at the same new position has moved there.
@@ -239,9 +235,7 @@ class Rigidity:
         gone = (self._strayed.ids[at] == ids) & (np.linalg.norm(there, axis=1) <= gate_m)
         return np.asarray(far[~gone])
 
-    def _go_on(
-        self, fit: _Fit, scan: _Places, far: NDArray[np.int64], named: NDArray[np.int64]
-    ) -> None:
+    def _go_on(self, fit: _Fit, scan: _Places, far: Ints, named: Ints) -> None:
         """Store this as the last scan, with final ids; other landmarks are predicted in it."""
         rows = fit.shared[far]
         rows = rows[named[rows] == UNIDENTIFIED]
@@ -254,7 +248,7 @@ class Rigidity:
         assert self._last is not None
         self._last.times[np.searchsorted(self._last.ids, renamed)] -= 1
 
-    def _carry(self, fit: _Fit, ids: NDArray[np.int64], points: NDArray[np.float64]) -> None:
+    def _carry(self, fit: _Fit, ids: Ints, points: Floats) -> None:
         """Make landmarks of a scan, ids ascending, the last; others are predicted in its frame."""
         from relmap.core.association.rigidity_kernels import carry
 

@@ -8,11 +8,11 @@ there explains.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.special import chdtri
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.joint import Refined, laid_on
 from relmap.core.state.table import NONE, LandmarkState
@@ -32,7 +32,7 @@ it."""
 
 def contradicted(
     refined: Refined, table: LandmarkState, rows: SegmentRows, usual: float = 1.0
-) -> NDArray[np.int64]:
+) -> Ints:
     """Return the merged tracks (k,) that a refined map contradicts.
 
     Those farther from their landmarks than noise explains, and those that began in segments with
@@ -66,9 +66,7 @@ def contradicted(
     return np.asarray(tracks[table.landmark_of[tracks] != tracks])
 
 
-def places_of(
-    table: LandmarkState, rows: SegmentRows, tracks: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def places_of(table: LandmarkState, rows: SegmentRows, tracks: Ints) -> tuple[Floats, Floats]:
     """Return the mean positions (k, d) of tracks (k,) of mapped landmarks, and counts (k,).
 
     Parameters
@@ -90,7 +88,7 @@ def places_of(
     return places[tracks] / np.maximum(seen[tracks], 1)[:, None], seen[tracks]
 
 
-def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[NDArray[np.int64]]:
+def pieces(table: LandmarkState, rows: SegmentRows, submap: int) -> list[Ints]:
     """Return the landmarks of a submap by connected component, the largest first."""
     landmark = table.landmark_of[rows.landmark]
     on = table.submap[landmark] == submap

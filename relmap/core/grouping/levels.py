@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Ints
 from relmap.core.landmarks import MappedGroup
 from relmap.core.state.table import NONE, LandmarkState
 
@@ -35,24 +35,13 @@ class GroupLevels:
         """The groups that provide some landmark's position, in order of creation."""
         return list(self._groups.values())
 
-    def better(
-        self,
-        landmarks: NDArray[np.int64],
-        reached: NDArray[np.int64],
-        n_averaged: NDArray[np.int64],
-    ) -> NDArray[np.bool_]:
+    def better(self, landmarks: Ints, reached: Ints, n_averaged: Ints) -> Bools:
         """Return whose best position a group provides, given the levels (n,) it allows."""
         before = self._table.level[landmarks]
         more = n_averaged > self._table.averaged[landmarks]
         return np.asarray(more & (reached >= before) | (reached > before) & (n_averaged > 0))
 
-    def take(
-        self,
-        group: MappedGroup,
-        members: NDArray[np.int64],
-        reached: NDArray[np.int64],
-        n_averaged: NDArray[np.int64],
-    ) -> None:
+    def take(self, group: MappedGroup, members: Ints, reached: Ints, n_averaged: Ints) -> None:
         """Take the positions of members (k,) from a group; drop groups no longer needed."""
         self._release(members)
         if len(members):
@@ -64,19 +53,19 @@ class GroupLevels:
         self._table.highest_level[members] = np.maximum(self._table.highest_level[members], reached)
         self._table.averaged[members] = n_averaged
 
-    def leave(self, landmarks: NDArray[np.int64]) -> None:
+    def leave(self, landmarks: Ints) -> None:
         """Remove landmarks that turned out to move from their groups."""
         self._release(landmarks)
         self._table.highest_level[landmarks] = 0
         self.close(landmarks)
 
-    def close(self, landmarks: NDArray[np.int64]) -> None:
+    def close(self, landmarks: Ints) -> None:
         """End the interval of landmarks: their positions in it stay with their groups."""
         self._table.group[landmarks] = NONE
         self._table.level[landmarks] = 0
         self._table.averaged[landmarks] = 0
 
-    def _release(self, landmarks: NDArray[np.int64]) -> None:
+    def _release(self, landmarks: Ints) -> None:
         groups, users = np.unique(self._table.group[landmarks], return_counts=True)
         for group, n in zip(groups.tolist(), users.tolist(), strict=True):
             if group != NONE:

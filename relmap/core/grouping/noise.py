@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from relmap.core.arrays import Floats
 
 FORGETTING = 0.99
 """Decay of the weight of earlier groups: the noise may change during a run."""
@@ -35,7 +36,7 @@ class NoiseEstimate:
         """Forget the estimate: the noise has changed."""
         self._squares = self._freedoms = 0.0
 
-    def add(self, block: NDArray[np.float64]) -> None:
+    def add(self, block: Floats) -> None:
         """Add a group's observations (g, i, d), robot frame, metres."""
         g, n = block.shape[:2]
         freedoms = (g - 1) * (n - 1)
@@ -53,7 +54,7 @@ class NoiseEstimate:
         return float(np.sqrt(self._squares / self._freedoms)) if self._freedoms else np.nan
 
 
-def guess_noise(block: NDArray[np.float64]) -> float:
+def guess_noise(block: Floats) -> float:
     """Estimate the noise of a block before its static landmarks are known.
 
     Distances between static landmarks vary least, and they are a good fraction of all distances.

@@ -9,14 +9,12 @@ of each unknown.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.linalg.compiling import compiled, helper
 from relmap.core.linalg.small_kernels import unset
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Layout = tuple[Index, Index, Index, Index, Index]
+Layout = tuple[Ints, Ints, Ints, Ints, Ints]
 """start (p + 1,), column_of (u,), row_begin (p + 1,), rows, and offset (p + 1,) of each panel."""
 WIDE = 48
 """Maximum width of a panel, except for a single block: wider ones are multiplied by other code."""
@@ -27,7 +25,7 @@ ROUNDING = 1e-14
 
 
 @helper
-def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) -> Index:
+def _heads(width: Ints, order: Ints, begin: Ints, place: Ints, tied: Ints) -> Ints:
     """Return the indices of blocks that start a panel, and the number of blocks at the end.
 
     A block joins the panel of the previous one if both are coupled to the same others.
@@ -49,7 +47,7 @@ def _heads(width: Index, order: Index, begin: Index, place: Index, tied: Index) 
 
 
 @compiled
-def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index, Layout]:
+def panels(width: Ints, order: Ints, begin: Ints, tied: Ints) -> tuple[Ints, Layout]:
     """Return the first unknown (b,) of each block, and the layout of the factor.
 
     The rows of a panel are not in order yet.  The arguments are as from
@@ -89,7 +87,7 @@ def panels(width: Index, order: Index, begin: Index, tied: Index) -> tuple[Index
 
 
 @helper
-def _place(layout: Layout, p: int, place: Index) -> None:
+def _place(layout: Layout, p: int, place: Ints) -> None:
     """Enter into `place` (u,) which row of panel p each of its unknowns is."""
     row_begin, rows = layout[2], layout[3]
     for r in range(row_begin[p], row_begin[p + 1]):
@@ -97,7 +95,7 @@ def _place(layout: Layout, p: int, place: Index) -> None:
 
 
 @compiled
-def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place: Index) -> None:
+def add_part(layout: Layout, unknowns: Ints, part: Floats, values: Floats, place: Ints) -> None:
     """Add the lower triangle of a dense part over unknowns (n,), ascending, to a matrix.
 
     `place` (u,) is work space.
@@ -117,7 +115,7 @@ def add_part(layout: Layout, unknowns: Index, part: Array, values: Array, place:
 
 
 @helper
-def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place: Index) -> None:
+def take_part(layout: Layout, unknowns: Ints, values: Floats, part: Floats, place: Ints) -> None:
     """Enter a symmetric part (n, n) over unknowns (n,), ascending, into the pattern."""
     start, column_of, _, _, offset = layout
     last = -1
@@ -132,7 +130,7 @@ def take_part(layout: Layout, unknowns: Index, values: Array, part: Array, place
 
 
 @helper
-def _times_transposed(A: Array, B: Array, C: Array) -> None:
+def _times_transposed(A: Floats, B: Floats, C: Floats) -> None:
     """Compute ``C = A @ B.T``; only the lower triangle is needed."""
     if A.size * len(B) > MUCH:
         np.dot(A, B.T, C)
@@ -147,7 +145,7 @@ def _times_transposed(A: Array, B: Array, C: Array) -> None:
 
 @helper
 def _take_away(
-    layout: Layout, values: Array, p: int, s: int, done: int, place: Index, work: Array
+    layout: Layout, values: Floats, p: int, s: int, done: int, place: Ints, work: Floats
 ) -> int:
     """Subtract the update of panel s, from its row `done` on, from panel p; return the row count.
 
@@ -170,13 +168,13 @@ def _take_away(
 
 
 @helper
-def _add_multiple(values: Array, factor: float, others: Array) -> None:
+def _add_multiple(values: Floats, factor: float, others: Floats) -> None:
     for r in range(len(values)):
         values[r] += factor * others[r]
 
 
 @helper
-def _factorise_panel(panel: Array, least: Array) -> None:
+def _factorise_panel(panel: Floats, least: Floats) -> None:
     """Replace a panel's columns by those of the factor (h, k); see `ROUNDING`."""
     k = panel.shape[1]
     upper = np.zeros((k, k))
@@ -197,7 +195,7 @@ def _factorise_panel(panel: Array, least: Array) -> None:
 
 
 @compiled
-def factorise(layout: Layout, values: Array) -> None:
+def factorise(layout: Layout, values: Floats) -> None:
     """Replace the columns of the matrix by those of its Cholesky factor.
 
     Each panel is updated by the earlier ones (left-looking; Ng and Peyton, 1993).
@@ -232,7 +230,7 @@ def factorise(layout: Layout, values: Array) -> None:
 
 
 @compiled
-def solve(layout: Layout, values: Array, right: Array) -> Array:
+def solve(layout: Layout, values: Floats, right: Floats) -> Floats:
     """Return the solution (u,) for a right-hand side (u,), given the factor."""
     start, _, row_begin, rows, offset = layout
     x, n = right.copy(), len(start) - 1

@@ -6,16 +6,13 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import sums_each
 from relmap.core.map.pose import trajectory
 from relmap.core.motion_noise import MotionNoise, motion_noise
 from relmap.core.refinement.condensing import LENGTH, NOWHERE, SegmentRows
 from relmap.core.state.table import NONE, LandmarkState
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 UNSURE, STILL_M = 0.5, 0.01
 """Standard deviation, as a share of the way, beyond which landmarks say nothing of odometry; and
@@ -39,9 +36,9 @@ class Bridged:
         Iterations that landmarks do not tie to the one before.
     """
 
-    poses: Array
-    part: Indices
-    hanging: Indices
+    poses: Floats
+    part: Ints
+    hanging: Ints
 
 
 class Measured(NamedTuple):
@@ -54,12 +51,12 @@ class Measured(NamedTuple):
         Standard deviations of a coordinate, metres, and of the angle, radians.
     """
 
-    motion: Array
-    sd_m: Array
-    sd_rad: Array
+    motion: Floats
+    sd_m: Floats
+    sd_rad: Floats
 
 
-def measured_motions(odometry: Array, rows: SegmentRows) -> Measured:
+def measured_motions(odometry: Floats, rows: SegmentRows) -> Measured:
     """Return the motions by landmarks alone.
 
     Both iterations must be in one segment, and fixed well enough to say whether odometry is right.
@@ -78,7 +75,7 @@ def measured_motions(odometry: Array, rows: SegmentRows) -> Measured:
     return found
 
 
-def _placed(rows: SegmentRows) -> Array:
+def _placed(rows: SegmentRows) -> Floats:
     """Return the pose of each iteration (k, 4, 4) in the frame of its segment."""
     d = rows.points.shape[1]
     placed = np.tile(np.eye(4), (len(rows.iteration_segment), 1, 1))
@@ -86,7 +83,7 @@ def _placed(rows: SegmentRows) -> Array:
     return placed
 
 
-def _is_sure(odometry: Array, variance: Array) -> NDArray[np.bool_]:
+def _is_sure(odometry: Floats, variance: Floats) -> Bools:
     """Tell which odometry (k, 4, 4) can be judged by motions of variances (k,), square metres.
 
     Those that are known well by their own way are not the right ones: noise makes ways long.
@@ -95,7 +92,7 @@ def _is_sure(odometry: Array, variance: Array) -> NDArray[np.bool_]:
     return np.asarray(np.sqrt(variance) <= np.maximum(UNSURE * way, STILL_M))
 
 
-def _variances(rows: SegmentRows) -> tuple[Array, Array]:
+def _variances(rows: SegmentRows) -> tuple[Floats, Floats]:
     """Return the variances (k,) of a coordinate of the robot in each iteration, and of its angle.
 
     Square metres and square radians, of a fit to what was seen there: its mean, and its turn by
@@ -115,9 +112,7 @@ def _variances(rows: SegmentRows) -> tuple[Array, Array]:
     return np.asarray(noise / counts + lever * turn), np.asarray(turn)
 
 
-def noise_of(
-    odometry: Array, measured: Measured, rows: SegmentRows
-) -> tuple[MotionNoise, NDArray[np.bool_]]:
+def noise_of(odometry: Floats, measured: Measured, rows: SegmentRows) -> tuple[MotionNoise, Bools]:
     """Return the noise of odometry, measured by landmarks, and which steps (k,) it got wrong.
 
     Wrong steps are found one by one.  The noise is measured over whole segments, where that of
@@ -140,7 +135,7 @@ def noise_of(
     ), slipped
 
 
-def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]:
+def _stretches(odometry: Floats, rows: SegmentRows) -> tuple[Floats, Floats, float]:
     """Return odometry over whole segments (s, 4, 4), the same by landmarks, and their steps."""
     segment = rows.iteration_segment
     inside = np.flatnonzero(segment != NOWHERE)
@@ -159,7 +154,7 @@ def _stretches(odometry: Array, rows: SegmentRows) -> tuple[Array, Array, float]
 
 
 def bridge(
-    table: LandmarkState, rows: SegmentRows, motions: Array, solved: Array | None = None
+    table: LandmarkState, rows: SegmentRows, motions: Floats, solved: Floats | None = None
 ) -> Bridged:
     """Lay all scans in one frame: by submaps where these fix them, else by odometry.
 
@@ -179,7 +174,7 @@ def bridge(
     if solved is not None and len(solved) == k:
         known = np.isfinite(solved[:, 0, 0])
         own[known], submap_of[known] = solved[known], LARGEST
-    frames: dict[int, tuple[int, Array]] = {}
+    frames: dict[int, tuple[int, Floats]] = {}
     for i in range(k):
         submap = int(submap_of[i])
         if submap in frames:
@@ -205,7 +200,7 @@ def bridge(
     return Bridged(poses, part, 1 + np.flatnonzero(~tied))
 
 
-def _poses_in_submaps(table: LandmarkState, rows: SegmentRows) -> tuple[Array, Indices]:
+def _poses_in_submaps(table: LandmarkState, rows: SegmentRows) -> tuple[Floats, Ints]:
     """Return the pose of each iteration (k, 4, 4) in the largest submap that fixes it, and which.
 
     NONE where none does.

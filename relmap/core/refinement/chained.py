@@ -11,17 +11,14 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
 from relmap.core.refinement.equations import ROUNDING
 from relmap.core.refinement.schur import NormalEquations
 from relmap.core.refinement.settling import size_of
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 CONSTANT = 0.03
 """Standard deviation of odometry's errors of scale, and of the turn it misses on each metre, before
@@ -54,11 +51,11 @@ class Chain(NamedTuple):
         Odometry from each iteration to the next; NaN where it is not known.
     """
 
-    points: Array
-    landmark: Indices
-    iteration: Indices
-    root: Array
-    motion: Array
+    points: Floats
+    landmark: Ints
+    iteration: Ints
+    root: Floats
+    motion: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +71,10 @@ class Chained:
         Error of the scale of ways and of turns, and turn missed on each metre.
     """
 
-    positions: Array
-    R: Array
-    t: Array
-    constant: Array
+    positions: Floats
+    R: Floats
+    t: Floats
+    constant: Floats
 
 
 class Sigmas(NamedTuple):
@@ -115,9 +112,9 @@ class ChainProblem:
     def __init__(
         self,
         chain: Chain,
-        odds: tuple[Array, Array],
+        odds: tuple[Floats, Floats],
         sigmas: Sigmas,
-        positions: Array,
+        positions: Floats,
         anchor: int,
         pattern: Pattern | None = None,
         turns_whole: bool = True,
@@ -160,14 +157,14 @@ class ChainProblem:
         n, o = len(self.chain.points), len(self.moved)
         return slice(0, n), slice(n, n + o), slice(n + o, n + 2 * o)
 
-    def residuals(self, state: Chained) -> Array:
+    def residuals(self, state: Chained) -> Floats:
         """Return the lengths of what is left, in standard deviations, in the order of `parts`."""
         way, turn, _ = self._left_of_odometry(state)
         parts = (self._left_of_seen(state)[0], way, turn)
         return np.concatenate([np.linalg.norm(part, axis=1) for part in parts])
 
     def equations(
-        self, state: Chained, weight: Array, with_matrix: bool, damping: float
+        self, state: Chained, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of everything."""
         pattern, right, cost = self.pattern, np.zeros(self.pattern.n_unknowns), 0.0
@@ -187,7 +184,7 @@ class ChainProblem:
         return NormalEquations(right, matrix, cost, lambda step: step[self.pose])
 
     def stepped(
-        self, state: Chained, equations: NormalEquations, step: Array, weight: Array
+        self, state: Chained, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Chained:
         """Return the state after a step.
 
@@ -200,7 +197,7 @@ class ChainProblem:
         if not self.turns_whole:
             return Chained(state.positions + step[self.unknown], R, state.t + shift, constant)
 
-        def placed(base: Indices, points: Array, moved: Array) -> Array:
+        def placed(base: Ints, points: Floats, moved: Floats) -> Floats:
             """Return points (n, d), moved a little, as they lie from where their bases come to."""
             away = points - state.t[base]
             own = np.einsum("nij,nj->ni", derivatives(away), moves[base])
@@ -215,17 +212,17 @@ class ChainProblem:
         ways = placed(self._base, state.positions, step[self.unknown])
         return Chained(ways + t[self._base], R, t, constant)
 
-    def inverse(self, state: Chained, weight: Array) -> Array:
+    def inverse(self, state: Chained, weight: Floats) -> Floats:
         """Return the covariances of all unknowns that are tied, as the pattern lays them out."""
         matrix = self.equations(state, weight, True, 0.0).matrix
         self.pattern.factorise(matrix)
         return self.pattern.inverse(matrix)
 
-    def covariances(self, state: Chained, weight: Array) -> Array:
+    def covariances(self, state: Chained, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks."""
         return self.pattern.parts(self.inverse(state, weight), self.unknown)
 
-    def components(self, state: Chained, weight: Array) -> Sigmas:
+    def components(self, state: Chained, weight: Floats) -> Sigmas:
         """Return the standard deviations by what is left, each kind by its own freedoms."""
         inverse = self.inverse(state, weight)
         sums = np.zeros((3, 2))
@@ -247,8 +244,8 @@ class ChainProblem:
         return Sigmas(seen, min(way, WORST), min(turn, WORST))
 
     def _linearised(
-        self, state: Chained, weight: Array
-    ) -> list[tuple[Array, Array, Indices, tuple[Indices, tuple[Indices, ...]], Array]]:
+        self, state: Chained, weight: Floats
+    ) -> list[tuple[Floats, Floats, Ints, tuple[Ints, tuple[Ints, ...]], Floats]]:
         """Return residuals, Jacobians, unknowns, their places and weights, of both kinds."""
         seen, way, turn = self.parts
         left, by_landmark, away = self._left_of_seen(state)
@@ -261,7 +258,7 @@ class ChainProblem:
         each = np.minimum(weight[way], weight[turn])
         return [*found, (off, jacobian, self._of_moved, self._at_moved, each)]
 
-    def _left_of_seen(self, state: Chained) -> tuple[Array, Array, Array]:
+    def _left_of_seen(self, state: Chained) -> tuple[Floats, Floats, Floats]:
         """Return what is left (n, d) of the observations, its derivative by the landmark, and ways.
 
         The ways (n, d) go from robot to landmark, map frame, metres.
@@ -272,7 +269,7 @@ class ChainProblem:
         off = np.einsum("nij,nj->ni", back, away) - self.chain.points
         return np.einsum("nij,nj->ni", self._root, off), self._root @ back, away
 
-    def _left_of_odometry(self, state: Chained) -> tuple[Array, Array, Array]:
+    def _left_of_odometry(self, state: Chained) -> tuple[Floats, Floats, Floats]:
         """Return what is left of ways (o, d) and turns (o, q), and their Jacobian."""
         a, d, q = self.moved, self._t.shape[1], self._q
         R_a, R_b = state.R[a], state.R[a + 1]
@@ -297,14 +294,14 @@ class ChainProblem:
         return off_way / way, off_turn / angle, jacobian
 
 
-def _angles(R: Array) -> Array:
+def _angles(R: Floats) -> Floats:
     """Return the angles (n, 1) or rotation vectors (n, 3) of rotations (n, d, d)."""
     if R.shape[1] == 3:
         return np.asarray(Rotation.from_matrix(R).as_rotvec()) if len(R) else np.empty((0, 3))
     return np.arctan2(R[:, 1, 0], R[:, 0, 0])[:, None]
 
 
-def _pattern(chain: Chain, moved: Indices, m: int, k: int, d: int, q: int) -> Pattern:
+def _pattern(chain: Chain, moved: Ints, m: int, k: int, d: int, q: int) -> Pattern:
     """Return an order of landmarks, poses and constant errors in which little fills."""
     width = np.concatenate([np.full(m, d), np.full(k, d + q), [q + 2]])
     pairs = np.unique(np.column_stack([m + chain.iteration, chain.landmark]), axis=0)

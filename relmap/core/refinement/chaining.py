@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
 from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, strict
 from relmap.core.motion_noise import MotionNoise
@@ -25,9 +25,6 @@ from relmap.core.refinement.residuals import (
 from relmap.core.refinement.settling import FAINT, WORTH_SAYING, Settled, size_of
 from relmap.core.state.kept import KeptObservations
 from relmap.core.state.table import LandmarkState
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 TIMES, FEW_ROUNDS, ROUNDS = 15, 10, 50
 """How often noise is estimated from what is left, and the map solved with it; steps each time, and
@@ -62,9 +59,9 @@ class Solved:
     """
 
     refined: Refined
-    poses: Array
-    iterations: Indices
-    doubted: Indices
+    poses: Floats
+    iterations: Ints
+    doubted: Ints
     sigmas: Sigmas
 
 
@@ -100,8 +97,8 @@ class PartSolver:
     table: LandmarkState
     rows: SegmentRows
     kept: KeptObservations
-    roots: Array | None
-    motions: Array
+    roots: Floats | None
+    motions: Floats
     noise: MotionNoise
     noise_m: float
     sigmas: Sigmas | None
@@ -134,7 +131,7 @@ class PartSolver:
         doubted = iterations[problem.moved[weight < DOUBT] + 1]
         return Solved(refined, placed, iterations, doubted, problem.sigmas)
 
-    def _chain(self, bridged: Bridged, part: int, iterations: Indices) -> tuple[Chain, Indices]:
+    def _chain(self, bridged: Bridged, part: int, iterations: Ints) -> tuple[Chain, Ints]:
         """Return what there is to know of a part, and the landmarks (m,) that it is about."""
         kept = self.kept
         every = self.table.now(kept.landmark)
@@ -152,12 +149,8 @@ class PartSolver:
         return Chain(points, of, begin, root, between), landmarks
 
     def _refined(
-        self,
-        settled: Settled[Chained],
-        problem: ChainProblem,
-        landmarks: Indices,
-        iterations: Indices,
-    ) -> tuple[Refined, Array]:
+        self, settled: Settled[Chained], problem: ChainProblem, landmarks: Ints, iterations: Ints
+    ) -> tuple[Refined, Floats]:
         """Return the map, and the poses (k, 4, 4), in the frame of the first that saw anything."""
         state, anchor = settled.state, int(problem.chain.iteration[0])
         R, t = state.R[anchor], state.t[anchor]
@@ -222,7 +215,7 @@ def join_parts(bridged: Bridged, solved: Sequence[Solved]) -> Bridged | None:
 
 def _settled(
     chain: Chain,
-    odds: tuple[Array, Array],
+    odds: tuple[Floats, Floats],
     state: Chained,
     anchor: int,
     sigmas: Sigmas | None,
@@ -258,15 +251,15 @@ def _settled(
 
 
 def _weighing(
-    problem: ChainProblem, function: Callable[[Array, float], Array], outlier: float
+    problem: ChainProblem, function: Callable[[Floats, float], Floats], outlier: float
 ) -> Weigh:
     """Return weights by what noise explains of observations, and of odometry: each by itself."""
     d, share = problem.chain.points.shape[1], outlier / OUTLIER
 
-    def limit(residual: Array, least: float) -> float:
+    def limit(residual: Floats, least: float) -> float:
         return max(share * limit_of(residual, d, 0.0), least)
 
-    def weigh(residual: Array) -> Array:
+    def weigh(residual: Floats) -> Floats:
         seen, *odometry = (residual[part] for part in problem.parts)
         # Where odometry is all there is, nothing is left of it.
         each = [function(part, limit(part, outlier)) for part in odometry]
@@ -275,7 +268,7 @@ def _weighing(
     return weigh
 
 
-def _start(chain: Chain, poses: Array, m: int) -> Chained:
+def _start(chain: Chain, poses: Floats, m: int) -> Chained:
     """Return the state in which each landmark is in the middle of where it was seen."""
     d = chain.points.shape[1]
     R, t = poses[:, :d, :d], poses[:, :d, 3]
@@ -287,7 +280,7 @@ def _start(chain: Chain, poses: Array, m: int) -> Chained:
 
 
 def _residuals(
-    rows: SegmentRows, table: LandmarkState, landmarks: Indices, positions: Array, noise_m: float
+    rows: SegmentRows, table: LandmarkState, landmarks: Ints, positions: Floats, noise_m: float
 ) -> tuple[SegmentResiduals, MergeResiduals]:
     """Return what segments and merges are apart from the map."""
     whole = np.full((len(table), positions.shape[1]), np.nan)

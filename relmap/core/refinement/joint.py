@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, place_each
 from relmap.core.geometry.robust import fit_robust_each
 from relmap.core.refinement.condensing import LENGTH, SegmentRows
@@ -39,10 +39,10 @@ class Spread:
 
     problem: Any
     settled: Settled[Any]
-    chosen: NDArray[np.bool_]
-    scale: NDArray[np.float64]
+    chosen: Bools
+    scale: Floats
 
-    def __call__(self) -> NDArray[np.float64]:
+    def __call__(self) -> Floats:
         """Return the covariances, square metres; NaN for undetermined landmarks."""
         state = self.settled.state
         found = self.problem.covariances(state, self.settled.weight)
@@ -80,8 +80,8 @@ class Refined:
         than the initial ones.
     """
 
-    landmarks: NDArray[np.int64]
-    positions: NDArray[np.float64]
+    landmarks: Ints
+    positions: Floats
     anchor_iteration: int
     noise_m: float
     segments: SegmentResiduals
@@ -99,18 +99,18 @@ class Refined:
         return self.__dict__ | {"covariances": self.covariances, "spread": None}
 
     @cached_property
-    def covariances(self) -> NDArray[np.float64]:
+    def covariances(self) -> Floats:
         """Covariances of the position errors (m, d, d), square metres, computed on first access."""
         return self.spread()
 
 
 def refine(
     rows: SegmentRows,
-    positions: NDArray[np.float64],
-    chosen: NDArray[np.bool_],
-    of: NDArray[np.int64],
-    others: NDArray[np.bool_],
-    suspects: NDArray[np.bool_],
+    positions: Floats,
+    chosen: Bools,
+    of: Ints,
+    others: Bools,
+    suspects: Bools,
     again: bool = False,
 ) -> Refined | None:
     """Return the joint optimum of the landmarks of one submap over all observations.
@@ -151,11 +151,7 @@ def refine(
 
 
 def _solved(
-    rows: SegmentRows,
-    positions: NDArray[np.float64],
-    chosen: NDArray[np.bool_],
-    landmark: NDArray[np.int64],
-    others: NDArray[np.bool_],
+    rows: SegmentRows, positions: Floats, chosen: Bools, landmark: Ints, others: Bools
 ) -> Refined | None:
     joint, start = joint_rows(rows, positions, chosen, landmark, others)
     anchor = _anchor(joint)
@@ -195,12 +191,8 @@ def _solved(
 
 
 def _cleared(
-    rows: SegmentRows,
-    positions: NDArray[np.float64],
-    chosen: NDArray[np.bool_],
-    landmark: NDArray[np.int64],
-    suspects: NDArray[np.bool_],
-) -> NDArray[np.bool_]:
+    rows: SegmentRows, positions: Floats, chosen: Bools, landmark: Ints, suspects: Bools
+) -> Bools:
     """Return which suspects (m,) keep their position from segment to segment as others do."""
     placed, fixed = laid_on(rows, positions, chosen[landmark], landmark)
     kept = np.flatnonzero(fixed & chosen[landmark])
@@ -214,16 +206,13 @@ def _cleared(
     return cleared
 
 
-def _lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lengths(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def laid_on(
-    rows: SegmentRows,
-    positions: NDArray[np.float64],
-    kept: NDArray[np.bool_],
-    landmark: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    rows: SegmentRows, positions: Floats, kept: Bools, landmark: Ints
+) -> tuple[Floats, Bools]:
     """Return all rows (n, d), segments fitted to some rows, and which are determined (n,)."""
     at, n_seen = rows.segment[kept], rows.n_seen[kept].astype(np.float64)
     there = positions[landmark[kept]]
@@ -233,11 +222,7 @@ def laid_on(
 
 
 def joint_rows(
-    rows: SegmentRows,
-    positions: NDArray[np.float64],
-    chosen: NDArray[np.bool_],
-    landmark: NDArray[np.int64],
-    others: NDArray[np.bool_],
+    rows: SegmentRows, positions: Floats, chosen: Bools, landmark: Ints, others: Bools
 ) -> tuple[JointRows, Laid]:
     """Return the rows of a submap and of others seen with it, and their initial positions.
 
@@ -268,7 +253,7 @@ def _anchor(rows: JointRows) -> tuple[int, int] | None:
     return None
 
 
-def _noise(rows: SegmentRows, joint: JointRows, cost: float, weight: NDArray[np.float64]) -> float:
+def _noise(rows: SegmentRows, joint: JointRows, cost: float, weight: Floats) -> float:
     """Return the standard deviation of an observed coordinate that explains the residuals.
 
     It is pooled from the residuals within and between segments; if the latter are significantly

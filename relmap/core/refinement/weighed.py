@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid_each
 from relmap.core.geometry.motions import derivatives, rotations
 from relmap.core.linalg.cholesky import Pattern
@@ -23,12 +23,8 @@ from relmap.core.refinement.schur import Elimination, Linearised, NormalEquation
 from relmap.core.refinement.settling import settle, size_of
 from relmap.core.state.weighed import WeighedObservations
 
-Array = NDArray[np.float64]
 
-
-def refine_weighed(
-    refined: Refined, weighed: WeighedObservations, of: NDArray[np.int64]
-) -> Refined:
+def refine_weighed(refined: Refined, weighed: WeighedObservations, of: Ints) -> Refined:
     """Return the landmark positions by observations weighted with their covariances.
 
     Parameters
@@ -79,7 +75,7 @@ class WeighedProblem:
     """
 
     def __init__(
-        self, seen: Observations, covariance: Array, positions: Array, anchor: int
+        self, seen: Observations, covariance: Floats, positions: Floats, anchor: int
     ) -> None:
         n, d = seen.points.shape
         m, k = len(positions), len(seen.iterations)
@@ -101,23 +97,23 @@ class WeighedProblem:
             free_in_matrix=free_in_matrix,
         )
 
-    def start(self, positions: Array) -> Placed:
+    def start(self, positions: Floats) -> Placed:
         """Return the state with an approximate pose of each iteration for landmarks (m, d)."""
         weight, seen = np.sum(self._root**2, axis=(1, 2)), self.seen
         there = positions[seen.landmark]
         R, t, _ = fit_rigid_each(seen.points, there, weight, seen.iteration, len(seen.iterations))
         return Placed(positions, R, t)
 
-    def freedoms_of(self, explained: Array) -> float:
+    def freedoms_of(self, explained: Floats) -> float:
         """Return the degrees of freedom of the observations (n,) with weight 1."""
         return float(max(explained.sum() * self.seen.points.shape[1] - self._fixed, 1))
 
-    def residuals(self, state: Placed) -> Array:
+    def residuals(self, state: Placed) -> Floats:
         """Return the norms (n,) of the residuals, in standard deviations."""
         return np.asarray(np.linalg.norm(self._left(state)[0], axis=1))
 
     def equations(
-        self, state: Placed, weight: Array, with_matrix: bool, damping: float
+        self, state: Placed, weight: Floats, with_matrix: bool, damping: float
     ) -> NormalEquations:
         """Return the normal equations of the landmarks."""
         equations = self._equations(state, weight, with_matrix, LOOSE_POSE)
@@ -127,7 +123,7 @@ class WeighedProblem:
         return equations
 
     def stepped(
-        self, state: Placed, equations: NormalEquations, step: Array, weight: Array
+        self, state: Placed, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Placed:
         """Return the state after a step."""
         d = state.positions.shape[1]
@@ -135,7 +131,7 @@ class WeighedProblem:
         positions = state.positions + step[self._unknown]
         return Placed(positions, rotations(turn) @ state.R, state.t + shift)
 
-    def covariances(self, state: Placed, weight: Array) -> Array:
+    def covariances(self, state: Placed, weight: Floats) -> Floats:
         """Return the covariances (m, d, d) of the landmarks, trusting the given ones."""
         matrix = self._equations(state, weight, True, BARELY).matrix
         self.pattern.hold(matrix, BARELY, 0.0)
@@ -143,7 +139,7 @@ class WeighedProblem:
         return self.pattern.parts(self.pattern.inverse(matrix), self._unknown)
 
     def _equations(
-        self, state: Placed, weight: Array, with_matrix: bool, hold: float
+        self, state: Placed, weight: Floats, with_matrix: bool, hold: float
     ) -> NormalEquations:
         n, d = self.seen.points.shape
         left, by_landmark, away = self._left(state)
@@ -151,7 +147,7 @@ class WeighedProblem:
         linear = Linearised(left.ravel(), by_placement, by_landmark.reshape(n * d, d))
         return self._eliminated.equations(linear, np.repeat(weight, d), hold, with_matrix)
 
-    def _left(self, state: Placed) -> tuple[Array, Array, Array]:
+    def _left(self, state: Placed) -> tuple[Floats, Floats, Floats]:
         """Return residuals (n, d), their Jacobians (n, d, d) by the landmark, and rays.
 
         The first two in standard deviations; the rays (n, d) from robot to landmark, map frame.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
 
 
@@ -26,9 +26,7 @@ class KeptObservations:
         """Return how many there are."""
         return len(self._landmark)
 
-    def append(
-        self, landmark: NDArray[np.int64], location: NDArray[np.float64], iteration: int
-    ) -> None:
+    def append(self, landmark: Ints, location: Floats, iteration: int) -> None:
         """Take in n observations of landmarks (n,) at (n, d), robot frame, metres."""
         if not len(self):
             self._location = GrowingArray(np.float64, location.shape[1:])
@@ -37,16 +35,16 @@ class KeptObservations:
         self._iteration.extend(np.full(len(landmark), iteration))
 
     @property
-    def landmark(self) -> NDArray[np.int64]:
+    def landmark(self) -> Ints:
         """Of which landmark each is (n,), as numbered when it was seen."""
         return self._landmark.values
 
     @property
-    def iteration(self) -> NDArray[np.int64]:
+    def iteration(self) -> Ints:
         """When each was made (n,), ascending."""
         return self._iteration.values
 
     @property
-    def location(self) -> NDArray[np.float64]:
+    def location(self) -> Floats:
         """Where each was seen (n, d), robot frame, metres."""
         return self._location.values

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from relmap.core.arrays import Floats, Ints
 from relmap.core.state.growing import GrowingArray
 
 
@@ -27,13 +27,7 @@ class WeighedObservations:
         """Return how many there are."""
         return len(self._landmark)
 
-    def append(
-        self,
-        landmark: NDArray[np.int64],
-        location: NDArray[np.float64],
-        covariance: NDArray[np.float64],
-        iteration: int,
-    ) -> None:
+    def append(self, landmark: Ints, location: Floats, covariance: Floats, iteration: int) -> None:
         """Take in n observations of landmarks (n,) at (n, d), robot frame, metres.
 
         Parameters
@@ -53,13 +47,7 @@ class WeighedObservations:
         self._covariance.extend(covariance)
         self._iteration.extend(np.full(len(landmark), iteration))
 
-    def variances(
-        self,
-        landmarks: NDArray[np.int64],
-        begin: int,
-        end: int,
-        landmark_of: NDArray[np.int64],
-    ) -> NDArray[np.float64]:
+    def variances(self, landmarks: Ints, begin: int, end: int, landmark_of: Ints) -> Floats:
         """Return the mean variance (k,) of a coordinate of landmarks (k,), square metres.
 
         Parameters
@@ -82,21 +70,21 @@ class WeighedObservations:
         return np.asarray(total / np.maximum(counts, 1))
 
     @property
-    def landmark(self) -> NDArray[np.int64]:
+    def landmark(self) -> Ints:
         """Of which landmark each is (n,), as numbered when it was seen."""
         return self._landmark.values
 
     @property
-    def iteration(self) -> NDArray[np.int64]:
+    def iteration(self) -> Ints:
         """When each was made (n,), ascending."""
         return self._iteration.values
 
     @property
-    def location(self) -> NDArray[np.float64]:
+    def location(self) -> Floats:
         """Where each was seen (n, d), robot frame, metres."""
         return self._location.values
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Floats:
         """How noisy each is (n, d, d), square metres."""
         return self._covariance.values

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.linalg.compiling import compiled
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @compiled
-def add_moments(points: Array, of: Index, weight: Array, moments: Array) -> None:
+def add_moments(points: Floats, of: Ints, weight: Floats, moments: Floats) -> None:
     """Add the moments of points (n, 3) to those of their groups (v, 10); negative: of none."""
     for i in range(len(points)):
         g = of[i]
@@ -35,14 +30,14 @@ def add_moments(points: Array, of: Index, weight: Array, moments: Array) -> None
 def grow(
     seed: int,
     region: int,
-    plane: Array,
-    reach: Array,
-    around: Index,
-    centre: Array,
-    normal: Array,
-    open_: NDArray[np.bool_],
-    label: Index,
-    queue: Index,
+    plane: Floats,
+    reach: Floats,
+    around: Ints,
+    centre: Floats,
+    normal: Floats,
+    open_: Bools,
+    label: Ints,
+    queue: Ints,
 ) -> int:
     """Label the voxels connected to a seed that lie on a plane; return how many.
 
@@ -84,14 +79,14 @@ def grow(
 
 @compiled
 def label_points(
-    points: Array,
-    of: Index,
-    sigma: Array,
+    points: Floats,
+    of: Ints,
+    sigma: Floats,
     gate: float,
-    around: Index,
-    voxel_label: Index,
-    planes: Array,
-    label: Index,
+    around: Ints,
+    voxel_label: Ints,
+    planes: Floats,
+    label: Ints,
 ) -> None:
     """Give each point the nearest of the planes (m, 4) in its voxel and, if none, in those around.
 

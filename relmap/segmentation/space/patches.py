@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core.arrays import Floats, Ints
 
@@ -86,5 +85,5 @@ class Patches:
 def no_patches(cell_m: float) -> Patches:
     """Return what is handed out where no plane was found."""
     none = np.empty((0, 3))
-    number: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+    number: Ints = np.empty(0, dtype=np.int64)
     return Patches(none, np.empty((0, 3, 3)), none, none, number, none, number, cell_m)

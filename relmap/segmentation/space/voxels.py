@@ -6,7 +6,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from relmap.core.arrays import Bools, Floats, Ints
 
@@ -104,9 +103,7 @@ def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: flo
     return Voxels(of, around, moments, centre, axes[:, 0], thickness, width, away, size)
 
 
-def moments_of(
-    points: Floats, of: Ints, count: int, weight: Floats | None = None
-) -> NDArray[np.float64]:
+def moments_of(points: Floats, of: Ints, count: int, weight: Floats | None = None) -> Floats:
     """Return the moments (count, 10) of points (n, 3) by group, as `Voxels` has them."""
     from relmap.segmentation.space.growing_kernels import add_moments
 
