@@ -167,6 +167,20 @@ def test_a_map_that_is_too_wrong_gets_figures_and_a_word(
     assert f"{found['counts']['false_corners']} of {found['counts']['false_corners']}" in printed
 
 
+@pytest.mark.parametrize("n_scans", [3, 4])
+def test_a_map_of_too_few_scans_says_what_is_needed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], n_scans: int
+) -> None:
+    points = np.array([[1.0, 2.0], [3.0, 1.0], [2.0, 4.0], [5.0, 5.0]])
+    rows = [f"{k},{x + 0.1 * k},{y}" for k in range(n_scans) for x, y in points.tolist()]
+    log = tmp_path / "observations.csv"
+    log.write_text("\n".join(["iteration,x,y", *rows]) + "\n", encoding="utf-8")
+    assert main(["map", str(log), "-o", str(tmp_path / "result")]) == 0
+    printed = capsys.readouterr().out
+    assert ("nothing is mapped: a map needs landmarks" in printed) == (n_scans == 3)
+    assert ("4 of 4 landmarks mapped" in printed) == (n_scans == 4)
+
+
 def test_a_path_without_common_times_is_reported(
     mapped: Mapped, logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,6 +13,9 @@ from relmap.cli.mapping import map_log
 
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
+NOTHING = (
+    "; nothing is mapped: a map needs landmarks that are seen together in at least four scans"
+)
 
 
 def report(job: Job) -> None:
@@ -43,7 +46,7 @@ def report(job: Job) -> None:
             f"{counts['mapped']} of {counts['landmarks']} landmarks mapped from "
             f"{counts['observations']} observations in {iterations} iterations, "
             f"{each(timing['median_ms'])}{took}{untied(len(run.result.submaps) - 1)}"
-            f"{doubted(summary['association_trust'])}{hanging}"
+            f"{'' if counts['mapped'] else NOTHING}{doubted(summary['association_trust'])}{hanging}"
             f"{unconverged(summary['refinement'])}"
         )
     typer.echo(told)
