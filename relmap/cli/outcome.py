@@ -13,9 +13,7 @@ from relmap.cli.mapping import map_log
 
 WHOLE = 0.9
 """Minimum fraction of the scans in the largest submap of an unbroken run."""
-NOTHING = (
-    "; nothing is mapped: a map needs landmarks that are seen together in at least four scans"
-)
+NOTHING = "; nothing is mapped: a map needs landmarks that are seen together in at least four scans"
 
 
 def report(job: Job) -> None:
