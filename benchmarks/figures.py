@@ -19,14 +19,11 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="as `relmap figures` wrote it")
     folder = parser.parse_args().folder
     figures = {figure.name: figure for figure in FIGURES}
-    print("| figure | shows | found | value | the claim is |\n|---|---|---|---|---|")
+    print("| figure | claim | finding | the claim is |\n|---|---|---|---|")
     with (folder / "verdicts.csv").open(encoding="utf-8", newline="") as file:
         for row in csv.DictReader(file):
-            figure = figures[row["figure"]]
-            value = f"{float(row['value']):.3g}"
-            print(
-                f"| {figure.name} | {figure.title} | {figure.unit} | {value} | {row['verdict']} |"
-            )
+            claim = figures[row["figure"]].claim
+            print(f"| {row['figure']} | {claim} | {row['finding']} | {row['verdict']} |")
 
 
 if __name__ == "__main__":

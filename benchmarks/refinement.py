@@ -1,38 +1,30 @@
-"""How near to the limit refinement comes, what it costs, and how sure the map is.
+"""How close refinement comes to the limit, what it costs, and whether its covariances are right.
 
-    python benchmarks/refinement.py [DATA]
+    OMP_NUM_THREADS=1 python benchmarks/refinement.py
 
-Prints the table of all bars as markdown; times are processor times (set OMP_NUM_THREADS=1).  DATA
-is a folder with the real data sets (mrpt-kf-slam, victoria-park); without it those rows are left
-out.  The limit is batch least squares over all observations with the true ids, written
-independently (relmap/evaluation/baselines/batch.py).
+Maps the figure eight and prints four tables in markdown; times are processor times. The limit is
+batch least squares over all observations with the true ids, written independently
+(relmap/comparison/baselines/batch.py).
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 from time import process_time
 
 import numpy as np
 
 from relmap import PointMapper
 from relmap.comparison.baselines.batch import Batch, batch_least_squares
-from relmap.comparison.baselines.known import least_squares_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid
-from relmap.core.landmarks import LandmarkMap
-from relmap.datasets import ObservationLog, open_log
-from relmap.datasets.mrpt_landmarks import read_ground_truth
+from relmap.datasets import ObservationLog
 from relmap.evaluation import metrics
-from relmap.evaluation.landmarks import identify
-from relmap.evaluation.run import run_mapper
 from relmap.simulation import FigureEight, simulate_figure_eight
 
 SEEDS = range(10)
 RUNS = range(50)
-INTERVALS = ((1181, 1642), (4220, 4634))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,68 +87,65 @@ def limit(world: FigureEight) -> float:
     return rmse(batch_least_squares(batch, world.landmarks_map), world.landmarks_map)
 
 
-def row(bar: str, found: str, asked: str) -> None:
-    print(f"| {bar} | {found} | {asked} |", flush=True)
+def table(*header: str) -> None:
+    print(f"\n| {' | '.join(header)} |\n{'|---' * len(header)}|")
+
+
+def row(*cells: str) -> None:
+    print(f"| {' | '.join(cells)} |", flush=True)
 
 
 def accuracy() -> None:
-    for density, sigma, known in (
-        (25, 0.05, True),
-        (25, 0.2, True),
-        (100, 0.05, True),
-        (100, 0.2, True),
-        (25, 0.05, False),
-        (25, 0.2, False),
+    table("data", "refined / batch", "refined [m]", "live [m]", "refining / mapping time")
+    for known, density, sigma in (
+        (True, 25, 0.05),
+        (True, 25, 0.2),
+        (True, 100, 0.05),
+        (True, 100, 0.2),
+        (False, 25, 0.05),
+        (False, 25, 0.2),
     ):
-        live, ratios, refined, shares = [], [], [], []
-        for seed in SEEDS:
-            world = simulate_figure_eight(density=density, sigma=sigma, seed=seed)
-            run, best = measured(world.log, known), limit(world)
-            truth = world.landmarks_map[run.true_ids]
-            refined.append(rmse(run.mapper.map.positions, truth))
-            live.append(rmse(run.live, world.landmarks_map[run.live_ids]))
-            ratios.append(refined[-1] / best)
-            shares.append(run.share)
-        ids = "known ids" if known else "no ids"
-        name = f"figure eight, density {density}, sigma {sigma}, {ids}, 10 seeds"
+        runs = np.array([figures_of(density, sigma, seed, known) for seed in SEEDS])
+        ratio, refined, live, share = np.median(runs, axis=0)
         row(
-            f"{name}: RMSE / batch, median (worst)",
-            f"{np.median(ratios):.4f} ({max(ratios):.4f})",
-            "1.02" if known else "1.15",
+            f"density {density}, sigma {sigma}, {'known' if known else 'no'} ids",
+            f"{ratio:.4f} ({runs[:, 0].max():.4f})",
+            f"{refined:.4f}",
+            f"{live:.4f}",
+            f"{share:.2f}",
         )
-        row(
-            f"{name}: RMSE refined, live [m]",
-            f"{np.median(refined):.4f}, {np.median(live):.4f}",
-            "",
-        )
-        row(f"{name}: time / mapping time, median", f"{np.median(shares):.3f}", "0.25")
+
+
+def figures_of(density: float, sigma: float, seed: int, known: bool) -> list[float]:
+    """Return the RMSE, refined, relative to batch and in metres, that before, and the time."""
+    world = simulate_figure_eight(density=density, sigma=sigma, seed=seed)
+    run, truth = measured(world.log, known), world.landmarks_map
+    refined = rmse(run.mapper.map.positions, truth[run.true_ids])
+    return [refined / limit(world), refined, rmse(run.live, truth[run.live_ids]), run.share]
 
 
 def scaling() -> None:
+    """Print what refinement takes as runs get longer, linear in their observations."""
+    table("density", "iterations", "refine / map", "per observation [us]", "covariances [s]")
     for density, iterations in ((25, 900), (25, 9000), (25, 90000), (100, 900), (100, 9000)):
         log = simulate_figure_eight(density=density, iterations=iterations).log
         run = measured(log, known=True)
-        per_observation = 1e6 * run.refine_s / len(log.points_robot)
-        row(
-            f"density {density}, {iterations} iterations: refine [s], "
-            "of mapping time, per observation [us], covariances [s]",
-            f"{run.refine_s:.3f}, {run.share:.3f}, {per_observation:.2f}, {run.sd_s:.3f}",
-            "0.25 of mapping; linear",
-        )
+        us = 1e6 * run.refine_s / len(log.points_robot)
+        row(str(density), str(iterations), f"{run.share:.2f}", f"{us:.2f}", f"{run.sd_s:.3f}")
 
 
 def stalls() -> None:
+    """Print how long the slowest update takes at density 100."""
+    table("iterations", "slowest update / median")
     for iterations in (900, 3000):
         log = simulate_figure_eight(density=100, iterations=iterations, seed=1).log
         update_s = measured(log, known=True).update_s
-        row(
-            f"density 100, {iterations} iterations: longest update / median",
-            f"{update_s.max() / np.median(update_s):.0f}",
-            "50",
-        )
+        row(str(iterations), f"{update_s.max() / np.median(update_s):.0f}")
 
 
 def consistency() -> None:
+    """Print the squares of the errors over the variances that the map reports; 1 is right."""
+    table("sigma [m]", "x", "y", "z", "standard error")
     for sigma in (0.05, 0.2):
         ratios = []
         for seed in RUNS:
@@ -167,73 +156,18 @@ def consistency() -> None:
             error = run.mapper.map.positions - truth
             variance = np.diagonal(run.mapper.map.covariances, axis1=1, axis2=2)
             ratios.append(np.mean(error**2 / variance, axis=0))
-        x, y, z = np.mean(ratios, axis=0)
         spread = np.std(ratios, axis=0).mean() / np.sqrt(len(RUNS))
-        row(
-            f"normalised error squared, 50 runs, sigma {sigma}, axes x, y, z (scatter of the mean)",
-            f"{x:.2f}, {y:.2f}, {z:.2f} ({spread:.2f})",
-            "0.8-1.25",
-        )
-
-
-def exactness() -> None:
-    world = simulate_figure_eight(sigma=0.0)
-    run = measured(world.log, known=True)
-    error = rmse(run.mapper.map.positions, world.landmarks_map[run.true_ids])
-    row("sigma 0: RMSE [m]", f"{error:.1e}", "1e-9")
-
-
-def mrpt(data: Path) -> None:
-    for name in ("kf-slam_demo", "kf-slam_6D_demo", "kf-slam_6D_demo_noncentered"):
-        path = data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
-        ids, positions, _ = read_ground_truth(path)
-        run = measured(open_log(path), known=True)
-        row_of = {label: place for place, label in enumerate(ids.tolist())}
-        truth = positions[[row_of[label] for label in run.true_ids.tolist()]]
-        asked = "0.0063" if "6D" in name else ""
-        row(
-            f"MRPT {name}: RMSE refined, live [m]",
-            f"{rmse(run.mapper.map.positions, truth):.4f}, {rmse(run.live, truth):.4f}",
-            asked,
-        )
-
-
-def victoria_park(data: Path) -> None:
-    log = open_log(data / "victoria-park")
-    for begin, end in INTERVALS:
-        part = log.between(begin, end)
-        reference = least_squares_map(part)
-        result = run_mapper(PointMapper(), part, "nearest", refine=True).result
-        found = identify(result, part)
-        labels, majority, _ = metrics.majority_ids(found.landmark, found.true_id)
-        table = result.landmarks
-        rows = np.flatnonzero(result.mapped & np.isin(table.landmark, labels))
-        ids = majority[np.searchsorted(labels, table.landmark[rows])]
-        error = rmse_of(ids, table.position[rows, :2], reference)
-        row(f"Victoria Park {begin}:{end}, no ids: RMSE of all tracks [m]", f"{error:.3f}", "")
-
-
-def rmse_of(ids: Ints, positions: Floats, reference: LandmarkMap) -> float:
-    """Return the RMSE, metres, of positions (n, 2) of what the reference knows."""
-    there = np.isin(ids, reference.landmark_ids)
-    at = np.searchsorted(reference.landmark_ids, ids[there])
-    return rmse(positions[there], reference.positions[at, :2])
+        row(f"{sigma}", *(f"{mean:.2f}" for mean in np.mean(ratios, axis=0)), f"{spread:.2f}")
 
 
 def main() -> None:
     """Print all figures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
-    data = parser.parse_args().data
+    parser.parse_args()
     measured(simulate_figure_eight(density=100, iterations=300).log, known=True)  # compiles
-    print("| bar | found | asked |\n|---|---|---|")
     accuracy()
-    exactness()
     consistency()
     stalls()
-    if data is not None:
-        mrpt(data)
-        victoria_park(data)
     scaling()
 
 

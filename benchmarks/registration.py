@@ -10,21 +10,19 @@ without it only the figure eight is measured. "Often" is at least ten times.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from relmap import MapperConfig, PointMapper
-from relmap.comparison.baselines.known import least_squares_map
 from relmap.core.arrays import Floats, Ints
 from relmap.core.association import Constellation
 from relmap.core.landmarks import LandmarkMap
-from relmap.datasets import ObservationLog, open_log, slsjf
+from relmap.datasets import ObservationLog, open_log, slsjf, victoria_park
 from relmap.datasets.mrpt_landmarks import read_ground_truth
 from relmap.evaluation import metrics
 from relmap.evaluation.landmarks import Identified, identify
@@ -38,36 +36,16 @@ OFTEN = 10
 INTERVALS = ((1181, 1642), (4220, 4634))
 
 
-class CountingMapper(PointMapper):
-    """Counts the iterations that could not be tied to anything before."""
-
-    unmatched = 0
-    _n_landmarks = 0
-    _before = 0
-
-    def update(
-        self, points: ArrayLike, ids: ArrayLike | None = None, covariances: ArrayLike | None = None
-    ) -> Ints:
-        """Take in a scan; it is unmatched if all of it is new though the one before saw some."""
-        labels = super().update(points, ids, covariances)
-        all_new = len(labels) > 0 and labels.min() >= self._n_landmarks
-        self.unmatched += all_new and self._before > 0
-        self._n_landmarks = max(self._n_landmarks, labels.max(initial=-1) + 1)
-        self._before = len(labels)
-        return labels
-
-
 @dataclass(frozen=True, eq=False)
 class Outcome:
     """A run, and what its observations truly are of."""
 
     result: Result
     identified: Identified
-    unmatched: int
 
     @property
     def purity(self) -> float:
-        """Share of the observations that are of what most of their track's are of."""
+        """Share of the observations that are of the landmark most of their track are of."""
         return metrics.purity(self.identified.landmark, self.identified.true_id)
 
     @property
@@ -91,16 +69,16 @@ class Outcome:
         stands_for = majority[np.searchsorted(labels, self.identified.landmark[chosen])]
         return float(np.mean(stands_for == of[chosen]))
 
-    def rmse(self, truth: LandmarkMap, least: int = 1) -> tuple[float | None, int]:
-        """Return the RMSE of mapped tracks seen so often, after alignment, and their number."""
+    def rmse(self, truth: LandmarkMap) -> float | None:
+        """Return the RMSE of the mapped tracks seen often, metres, after alignment."""
         ids, positions, observations = self._mapped_tracks
-        chosen = (observations >= least) & np.isin(ids, truth.landmark_ids)
+        chosen = (observations >= OFTEN) & np.isin(ids, truth.landmark_ids)
         order = np.argsort(truth.landmark_ids)
         at = order[np.searchsorted(truth.landmark_ids[order], ids[chosen])]
         d = 2 if self.result.planar else 3
         here, there = positions[chosen, :d], truth.positions[at, :d]
         R, t = metrics.align(here, there)
-        return metrics.rms(here @ R.T + t - there), len(here)
+        return metrics.rms(here @ R.T + t - there)
 
     @property
     def _majority(self) -> tuple[Ints, Ints, Ints]:
@@ -120,113 +98,93 @@ def outcomes(log: ObservationLog) -> list[Outcome]:
     """Map a log without its ids, once with each registration."""
     found = []
     for registration in REGISTRATIONS:
-        mapper = CountingMapper(MapperConfig(registration=registration))
+        mapper = PointMapper(MapperConfig(registration=registration))
         result = run_mapper(mapper, log, "nearest", refine=True).result
-        found.append(Outcome(result, identify(result, log), mapper.unmatched))
+        found.append(Outcome(result, identify(result, log)))
     return found
 
 
-def title(text: str) -> None:
-    print(f"\n| {text} | {' | '.join(REGISTRATIONS)} |\n|---|---|---|")
+def row(name: str, *cells: tuple[str, str]) -> None:
+    """Print a row; each cell has relmap's own figure and that of the paper's registration."""
+    print(f"| {name} | {' | '.join(f'{own} [{paper}]' for own, paper in cells)} |", flush=True)
 
 
-def row(name: str, values: Iterable[str]) -> None:
-    print(f"| {name} | {' | '.join(values)} |", flush=True)
+def of_both(runs: Sequence[Outcome], text: Callable[[Outcome], str]) -> tuple[str, str]:
+    own, paper = (text(run) for run in runs)
+    return own, paper
 
 
-def share(counts: tuple[int, int]) -> str:
-    return f"{counts[0]} of {counts[1]}"
+def share(run: Outcome) -> str:
+    found, often = run.mapped()
+    return f"{found} of {often}"
 
 
-def metres(rmse: tuple[float | None, int]) -> str:
-    return "-" if rmse[0] is None else f"{rmse[0]:.4f} ({rmse[1]})"
+def log_row(name: str, log: ObservationLog, truth: LandmarkMap | None) -> None:
+    """Map a log and print its row."""
+    runs = outcomes(log)
 
+    def rmse(run: Outcome) -> str:
+        error_m = None if truth is None else run.rmse(truth)
+        return "-" if error_m is None else f"{error_m:.3f}"
 
-def submaps(result: Result) -> str:
-    """Say how many submaps the map has, and how many landmarks are in the largest."""
-    sizes = [len(submap.landmark_ids) for submap in result.submaps]
-    return f"{len(sizes)} ({sizes[0] if sizes else 0} of {sum(sizes)})"
-
-
-def common_rows(runs: Sequence[Outcome]) -> None:
-    row("purity", (f"{run.purity:.4f}" for run in runs))
-    row("landmarks seen often that are mapped", (share(run.mapped()) for run in runs))
-    row("tracks per landmark", (f"{run.tracks_per_landmark:.2f}" for run in runs))
-    row("iterations left unmatched", (str(run.unmatched) for run in runs))
-    row("submaps (landmarks in the largest)", (submaps(run.result) for run in runs))
+    row(
+        name,
+        of_both(runs, lambda run: f"{run.purity:.4f}"),
+        of_both(runs, share),
+        of_both(runs, rmse),
+        of_both(runs, lambda run: f"{run.tracks_per_landmark:.3g}"),
+        of_both(runs, lambda run: str(len(run.result.submaps))),
+    )
 
 
 def figure_eight() -> None:
     for density in (25, 200, 1000):
         worlds = [simulate_figure_eight(density=density, seed=seed) for seed in SEEDS]
-        runs = list(zip(*(outcomes(world.log) for world in worlds), strict=True))
-        title(f"figure eight, density {density}, sigma 0.05, {len(SEEDS)} seeds, worst of them")
-        row("purity", (f"{min(run.purity for run in kind):.5f}" for kind in runs))
+        kinds = list(zip(*(outcomes(world.log) for world in worlds), strict=True))
         row(
-            "share of the landmarks seen often that are mapped",
-            (f"{min(np.divide(*run.mapped()) for run in kind):.4f}" for kind in runs),
-        )
-        row(
-            "tracks per landmark",
-            (f"{max(run.tracks_per_landmark for run in kind):.2f}" for kind in runs),
+            f"figure eight, density {density}, worst of {len(SEEDS)} seeds",
+            worst(kinds, lambda run: run.purity, min, ".4f"),
+            worst(kinds, lambda run: float(np.divide(*run.mapped())), min, ".1%"),
+            ("-", "-"),
+            worst(kinds, lambda run: run.tracks_per_landmark, max, ".3g"),
+            worst(kinds, lambda run: len(run.result.submaps), max, "d"),
         )
     dynamic_figure_eight([simulate_figure_eight(dynamic=0.4, seed=seed) for seed in SEEDS])
 
 
+def worst(
+    kinds: Sequence[Sequence[Outcome]],
+    of: Callable[[Outcome], float],
+    which: Callable[[Iterable[float]], float],
+    form: str,
+) -> tuple[str, str]:
+    own, paper = (format(which(map(of, kind)), form) for kind in kinds)
+    return own, paper
+
+
 def dynamic_figure_eight(worlds: Sequence[FigureEight]) -> None:
-    title(f"figure eight, density 25, 40 % dynamic, {len(SEEDS)} seeds, worst of them")
     pure = []
     for world in worlds:
         static = world.landmark_ids[world.status == "static"]
         pure.append([run.agreeing(static) for run in outcomes(world.log)])
-    row("purity of the static landmarks", (f"{value:.5f}" for value in np.min(pure, axis=0)))
+    own, paper = (f"{value:.4f}" for value in np.min(pure, axis=0))
+    name = f"figure eight, 40 % dynamic, static ones, worst of {len(SEEDS)}"
+    row(name, (own, paper), *[("-", "-")] * 4)
 
 
-def mrpt(data: Path) -> None:
+def real(data: Path) -> None:
     for name in ("kf-slam_6D_demo_noncentered", "kf-slam_6D_demo"):
         path = data / "mrpt-kf-slam" / f"{name}.observations.csv.gz"
-        truth = LandmarkMap(*read_ground_truth(path)[:2])
-        runs = outcomes(open_log(path))
-        title(name)
-        common_rows(runs)
-        row("RMSE of tracks seen often [m] (tracks)", (metres(r.rmse(truth, OFTEN)) for r in runs))
-
-
-def victoria_park(data: Path) -> None:
-    log = open_log(data / "victoria-park")
+        log_row(f"MRPT `{name}`", open_log(path), LandmarkMap(*read_ground_truth(path)[:2]))
+    victoria = open_log(data / "victoria-park")
+    reference = LandmarkMap(*victoria_park.read_reference_map(data / "victoria-park"))
     for begin, end in INTERVALS:
-        part = log.between(begin, end)
-        reference = least_squares_map(part)
-        runs = outcomes(part)
-        title(f"Victoria Park {begin}:{end}, published ids")
-        common_rows(runs)
-        for text, least in (("all tracks", 1), ("tracks seen often", OFTEN)):
-            row(
-                f"RMSE of {text} [m] against batch (tracks)",
-                (metres(run.rmse(reference, least)) for run in runs),
-            )
-    runs = outcomes(log)
-    title("Victoria Park, all scans, published ids")
-    common_rows(runs)
-    largest_submaps(runs[0].result)
-
-
-def largest_submaps(result: Result, n: int = 5) -> None:
-    print(f"\nLargest submaps of {REGISTRATIONS[0]}:\n")
-    for submap in result.summary["submaps"][:n]:
-        scans = f"{submap['iterations'][0]}:{submap['iterations'][1] + 1}"
-        print(f"* {submap['landmarks']} landmarks, scans {scans}", flush=True)
-
-
-def small_robots(data: Path) -> None:
-    runs = outcomes(open_log(data / "dlr-circles"))
-    title("dlr-circles")
-    common_rows(runs)
+        part = victoria.between(begin, end)
+        log_row(f"Victoria Park, scans {begin}:{end}", part, reference)
+    log_row("Victoria Park, all scans", victoria, reference)
+    log_row("DLR circles", open_log(data / "dlr-circles"), None)
     truth = LandmarkMap(*slsjf.read_ground_truth(data / "slsjf-sim-8240")[:2])
-    runs = outcomes(open_log(data / "slsjf-sim-8240"))
-    title("slsjf-sim-8240")
-    common_rows(runs)
-    row("RMSE of tracks seen often [m] (tracks)", (metres(r.rmse(truth, OFTEN)) for r in runs))
+    log_row("I-SLSJF simulation", open_log(data / "slsjf-sim-8240"), truth)
 
 
 def cost(iterations: int = 300, warm_up: int = 20) -> None:
@@ -258,12 +216,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", nargs="?", type=Path, help="folder of the real data sets")
     data = parser.parse_args().data
-    cost()
+    columns = ("purity", "mapped", "RMSE [m]", "tracks per landmark", "submaps")
+    print(f"| data | {' | '.join(columns)} |\n{'|---' * (1 + len(columns))}|")
     figure_eight()
     if data is not None:
-        mrpt(data)
-        victoria_park(data)
-        small_robots(data)
+        real(data)
+    cost()
 
 
 if __name__ == "__main__":

@@ -149,6 +149,6 @@ def write_page(folder: Path, made: Sequence[Made], quick: bool) -> None:
         If a file cannot be written.
     """
     done = [(each.figure.name, each.outcome) for each in made if each.outcome is not None]
-    rows = [(name, found.value, found.verdict) for name, found in done]
-    Table(("figure", "value", "verdict"), rows).write(folder / "verdicts.csv")
+    rows = [(name, found.value, found.verdict, found.ours) for name, found in done]
+    Table(("figure", "value", "verdict", "finding"), rows).write(folder / "verdicts.csv")
     atomic_write(folder / "index.html", page(made, quick))
