@@ -3,8 +3,9 @@
     OMP_NUM_THREADS=1 python benchmarks/real.py DATA
 
 prints one table in markdown; DATA is a folder of the real data sets. relmap has default settings,
-no odometry (as with `--odometry none`) and no ids. KISS-ICP and small_gicp (``relmap[peers]``) get
-the same scans; batch least squares, and an EKF as MRPT ships it, are given the ids.
+no odometry (as with `--odometry none`) and no ids, unless the row names them. KISS-ICP and
+small_gicp (``relmap[peers]``) get the same scans; batch least squares, and an EKF as MRPT ships it,
+are given the ids.
 
   usable  of walls: share of the scans that are in submaps of ten scans or more with an ATE of
           at most 0.3 m each; of points: share of the landmarks seen ten times that are in the map
@@ -21,15 +22,19 @@ from pathlib import Path
 
 from laser import LOGS, judged
 
-from relmap import PlaneMapper
+from relmap import PlaneMapper, PointMapper
 from relmap.comparison.compare import Compared, in_own_process
 from relmap.comparison.methods.registry import find_method
-from relmap.datasets import open_scans
+from relmap.datasets import open_log, open_scans
 from relmap.evaluation import metrics
+from relmap.evaluation.evaluate import evaluate
 from relmap.evaluation.feeding import Association, feed
+from relmap.evaluation.landmarks import identify, match_landmarks
+from relmap.evaluation.run import run_mapper
 from relmap.evaluation.sources import FileSource
+from relmap.evaluation.truth import read_truth
 
-VICTORIA, MRPT = "victoria-park", "mrpt-kf-slam"
+VICTORIA, MRPT, MRCLAM = "victoria-park", "mrpt-kf-slam", "mrclam-dataset6"
 POINTS: dict[str, tuple[str, tuple[int, int] | None, str | None]] = {
     "MRPT kf-slam (2-D)": (f"{MRPT}/kf-slam_demo", None, None),
     "MRPT kf-slam 6D": (f"{MRPT}/kf-slam_6D_demo", None, None),
@@ -41,6 +46,16 @@ POINTS: dict[str, tuple[str, tuple[int, int] | None, str | None]] = {
     "I-SLSJF simulation": ("slsjf-sim-8240", None, "slsjf-sim-8240"),
 }
 """File or folder, iterations and truth; of MRPT's logs the truth stands beside the log."""
+DRIVEN: dict[str, tuple[str, Association]] = {
+    "Victoria Park, odometry": (VICTORIA, "nearest"),
+    "DLR circles, odometry": ("dlr-circles", "nearest"),
+    "I-SLSJF simulation, odometry": ("slsjf-sim-8240", "nearest"),
+    **{
+        f"MRCLAM robot {k}, odometry, ids": (f"{MRCLAM}/Robot{k}_Measurement.dat.gz", "known")
+        for k in range(1, 6)
+    },
+}
+"""Logs mapped with their odometry: file or folder, and association."""
 ICP = ("kiss-icp", "small-gicp")
 TOLD = ("batch", "ekf-mrpt")
 
@@ -54,9 +69,14 @@ def main() -> None:
     data = given.data
     print("| log | scans | submaps | usable | relmap, error [m] | other methods, error [m] |")
     print("|---|---|---|---|---|---|")
-    for name in filter(partial(fnmatch, pat=given.log), (*LOGS, *POINTS)):
-        row = _walls(data / LOGS[name]) if name in LOGS else _points(data, name)
-        print(f"| {name} | {row} |", flush=True)
+    for name in filter(partial(fnmatch, pat=given.log), (*LOGS, *POINTS, *DRIVEN)):
+        print(f"| {name} | {_row(data, name)} |", flush=True)
+
+
+def _row(data: Path, name: str) -> str:
+    if name in LOGS:
+        return _walls(data / LOGS[name])
+    return _points(data, name) if name in POINTS else _driven(data, *DRIVEN[name])
 
 
 def _walls(file: Path) -> str:
@@ -77,6 +97,15 @@ def _points(data: Path, name: str) -> str:
     usable, submaps = f"{own.run.figures['coverage']:.0%}", len(own.run.result.submaps)
     error, others = _metres(own, "often_rmse_m"), _others(TOLD, source, "known", "often_rmse_m")
     return f"{len(source.load().log)} | {submaps} | {usable} | {error} | {others}"
+
+
+def _driven(data: Path, path: str, association: Association) -> str:
+    log, truth = open_log(data / path), read_truth(data / path.split("/")[0])
+    run = run_mapper(PointMapper(), log, association, refine=True, odometry=True)
+    found, seen = evaluate(run.result, truth, log), identify(run.result, log)
+    often = match_landmarks(run.result, truth, seen, often=True)
+    error = f"{often.rmse_m:.3f}" if often and often.rmse_m is not None else "-"
+    return f"{len(log)} | {len(run.result.submaps)} | {found.coverage:.0%} | {error} | -"
 
 
 def _truth_beside(log: Path) -> Path:
