@@ -52,6 +52,10 @@ def _overview(path: Path) -> Figure:
     panels = figure.subplot_mosaic([["scan", "eight"], ["plan", "eight"]], width_ratios=[1.5, 1])
     _draw_building(panels["scan"], panels["plan"], path)
     _draw_eight(panels["eight"])
+    for axes in panels.values():
+        axes.set(ylabel="y [m]")
+    panels["plan"].set(xlabel="x [m]")
+    panels["eight"].set(xlabel="x [m]")
     return figure
 
 
