@@ -18,7 +18,7 @@ from relmap.core.refinement import settling
 from relmap.core.refinement.equations import Laid
 from relmap.core.refinement.gauss_newton import Solution
 from relmap.datasets import ObservationLog
-from relmap.simulation import FigureEight, simulate_figure_eight
+from relmap.simulation import FigureEight, WorldSpec, simulate_figure_eight, simulate_world
 from tests.worlds import aligned_rmse, mapped, walk
 
 Wrong = Callable[[ObservationLog, int, int], ObservationLog]
@@ -94,6 +94,20 @@ def test_many_wrong_ids_leave_a_map(wrong: Wrong, share: float) -> None:
         assert error(mapper, truth) < min(1.3 * limit(seed), 1.02 * max(before, limit(seed)))
         # Some are taken for moving.
         assert len(mapper.map.positions) > (0.9 if share < 0.05 else 0.85) * len(truth)
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_ids_that_are_only_misread_name_no_landmark(seed: int) -> None:
+    """Wrong ids are also those of landmarks that are never in view; seed 2 misreads one twice."""
+    spec = WorldSpec(kind="stairs", length_m=100.0, iterations=300, wrong_ids=0.1, seed=seed)
+    stairs = simulate_world(spec)
+    mapper = driven(stairs.log)
+    mapper.refine()
+    seen, times = np.unique(stairs.true_ids, return_counts=True)
+    found = mapper.map.landmark_ids
+    assert np.isin(found, seen).all()
+    assert np.isin(seen[times >= 10], found).mean() > 0.97
+    assert error(mapper, stairs.landmarks_map) < 0.03
 
 
 def test_wrong_ids_leave_the_live_map_as_good() -> None:

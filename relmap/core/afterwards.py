@@ -20,6 +20,7 @@ from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
+from relmap.core.refinement.misread import take_off_misread
 from relmap.core.revisiting import close_revisits, merge_in_place
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
@@ -121,7 +122,7 @@ def refine(engine: RelativeMapper) -> None:
     if may_repair:
         _repair(engine)
     elif association.is_known:
-        more = extend_submaps(engine.map, engine.rows)
+        more = _extend_by_ids(engine)
     elif not association.has_ids:
         more = merge_doubles(engine.table, engine.merger, engine.merge)
     if more:
@@ -134,6 +135,16 @@ def refine(engine: RelativeMapper) -> None:
                 len(refined.landmarks),
             )
     engine.merger.look_again()
+
+
+def _extend_by_ids(engine: RelativeMapper) -> bool:
+    """Extend the submaps of a refined map with known ids; return whether the map has changed."""
+    misread = take_off_misread(engine.map, engine.rows)
+    others = ~np.isin(np.arange(len(engine.table)), misread)
+    grew = extend_submaps(engine.map, engine.rows, others)
+    if grew:
+        take_off_misread(engine.map, engine.rows)
+    return grew or len(misread) > 0
 
 
 def _repair(engine: RelativeMapper) -> None:

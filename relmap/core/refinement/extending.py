@@ -81,7 +81,7 @@ def _extend(
         wanted = free & ~known & (table.dynamic == suspects)
         if not known.any() or not wanted[landmark].any():
             break
-        laid = _lay(rows, landmark, table.position, known[landmark])
+        laid = lay(rows, landmark, table.position, known[landmark])
         chosen = np.flatnonzero(wanted[landmark] & (laid.variance <= TIERS[tier]))
         placed = _placed(table, rows, landmark, chosen, laid, SURE if suspects else 1)
         if not len(placed[0]):
@@ -95,7 +95,7 @@ def _extend(
     return grew
 
 
-def _lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _Laid:
+def lay(rows: SegmentRows, landmark: Ints, positions: Floats, known: Bools) -> _Laid:
     """Align every segment to its known rows (n,), and return the variances of the others.
 
     If too few rows agree to determine a segment, or less than half, its variances are infinite.

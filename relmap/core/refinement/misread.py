@@ -1,0 +1,97 @@
+"""Landmarks that only wrong ids name: the map must not have them.
+
+An id that is read wrongly again and again, but never rightly, looks like a landmark. Its
+observations contradict one another, or are of another landmark.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from relmap.core.arrays import Bools, Floats, Ints
+from relmap.core.map.globalmap import GlobalMap
+from relmap.core.refinement.condensing import SegmentRows
+from relmap.core.refinement.extending import lay
+from relmap.core.state.table import NONE
+
+FEW = 3
+"""Observations that show a landmark to be real; how many times as often another must have been seen
+to take its place."""
+FAR, MOST = 8.0, 0.95
+"""Deviation from its landmark above which an observation contradicts it, relative to this quantile
+over the landmarks of the median deviation of each."""
+UNEQUAL = 6.0
+"""Largest ratio of that quantile to the median landmark's, which wrong ids do not raise: 5 occurs
+in Victoria Park, 3 elsewhere."""
+
+
+def take_off_misread(global_map: GlobalMap, rows: SegmentRows) -> Ints:
+    """Unmap landmarks that only wrong ids name, and return them (k,).
+
+    Few observations of such a landmark support its position, and as many contradict it; or it was
+    seen a few times in the place of another that was seen more often, and never together with it.
+
+    Parameters
+    ----------
+    global_map : GlobalMap
+    rows : SegmentRows
+        Rows of all iterations.
+    """
+    table, found = global_map.table, []
+    landmark = table.now(rows.landmark)
+    for submap in np.unique(table.submap[table.submap != NONE]).tolist():
+        misread = np.array([NONE])
+        while len(misread):
+            misread = _misread(table.position, rows, landmark, table.submap[landmark] == submap)
+            table.take_off_map(misread)
+            found.append(misread)
+    return np.concatenate([np.empty(0, dtype=np.int64), *found])
+
+
+def _misread(positions: Floats, rows: SegmentRows, landmark: Ints, known: Bools) -> Ints:
+    """Return the landmarks of the known rows (n,) that only wrong ids name."""
+    laid = lay(rows, landmark, positions, known)
+    judged = np.flatnonzero(known & np.isfinite(laid.variance))
+    if not len(judged):
+        return judged
+    of, n_seen = landmark[judged], rows.n_seen[judged]
+    apart = np.linalg.norm(laid.placed[judged] - positions[of], axis=1)
+    apart /= np.sqrt(laid.variance[judged])
+    limit = _limit(apart, of)
+    against = np.bincount(of, n_seen * (apart > limit))
+    seen = np.bincount(of, n_seen, minlength=len(positions))
+    support = seen[: len(against)] - against
+    scattered = np.flatnonzero((against > 0) & (support < FEW) & (support <= against))
+    return np.union1d(scattered, _aliases(positions, rows, landmark, limit, seen))
+
+
+def _limit(apart: Floats, of: Ints) -> float:
+    """Return the deviation above which an observation contradicts its landmark."""
+    order = np.lexsort((apart, of))
+    _, first, counts = np.unique(of[order], return_index=True, return_counts=True)
+    medians = apart[order][first + (counts - 1) // 2]
+    return FAR * float(min(np.quantile(medians, MOST), UNEQUAL * np.median(medians)))
+
+
+def _aliases(
+    positions: Floats, rows: SegmentRows, landmark: Ints, limit_m: float, seen: Floats
+) -> Ints:
+    """Return the landmarks that were seen (m,) a few times in the place of another one."""
+    present = np.flatnonzero(seen)
+    few = present[seen[present] < FEW]
+    near = KDTree(positions[present]).query_ball_point(positions[few], limit_m)
+    found = [
+        one
+        for one, others in zip(few.tolist(), near, strict=True)
+        for other in present[others].tolist()
+        if seen[other] > FEW * seen[one] and _never_together(rows, landmark, one, other)
+    ]
+    return np.unique(np.array(found, dtype=np.int64))
+
+
+def _never_together(rows: SegmentRows, landmark: Ints, one: int, other: int) -> bool:
+    """Return whether two landmarks share segments, but no iteration."""
+    row, there = np.flatnonzero(landmark == one), np.flatnonzero(landmark == other)
+    _, at, of = np.intersect1d(rows.segment[row], rows.segment[there], return_indices=True)
+    return len(at) > 0 and not (rows.visible[row[at]] & rows.visible[there[of]]).any()
