@@ -75,7 +75,7 @@ def _limit(apart: Floats, of: Ints) -> float:
 
 
 def _aliases(
-    positions: Floats, rows: SegmentRows, landmark: Ints, limit_m: float, seen: Floats
+    positions: Floats, rows: SegmentRows, landmark: Ints, limit_m: float, seen: Ints
 ) -> Ints:
     """Return the landmarks that were seen (m,) a few times in the place of another one."""
     present = np.flatnonzero(seen)
