@@ -100,6 +100,45 @@ def view(half_rad: float, farthest_m: float = np.inf) -> Callable[[int, Array], 
     return seen
 
 
+def around(mid_rad: float, half_rad: float) -> Callable[[int, Array], Array]:
+    """Return what keeps a sector in some direction."""
+
+    def seen(_: int, cloud: Array) -> Array:
+        off = np.arctan2(cloud[:, 1], cloud[:, 0]) - mid_rad
+        return cloud[np.cos(off) > np.cos(half_rad)]
+
+    return seen
+
+
+def elevated(least_rad: float, most_rad: float) -> Callable[[int, Array], Array]:
+    """Return what keeps a band of elevations."""
+
+    def seen(_: int, cloud: Array) -> Array:
+        up = np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1]))
+        return cloud[(up > least_rad) & (up < most_rad)]
+
+    return seen
+
+
+def holes(k: int, cloud: Array) -> Array:
+    """Return a cloud without what lies in twelve random cones of 0.2 rad."""
+    rng = np.random.default_rng(k)
+    ways = cloud / np.maximum(np.linalg.norm(cloud, axis=1, keepdims=True), 1e-12)
+    return cloud[(ways @ ways[rng.integers(len(ways), size=12)].T < np.cos(0.2)).all(axis=1)]
+
+
+def disturbed(name: str, whole: Clouds) -> Iterator[tuple[str, Callable[[], Clouds]]]:
+    """Yield a log mirrored, with holes in its clouds, and with half of its scans lost."""
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    flipped = Clouds([cloud * [1, -1, 1] for cloud in whole.points], mirror @ whole.poses @ mirror)
+    yield f"{name}/mirrored", lambda: flipped
+    yield f"{name}/holes", partial(whole.changed, holes)
+    for seed in (1, 2):
+        rows = np.flatnonzero(np.random.default_rng(seed).random(len(whole.points)) < 0.5)
+        left = Clouds([whole.points[k] for k in rows], whole.poses[rows])
+        yield f"{name}/half-lost-{seed}", partial(left.only, slice(None))
+
+
 def read(data: Path, name: str) -> Clouds:
     """Return a real log."""
     scans = list(open_scans(data / name).scans())
@@ -128,8 +167,15 @@ def hall(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
         yield f"hall/points-{share}", partial(whole.changed, thinned(share))
     for degrees in (90, 60, 30):
         yield f"hall/view-{2 * degrees}", partial(whole.changed, view(np.deg2rad(degrees)))
-    yield "hall/near-12m", partial(whole.changed, view(np.pi, 12.0))
-    yield "hall/near-6m", partial(whole.changed, view(np.pi, 6.0))
+        for way in (90, 180, 270):
+            part = around(np.deg2rad(way), np.deg2rad(degrees))
+            yield f"hall/view-{2 * degrees}-to-{way}", partial(whole.changed, part)
+    yield "hall/view-150", partial(whole.changed, view(np.deg2rad(75)))
+    for far_m in (15, 12, 10, 8, 6):
+        yield f"hall/near-{far_m}m", partial(whole.changed, view(np.pi, far_m))
+    yield "hall/no-floor", partial(whole.changed, elevated(np.deg2rad(-5), np.pi))
+    yield "hall/no-ceiling", partial(whole.changed, elevated(-np.pi, np.deg2rad(5)))
+    yield from disturbed("hall", whole)
 
 
 def kitchen(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
@@ -150,6 +196,14 @@ def kitchen(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
         yield f"kitchen/every-7-points-{share}", partial(tenth.changed, thinned(share))
     yield "kitchen/every-7-tilted-180", partial(tenth.tilted, np.pi)
     yield "kitchen/every-7-view-30", partial(tenth.changed, view(np.deg2rad(15)))
+    yield "kitchen/every-7-upper", partial(tenth.changed, elevated(0.0, np.pi))
+    yield "kitchen/every-7-lower", partial(tenth.changed, elevated(-np.pi, 0.0))
+    for way in (15, -15):
+        part = around(np.deg2rad(way), np.deg2rad(15))
+        yield f"kitchen/every-7-view-30-to-{way}", partial(tenth.changed, part)
+    for far_m in (2, 3):
+        yield f"kitchen/every-7-near-{far_m}m", partial(tenth.changed, view(np.pi, far_m))
+    yield from disturbed("kitchen/every-7", tenth)
 
 
 def blocks(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
@@ -161,6 +215,9 @@ def blocks(data: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:
     yield "blocks/points-0.3", partial(whole.changed, thinned(0.3))
     yield "blocks/noise-0.05", partial(whole.changed, noise(0.05))
     yield "blocks/tilted-90", partial(whole.tilted, np.deg2rad(90))
+    yield "blocks/view-120", partial(whole.changed, view(np.deg2rad(60)))
+    yield "blocks/no-ceiling", partial(whole.changed, elevated(-np.pi, np.deg2rad(5)))
+    yield from disturbed("blocks", whole)
 
 
 def storeys(_: Path) -> Iterator[tuple[str, Callable[[], Clouds]]]:

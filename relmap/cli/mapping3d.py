@@ -94,5 +94,5 @@ def _told(job: Job, result: SpaceResult, n_files: int) -> str:
             f"largest, of {submaps[0]['scans']} scans and {submaps[0]['metres']:.1f} m, is the map"
         )
     if weak := len(summary["weak_links"]):
-        told += f"; scans with a direction in which constant motion was assumed: {weak}"
+        told += f"; scans whose position is poorly determined in some direction: {weak}"
     return told

@@ -134,7 +134,7 @@ class PlaneAdjustment:
 
     def residuals(self, state: Scene) -> Floats:
         """Return how far each observation is off (3 n,): tilt along u, along v, and distance."""
-        return self._linearised(state).off
+        return self.linearised(state).off
 
     def equations(
         self, state: Scene, weight: Floats, with_matrix: bool, damping: float
@@ -143,7 +143,7 @@ class PlaneAdjustment:
         along = np.zeros((len(state.R), 6))
         for scan, direction in self._free.items():
             along[scan, 3:] = state.R[scan] @ direction
-        linear, hold = self._linearised(state), LOOSE_POSE + damping
+        linear, hold = self.linearised(state), LOOSE_POSE + damping
         found = self._poses.equations(linear, weight, hold, with_matrix, along)
         if with_matrix:
             self.pattern.hold(found.matrix, LOOSE + damping, LEAST)
@@ -170,7 +170,7 @@ class PlaneAdjustment:
             off=state.off + planes[:, 2],
         )
 
-    def _linearised(self, state: Scene) -> Linearised:
+    def linearised(self, state: Scene) -> Linearised:
         """Return residuals and Jacobians; those of the last state are remembered."""
         if self._latest is None or self._latest[0] is not state:
             self._latest = state, _linearised(self.seen, state, self._root)

@@ -149,13 +149,18 @@ def fitted(
         if np.abs(step).max() < (ROUNDING if last else SETTLED):
             break
     free, sd_m = _weakest(H + np.diag(hold), n)
-    weak_m, open_m = (share * reach_of(seen) for share in (WEAK, OPEN)) if last else (np.inf,) * 2
+    weak_m, open_m = (share * seen.reach_m for share in (WEAK, OPEN)) if last else (np.inf,) * 2
     if sd_m <= weak_m and sd_m < np.inf:
         return R, t, None, False
     is_held = not last or sd_m > np.clip(held.off_m, weak_m, open_m)
     if is_held:
         t = t + free * ((held.place - t) @ free)
-    return R, t, free * np.sign(free[np.argmax(np.abs(free))]), is_held
+    return R, t, directed(free), is_held
+
+
+def directed(axis: Floats) -> Floats:
+    """Return an axis (3,) with its largest component positive."""
+    return np.asarray(axis * np.sign(axis[np.argmax(np.abs(axis))]))
 
 
 def _weakest(H: Floats, n: Floats) -> tuple[Floats, float]:
@@ -183,8 +188,3 @@ def _information(seen: Patches, rows: Ints, planes: Patches, match: Ints) -> Flo
     tilt = np.hypot(shared[:, None] / np.maximum(spread[:, :2], 1e-9), BENT_RAD)
     variance = 1 / np.maximum(seen.information[rows], 1e-12)
     return np.asarray(1 / (variance + np.column_stack([tilt, off]) ** 2))
-
-
-def reach_of(seen: Patches) -> float:
-    """Return how far what a scan saw is off, in the median, metres."""
-    return float(np.median(np.linalg.norm(seen.cells, axis=1)))

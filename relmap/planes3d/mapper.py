@@ -14,7 +14,7 @@ from relmap.core.scan import checked_labels
 from relmap.planes3d.fitting import Surfaces
 from relmap.planes3d.hypotheses import Held
 from relmap.planes3d.placing import Placed, place
-from relmap.planes3d.refining import refined
+from relmap.planes3d.refining import refined, unsure_steps
 from relmap.planes3d.submap import Submap
 from relmap.planes3d.table import Plane3dTable, plane_table
 from relmap.segmentation.space import Patches, PatchSegmenter
@@ -112,6 +112,7 @@ class Plane3dMapper:
         failed: set[tuple[Span, Span]] = set()
         while self._tied_two(failed):
             pass
+        self._name_unsure()
 
     def refine(self) -> None:
         """Bring planes and poses to where all observations agree best, in each submap.
@@ -122,6 +123,7 @@ class Plane3dMapper:
             if len(part.iteration) > 1:
                 self._parts[k], name = refined(part)
                 self._rename(name)
+        self._name_unsure()
 
     def landmarks_of(self, labels: ArrayLike) -> Ints:
         """Return the numbers (n,) that planes, numbered by earlier updates, have now.
@@ -175,7 +177,12 @@ class Plane3dMapper:
         It is that (3,), in the sensor's frame, in which planes do not tell where the sensor was
         then: it was taken to go on as before.
         """
-        return {k: free for part in self._parts for k, free in sorted(part.weak.items())}
+        found = [part.unsure | part.weak for part in self._parts]
+        return {k: free for each in found for k, free in sorted(each.items())}
+
+    def _name_unsure(self) -> None:
+        for part in self._parts:
+            part.unsure = unsure_steps(part) if len(part.iteration) > 1 else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
         """Return where a scan lies in the last submap; its matches are numbers of planes."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.fitting import NEAR, SIDE, Surfaces, fitted, fixes_turn, matched, reach_of
+from relmap.planes3d.fitting import NEAR, SIDE, Surfaces, fitted, fixes_turn, matched
 from relmap.planes3d.hypotheses import Held, Motions, importance, motions
 from relmap.segmentation.space import Patches
 
@@ -105,7 +105,7 @@ def place(
     rivals.sort(key=lambda each: _step(each, last, seen))
     sure = [each for each in rivals if not each.is_held]
     chosen, *others = sure or rivals
-    step, leap = _step(chosen, last, seen), LEAP * reach_of(seen)
+    step, leap = _step(chosen, last, seen), LEAP * seen.reach_m
     # To go on as before is no invention where all else is a leap.
     if step > leap and CLEARLY * step > _step(rivals[0], last, seen):
         return rivals[0]
@@ -173,13 +173,13 @@ def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -
 def _same(R: Floats, t: Floats, other: Placed, seen: Patches, share: float) -> bool:
     """Tell whether two placements are one, or no farther apart than a share of that."""
     turn, way = _apart(R, t, other.R, other.t)
-    return turn < share * APART_RAD and way < share * APART * reach_of(seen)
+    return turn < share * APART_RAD and way < share * APART * seen.reach_m
 
 
 def _step(placed: Placed, last: tuple[Floats, Floats], seen: Patches) -> float:
     """Return how long a step it takes from the last placement: turn times range, and way."""
     turn, way = _apart(placed.R, placed.t, *last)
-    return turn * reach_of(seen) + way
+    return turn * seen.reach_m + way
 
 
 def _apart(R: Floats, t: Floats, S: Floats, s: Floats) -> tuple[float, float]:

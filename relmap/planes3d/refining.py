@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from relmap.core.arrays import Floats, Ints
+from relmap.core.arrays import Floats
 from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings, systematic_share
-from relmap.planes3d.fitting import SIDE, SYSTEMATIC, Surfaces, distances, overlapping
+from relmap.planes3d.fitting import (
+    SIDE,
+    SYSTEMATIC,
+    WEAK,
+    Surfaces,
+    directed,
+    distances,
+    overlapping,
+)
+from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 
 ROUNDS = 4
 """How often landmarks are joined and all is solved again, at most."""
+SURE, UNUSUAL = 3.0, 2.5
+"""Standard deviations within which a step is known, and how many times the median is unusual."""
 ONE = 2.0
 """How far apart two landmarks that are one plane may lie, in deviations of their points."""
+BENT, COVERED = 0.003, 0.5
+"""How much farther apart if the map is bent, as a fraction of the range: where this fraction of the
+smaller surface lies in front of the larger, which no sensor sees through."""
 
 
 def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
@@ -29,10 +43,33 @@ def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
         part = _adjusted(part)
         doubles = _doubles(part)
         if not doubles or round_ == ROUNDS - 1:
-            return part, names
+            break
         part = part.again(part.poses, doubles)
         names = {old: doubles.get(new, new) for old, new in names.items()} | doubles
     return part, names
+
+
+def unsure_steps(part: Submap) -> dict[int, Floats]:
+    """Return the iterations whose step from the scan before is poorly determined.
+
+    A step is unsure if in some direction its standard deviation exceeds 1.5 % of the range, or if
+    three of them do and it is twice the usual one.
+
+    Returns
+    -------
+    dict of int to (3,) float64
+        The direction, sensor frame.
+    """
+    share = SYSTEMATIC if part.share is None else part.share
+    variance, axes = np.linalg.eigh(step_covariances(sightings(part), scene(part), share))
+    sd_m = np.sqrt(np.maximum(variance[:, 2], 0.0))
+    weak = np.isin(part.iteration, list(part.weak))
+    usual_m = np.median(sd_m[~weak[1:]]) if not weak[1:].all() else np.inf
+    reach_m = np.array([each.reach_m for each in part.seen])
+    limit_m = WEAK * np.minimum(reach_m[1:], reach_m[:-1])
+    large = (SURE * sd_m > limit_m) & (sd_m > UNUSUAL * usual_m)
+    unsure = np.flatnonzero(large | (sd_m > limit_m))
+    return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in unsure.tolist()}
 
 
 def sightings(part: Submap) -> Sightings:
@@ -68,12 +105,14 @@ def _doubles(part: Submap) -> dict[int, int]:
     """Return which landmarks are others, of lower number, by number."""
     planes = part.all_planes()
     still, origin = np.eye(3), np.zeros(3)
-    off = distances(still, origin, planes, planes)
+    surfaces, off = Surfaces(planes), distances(still, origin, planes, planes)
     noise = np.hypot(planes.spread[:, None, 2], planes.spread[:, 2])
-    one = (off < ONE * noise) & (planes.normal @ planes.normal.T > SIDE)
-    one &= overlapping(still, origin, planes, Surfaces(planes))
+    bent_m = BENT * float(np.median([seen.reach_m for seen in part.seen]))
+    one = (off < ONE * noise) & overlapping(still, origin, planes, surfaces)
+    one |= (off < ONE * noise + bent_m) & (_covered(surfaces) > COVERED)
+    one &= planes.normal @ planes.normal.T > SIDE
     # The smaller of two must lie on the larger; from the larger's ends the smaller's plane strays.
-    size = _sizes(planes.cell_patch, len(planes))
+    size = np.bincount(planes.cell_patch, minlength=len(planes))
     a, b = np.nonzero(one & (size[:, None] <= size) & ~np.eye(len(planes), dtype=bool))
     name: dict[int, int] = {}
     for k in np.argsort(off[a, b] / noise[a, b], kind="stable").tolist():
@@ -84,5 +123,12 @@ def _doubles(part: Submap) -> dict[int, int]:
     return name
 
 
-def _sizes(of: Ints, count: int) -> Floats:
-    return np.bincount(of, minlength=count).astype(np.float64)
+def _covered(surfaces: Surfaces) -> Floats:
+    """Return the fraction (l, l) of the cells of each landmark that are at a cell of another."""
+    of, count = surfaces.planes.cell_patch, len(surfaces.planes)
+    near = surfaces.tree.query_pairs(surfaces.planes.cell_m, output_type="ndarray")
+    near = np.concatenate([near, near[:, ::-1]])
+    cell, other = np.unique(np.column_stack([near[:, 0], of[near[:, 1]]]), axis=0).T
+    covered = np.zeros((count, count))
+    np.add.at(covered, (of[cell], other), 1.0)
+    return covered / np.maximum(np.bincount(of, minlength=count), 1)[:, None]

@@ -8,6 +8,7 @@ import numpy as np
 
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.space import Patches
+from relmap.segmentation.space.patches import reach_of
 
 Pose = tuple[Floats, Floats]
 NOWHERE, NOTHING = np.empty((0, 3)), np.empty(0, dtype=np.int64)
@@ -25,6 +26,9 @@ class Submap:
         Iterations whose place along a direction, robot frame, planes hardly told.
     held : set of int
         Those of them that were taken to go on as before in that direction.
+    unsure : dict of int to (3,) float64
+        Iterations whose step from the scan before all observations together determine poorly, and
+        the direction, robot frame; set by `finish` and `refine`.
     seen : list of Patches
         What each scan saw, untransformed; without cells, see `scan`.
     match : list of (m,) int64
@@ -45,6 +49,7 @@ class Submap:
         self.poses: list[Pose] = []
         self.weak: dict[int, Floats] = {}
         self.held: set[int] = set()
+        self.unsure: dict[int, Floats] = {}
         self.seen: list[Patches] = []
         self.match: list[Ints] = []
         self.number = np.empty(0, dtype=np.int64)
@@ -137,7 +142,9 @@ class Submap:
         count = np.bincount(of[order], minlength=len(chosen))
         cells, cell_m = self._cells[order], max((seen.cell_m for seen in self.seen), default=1.0)
         spread = np.sqrt(variance)
-        return Patches(centre, axes, information, spread, count, cells, of[order], cell_m)
+        return Patches(
+            centre, axes, information, spread, count, cells, of[order], cell_m, reach_of(cells)
+        )
 
     def all_planes(self) -> Patches:
         """Return all landmarks as patches in the frame of the submap."""
@@ -155,6 +162,7 @@ class Submap:
             renamed = np.array([name.get(number, number) for number in numbers], dtype=np.int64)
             part.add(iteration, self.scan(k), poses[k], renamed)
         part.weak, part.held, part.share = dict(self.weak), set(self.held), self.share
+        part.unsure = dict(self.unsure)
         return part
 
     def joined(self, other: Submap, pose: Pose, name: dict[int, int]) -> Submap:
@@ -182,6 +190,7 @@ class Submap:
             there = begin.T @ S, begin.T @ (s - origin)
             both.add(iteration, part.scan(k), there, part.number[part.match[k]])
         both.weak, both.held = self.weak | other.weak, self.held | other.held
+        both.unsure = self.unsure | other.unsure
         return both
 
 

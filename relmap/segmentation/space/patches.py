@@ -37,6 +37,8 @@ class Patches:
         The patch of each cell.
     cell_m : float
         Size of the voxels.
+    reach_m : float
+        Distance of the cells from the origin in the median.
     """
 
     centre: Floats
@@ -47,6 +49,7 @@ class Patches:
     cells: Floats
     cell_patch: Ints
     cell_m: float
+    reach_m: float
 
     def __len__(self) -> int:
         """Return the number of patches."""
@@ -82,8 +85,13 @@ class Patches:
         return np.asarray(cells[ConvexHull(cells @ self.axes[patch, :2].T).vertices])
 
 
+def reach_of(cells: Floats) -> float:
+    """Return the median distance of cells (c, 3) from the origin; 0 if there are none."""
+    return float(np.median(np.linalg.norm(cells, axis=1))) if len(cells) else 0.0
+
+
 def no_patches(cell_m: float) -> Patches:
     """Return what is handed out where no plane was found."""
     none = np.empty((0, 3))
     number: Ints = np.empty(0, dtype=np.int64)
-    return Patches(none, np.empty((0, 3, 3)), none, none, number, none, number, cell_m)
+    return Patches(none, np.empty((0, 3, 3)), none, none, number, none, number, cell_m, 0.0)

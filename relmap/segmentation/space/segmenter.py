@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from relmap.core.arrays import Bools, Floats, Ints
 from relmap.core.errors import RelmapError
 from relmap.core.scan import checked_points
-from relmap.segmentation.space.patches import Patches, no_patches
+from relmap.segmentation.space.patches import Patches, no_patches, reach_of
 from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
 
 VOXEL = 0.04
@@ -200,7 +200,10 @@ class PatchSegmenter:
         tilt = weight[:, None] * (variance[:, :2] - variance[:, 2:])
         cells, cell_of = _cells(cells, cell_of, centre, axes[:, 2])
         information, spread = np.column_stack([tilt, weight]), np.sqrt(variance)
-        self.patches_ = Patches(centre, axes, information, spread, number, cells, cell_of, size_m)
+        reach_m = reach_of(cells)
+        self.patches_ = Patches(
+            centre, axes, information, spread, number, cells, cell_of, size_m, reach_m
+        )
 
 
 def _sums(moments: Floats, label: Ints) -> Floats:

@@ -1,0 +1,92 @@
+"""How well the observations of a submap determine each step from scan to scan."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from relmap.core.arrays import Floats, Ints
+from relmap.planes3d.adjustment import PlaneAdjustment, Scene, Sightings
+
+AROUND, AT_ONCE = 12, 12
+"""Scans before and after a step that its covariance is computed from, and steps done at once."""
+LOOSE, LOOSE_PLANE = 1e-11, 1e-9
+"""What keeps undetermined poses and planes finite, as a fraction of the diagonal."""
+
+
+def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats:
+    """Return the covariance of the translation of each step.
+
+    Only scans within 12 of a step count: what scans farther away add, as at a revisit, is left out,
+    so that the cost is linear in the number of scans.
+
+    Parameters
+    ----------
+    seen : Sightings
+    scene : Scene
+        The poses (p) and planes on which the observations agree.
+    systematic : float
+        Common error of the points of an observation, as a fraction of their noise.
+
+    Returns
+    -------
+    (p - 1, 3, 3) float64
+        In square metres, along the axes of the later scan.
+    """
+    problem = PlaneAdjustment(seen, systematic)
+    linear = problem.linearised(scene)
+    root = np.sqrt(problem.weights(linear.off))[:, None]
+    by_pose = (linear.by_eliminated * root).reshape(-1, 3, 6)
+    by_plane = (linear.by_kept * root).reshape(-1, 3, 3)
+    last = len(scene.R) - 1
+    found = np.zeros((last, 3, 3))
+    for first in range(0, last, AT_ONCE):
+        steps = np.arange(first, min(first + AT_ONCE, last))
+        begin, end = max(first - AROUND, 0), min(first + AT_ONCE + AROUND, last + 1)
+        rows = np.arange(*np.searchsorted(seen.scan, [begin, end]))
+        matrix = _reduced(
+            seen.scan[rows] - begin, seen.plane[rows], by_pose[rows], by_plane[rows], end - begin
+        )
+        found[steps] = _of_steps(matrix, scene, begin, steps)
+    return found
+
+
+def _reduced(scan: Ints, plane: Ints, by_pose: Floats, by_plane: Floats, count: int) -> Floats:
+    """Return the information (6 count, 6 count) of poses, with the planes eliminated."""
+    number = np.unique(plane, return_inverse=True)[1]
+    poses, planes = np.zeros((count, count, 6, 6)), np.zeros((number.max() + 1, 3, 3))
+    mixed = np.zeros((len(planes), count, 6, 3))
+    np.add.at(poses, (scan, scan), np.einsum("nki,nkj->nij", by_pose, by_pose))
+    np.add.at(planes, number, np.einsum("nki,nkj->nij", by_plane, by_plane))
+    np.add.at(mixed, (number, scan), np.einsum("nki,nkj->nij", by_pose, by_plane))
+    trace = np.trace(planes, axis1=1, axis2=2)
+    planes += LOOSE_PLANE * trace[:, None, None] * np.eye(3)
+    root = np.linalg.cholesky(np.linalg.inv(planes))
+    eliminated = (mixed.reshape(len(planes), -1, 3) @ root).transpose(1, 0, 2)
+    eliminated = eliminated.reshape(6 * count, -1)
+    whole = poses.transpose(0, 2, 1, 3).reshape(6 * count, -1)
+    return np.asarray(whole - eliminated @ eliminated.T)
+
+
+def _of_steps(matrix: Floats, scene: Scene, begin: int, steps: Ints) -> Floats:
+    """Return the covariances (s, 3, 3) of steps from the information of the poses around them."""
+    covariance = _inverse(matrix, steps[0] - begin).reshape(len(matrix) // 6, 6, -1, 6)
+    found = np.empty((len(steps), 3, 3))
+    for row, k in enumerate(steps.tolist()):
+        a, R = k - begin, scene.R[k + 1]
+        x, y, z = scene.t[k + 1] - scene.t[k]
+        # A rotation of the earlier scan moves the later one.
+        arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        by = R.T @ np.concatenate([arm, -np.eye(3), np.zeros((3, 3)), np.eye(3)], axis=1)
+        found[row] = by @ covariance[a : a + 2, :, a : a + 2].reshape(12, 12) @ by.T
+    return found
+
+
+def _inverse(matrix: Floats, fixed: int) -> Floats:
+    """Return the covariance (n, n) of poses in the frame of one of them."""
+    free = np.delete(np.arange(len(matrix)), 6 * fixed + np.arange(6))
+    part = matrix[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(part), 1e-12 * np.diag(part).max()))
+    part = part * scale * scale[:, None] + LOOSE * np.eye(len(free))
+    covariance = np.zeros_like(matrix)
+    covariance[np.ix_(free, free)] = np.linalg.inv(part) * scale * scale[:, None]
+    return covariance

@@ -1,0 +1,111 @@
+"""Planes in space: how well steps are known, and landmarks that are one surface."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from relmap.core.arrays import Floats
+from relmap.planes3d.adjustment import PlaneAdjustment, Scene, across
+from relmap.planes3d.refining import refined, unsure_steps
+from relmap.planes3d.steps import step_covariances
+from relmap.planes3d.submap import Submap
+from relmap.segmentation.space import Patches, PatchSegmenter
+from tests.test_plane_adjustment import room
+
+DELTA = 1e-6
+
+
+def stepped(scene: Scene, change: Floats) -> Scene:
+    """Return a scene after a small change of all poses but the first, and of all planes."""
+    p = len(scene.R)
+    poses = np.concatenate([np.zeros((1, 6)), change[: 6 * (p - 1)].reshape(-1, 6)])
+    planes = change[6 * (p - 1) :].reshape(-1, 3)
+    e, f = across(scene.normal)
+    normal = scene.normal + planes[:, :1] * e + planes[:, 1:2] * f
+    return replace(
+        scene,
+        R=Rotation.from_rotvec(poses[:, :3]).as_matrix() @ scene.R,
+        t=scene.t + poses[:, 3:],
+        normal=normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        off=scene.off + planes[:, 2],
+    )
+
+
+def test_covariances_are_those_of_the_whole_least_squares() -> None:
+    seen, truth = room()
+    problem = PlaneAdjustment(seen)
+    count = 6 * (len(truth.R) - 1) + 3 * len(truth.normal)
+    ways = [stepped(truth, row) for row in DELTA * np.eye(count)]
+    still = problem.residuals(truth)
+    J = np.column_stack([(problem.residuals(each) - still) / DELTA for each in ways])
+    whole = np.linalg.inv(J.T @ J)
+
+    def step(scene: Scene, k: int) -> Floats:
+        return np.asarray(scene.R[k].T @ (scene.t[k + 1] - scene.t[k]))
+
+    found = step_covariances(seen, truth, 0.0)
+    assert found.shape == (len(truth.R) - 1, 3, 3)
+    for k in range(len(found)):
+        by = np.column_stack([(step(each, k) - step(truth, k)) / DELTA for each in ways])
+        back = truth.R[k + 1].T @ truth.R[k]
+        expected = back @ by @ whole @ by.T @ back.T
+        assert found[k] == pytest.approx(expected, rel=1e-3, abs=1e-3 * np.trace(expected))
+
+
+def wall(axis: int, at: float, span: tuple[float, float] = (-2.0, 2.0)) -> Floats:
+    """Return points (n, 3) of a wall across an axis; `span` is where along the next axis."""
+    u, v = (x.ravel() for x in np.meshgrid(np.linspace(*span, 60), np.linspace(-1.0, 1.0, 30)))
+    off = 0.003 * np.random.default_rng(axis).standard_normal(len(u))
+    return np.roll(np.column_stack([at + off, u, v]), axis, axis=1)
+
+
+def patches(*walls: Floats) -> Patches:
+    segmenter = PatchSegmenter().fit(np.concatenate(walls))
+    found = segmenter.patches_
+    assert len(found) == len(walls)
+    # In the order in which the walls are given.
+    first = np.cumsum([0, *map(len, walls)])[:-1] + 900
+    order = segmenter.labels_[first]
+    rank = np.argsort(order)[found.cell_patch]
+    by_rank = np.argsort(rank, kind="stable")
+    return replace(
+        found,
+        **{
+            name: getattr(found, name)[order]
+            for name in ("centre", "axes", "information", "spread", "n_points")
+        },
+        cells=found.cells[by_rank],
+        cell_patch=rank[by_rank],
+    )
+
+
+def part_of(*scans: tuple[Patches, list[int]]) -> Submap:
+    part = Submap()
+    for k, (seen, number) in enumerate(scans):
+        part.add(k, seen, (np.eye(3), np.zeros(3)), np.array(number))
+    return part
+
+
+def test_a_step_that_planes_of_two_directions_determine_is_unsure() -> None:
+    corner = patches(wall(0, 3.0), wall(1, 3.0), wall(2, 3.0))
+    corridor = patches(wall(0, 3.0), wall(1, 3.0))
+    whole, two = (corner, [0, 1, 2]), (corridor, [0, 1])
+    assert unsure_steps(part_of(whole, whole, whole)) == {}
+    found = unsure_steps(part_of(whole, whole, two, whole, whole))
+    assert sorted(found) == [2, 3]
+    assert np.abs(found[2]) == pytest.approx([0.0, 0.0, 1.0], abs=0.01)
+
+
+@pytest.mark.parametrize(("span", "joined"), [((-2.0, 2.0), True), ((2.2, 5.0), False)])
+def test_landmarks_that_cover_the_same_surface_are_joined(
+    span: tuple[float, float], joined: bool
+) -> None:
+    sides = wall(1, 4.0), wall(2, 3.0)
+    here, there = patches(wall(0, 3.0), *sides), patches(wall(0, 3.014, span), *sides)
+    part, name = refined(part_of((here, [0, 1, 2]), (there, [9, 1, 2])))
+    assert name == ({9: 0} if joined else {})
+    assert len(part) == (3 if joined else 4)
