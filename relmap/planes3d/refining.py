@@ -25,8 +25,8 @@ SURE, UNUSUAL = 3.0, 2.5
 ONE = 2.0
 """How far apart two landmarks that are one plane may lie, in deviations of their points."""
 BENT, COVERED = 0.003, 0.5
-"""How much farther apart if the map is bent, as a fraction of the range: where this fraction of the
-smaller surface lies in front of the larger, which no sensor sees through."""
+"""How much farther apart if the map is bent, as a fraction of the range: where this fraction of one
+surface is at the other, and no sensor sees through either."""
 
 
 def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
@@ -108,12 +108,13 @@ def _doubles(part: Submap) -> dict[int, int]:
     surfaces, off = Surfaces(planes), distances(still, origin, planes, planes)
     noise = np.hypot(planes.spread[:, None, 2], planes.spread[:, 2])
     bent_m = BENT * float(np.median([seen.reach_m for seen in part.seen]))
-    one = (off < ONE * noise) & overlapping(still, origin, planes, surfaces)
-    one |= (off < ONE * noise + bent_m) & (_covered(surfaces) > COVERED)
-    one &= planes.normal @ planes.normal.T > SIDE
     # The smaller of two must lie on the larger; from the larger's ends the smaller's plane strays.
     size = np.bincount(planes.cell_patch, minlength=len(planes))
-    a, b = np.nonzero(one & (size[:, None] <= size) & ~np.eye(len(planes), dtype=bool))
+    one = (off < ONE * noise) & overlapping(still, origin, planes, surfaces)
+    one &= size[:, None] <= size
+    one |= (off < ONE * noise + bent_m) & (_covered(surfaces) > COVERED)
+    one &= planes.normal @ planes.normal.T > SIDE
+    a, b = np.nonzero(one & ~np.eye(len(planes), dtype=bool))
     name: dict[int, int] = {}
     for k in np.argsort(off[a, b] / noise[a, b], kind="stable").tolist():
         pair = sorted((int(part.number[a[k]]), int(part.number[b[k]])))
