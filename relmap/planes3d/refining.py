@@ -52,24 +52,30 @@ def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
 def unsure_steps(part: Submap) -> dict[int, Floats]:
     """Return the iterations whose step from the scan before is poorly determined.
 
-    A step is unsure if in some direction its standard deviation exceeds 1.5 % of the range, or if
-    three of them do and it is twice the usual one.
+    A step is unsure if in some direction the standard deviation of the translation, or of what the
+    rotation moves at the range, exceeds 1.5 % of the range; or if three of them do and it is two
+    and a half times the usual one.
 
     Returns
     -------
     dict of int to (3,) float64
-        The direction, sensor frame.
+        The direction in which the translation is known worst, sensor frame.
     """
     share = SYSTEMATIC if part.share is None else part.share
-    variance, axes = np.linalg.eigh(step_covariances(sightings(part), scene(part), share))
-    sd_m = np.sqrt(np.maximum(variance[:, 2], 0.0))
-    weak = np.isin(part.iteration, list(part.weak))
-    usual_m = np.median(sd_m[~weak[1:]]) if not weak[1:].all() else np.inf
+    covariance = step_covariances(sightings(part), scene(part), share)
+    turn_m2 = np.linalg.eigvalsh(covariance[:, :3, :3])[:, 2]
+    way_m2, axes = np.linalg.eigh(covariance[:, 3:, 3:])
     reach_m = np.array([each.reach_m for each in part.seen])
-    limit_m = WEAK * np.minimum(reach_m[1:], reach_m[:-1])
-    large = (SURE * sd_m > limit_m) & (sd_m > UNUSUAL * usual_m)
-    unsure = np.flatnonzero(large | (sd_m > limit_m))
-    return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in unsure.tolist()}
+    reach_m = np.minimum(reach_m[1:], reach_m[:-1])
+    known = ~np.isin(part.iteration[1:], list(part.weak))
+    unsure = np.zeros(len(reach_m), dtype=bool)
+    for variance in (turn_m2 * reach_m**2, way_m2[:, 2]):
+        sd_m = np.sqrt(np.maximum(variance, 0.0))
+        usual_m = np.median(sd_m[known]) if known.any() else np.inf
+        unsure |= (SURE * sd_m > WEAK * reach_m) & (sd_m > UNUSUAL * usual_m)
+        unsure |= sd_m > WEAK * reach_m
+    rows = np.flatnonzero(unsure).tolist()
+    return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 
 
 def sightings(part: Submap) -> Sightings:

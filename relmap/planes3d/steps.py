@@ -14,7 +14,7 @@ LOOSE, LOOSE_PLANE = 1e-11, 1e-9
 
 
 def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats:
-    """Return the covariance of the translation of each step.
+    """Return the covariance of each step, of its rotation and its translation.
 
     Only scans within 12 of a step count: what scans farther away add, as at a revisit, is left out,
     so that the cost is linear in the number of scans.
@@ -29,8 +29,8 @@ def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats
 
     Returns
     -------
-    (p - 1, 3, 3) float64
-        In square metres, along the axes of the later scan.
+    (p - 1, 6, 6) float64
+        Rotation vector, radians, and translation, metres, along the axes of the later scan.
     """
     problem = PlaneAdjustment(seen, systematic)
     linear = problem.linearised(scene)
@@ -38,7 +38,7 @@ def step_covariances(seen: Sightings, scene: Scene, systematic: float) -> Floats
     by_pose = (linear.by_eliminated * root).reshape(-1, 3, 6)
     by_plane = (linear.by_kept * root).reshape(-1, 3, 3)
     last = len(scene.R) - 1
-    found = np.zeros((last, 3, 3))
+    found = np.zeros((last, 6, 6))
     for first in range(0, last, AT_ONCE):
         steps = np.arange(first, min(first + AT_ONCE, last))
         begin, end = max(first - AROUND, 0), min(first + AT_ONCE + AROUND, last + 1)
@@ -68,15 +68,17 @@ def _reduced(scan: Ints, plane: Ints, by_pose: Floats, by_plane: Floats, count: 
 
 
 def _of_steps(matrix: Floats, scene: Scene, begin: int, steps: Ints) -> Floats:
-    """Return the covariances (s, 3, 3) of steps from the information of the poses around them."""
+    """Return the covariances (s, 6, 6) of steps from the information of the poses around them."""
     covariance = _inverse(matrix, steps[0] - begin).reshape(len(matrix) // 6, 6, -1, 6)
-    found = np.empty((len(steps), 3, 3))
+    found = np.empty((len(steps), 6, 6))
+    one, none = np.eye(3), np.zeros((3, 3))
     for row, k in enumerate(steps.tolist()):
         a, R = k - begin, scene.R[k + 1]
         x, y, z = scene.t[k + 1] - scene.t[k]
         # A rotation of the earlier scan moves the later one.
         arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        by = R.T @ np.concatenate([arm, -np.eye(3), np.zeros((3, 3)), np.eye(3)], axis=1)
+        by = np.block([[-one, none, one, none], [arm, -one, none, one]])
+        by = np.kron(np.eye(2), R.T) @ by
         found[row] = by @ covariance[a : a + 2, :, a : a + 2].reshape(12, 12) @ by.T
     return found
 
