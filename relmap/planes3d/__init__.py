@@ -1,4 +1,4 @@
-"""Planes of any direction in space as landmarks, for a sensor that moves in six degrees."""
+"""Planes of any direction as landmarks, for a sensor with six degrees of freedom."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Plane adjustment: planes and poses on which all observations agree best, poses eliminated.
+"""Plane adjustment: least squares over planes and poses, with the poses eliminated.
 
-What a scan saw of a plane is condensed into the directions and spread of its points, which give the
-squares of their distances from any plane exactly but for a constant (as the point clusters of BALM,
-Z. Liu and F. Zhang, RA-L 2021, do; see `relmap.segmentation.space.Patches`).
+The points of a plane in a scan are condensed into their directions and spread. These give the sum
+of squared distances from any plane exactly, up to a constant (as the point clusters of BALM do,
+Z. Liu and F. Zhang, RA-L 2021; see `relmap.segmentation.space.Patches`).
 """
 
 from __future__ import annotations
@@ -18,39 +18,39 @@ from relmap.core.refinement.gauss_newton import gauss_newton
 from relmap.core.refinement.schur import Elimination, Linearised, NormalEquations
 
 STRETCH = 8
-"""Scans whose equations are added up before they go to the sparse matrix; most see the same."""
+"""Number of scans whose equations are summed before they are added to the sparse matrix."""
 LOOSE_POSE, LOOSE, LEAST = 1e-10, 1e-12, 1e-9
-"""What holds a pose and a plane that hang by too little, as a share of what holds them otherwise,
-and in weights of an observation."""
+"""Damping of poorly determined poses and planes, as a fraction of the diagonal, and its least value
+for planes."""
 FARTHEST_RAD, FARTHEST = 0.5, 0.3
-"""No step turns anything by more, or moves a scan by a larger share of the size of the map."""
+"""Largest rotation of a step, and largest translation as a fraction of the size of the map."""
 ROUNDING = 1e-14
-"""Residuals below this share of the range are rounding."""
+"""Residuals below this fraction of the range are rounding errors."""
 DOUBTFUL = 4.0
-"""Standard deviations from which an observation counts less, but never nothing (Cauchy): it may be
-all that holds a scan."""
+"""Residual, in standard deviations, at which a weight is halved. It never vanishes (Cauchy): a
+scan may depend on one observation."""
 USUAL = 2.0
-"""No observation is in doubt that is not so many times as far off as is usual, of all or in its
-scan."""
+"""The same as a multiple of the median residual, of all observations or of those of the scan; the
+larger of the two holds."""
 ROUNDS = 30
 SHARES = np.append(0.0, np.geomspace(0.01, 3.0, 60))
-"""Errors in common that are tried, as shares of the noise."""
+"""Common errors that are tried, as fractions of the noise."""
 NORMAL = 0.6745
-"""Median size of what is normally distributed, in standard deviations."""
+"""Median absolute value of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """What was seen of planes: n observations, robot frame.
+    """Observations of planes: n, robot frame.
 
     Attributes
     ----------
     scan, plane : (n,) int64
-        From 0, none left out; scans ascend.
+        Numbered from 0 without gaps; scans ascend.
     centre : (n, 3) float64
     axes : (n, 3, 3) float64
     information, spread : (n, 3) float64
-        As `relmap.segmentation.space.Patches` has them.
+        See `relmap.segmentation.space.Patches`.
     """
 
     scan: Ints
@@ -63,7 +63,7 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Poses and planes; what is solved for.
+    """Poses and planes, the unknowns.
 
     Attributes
     ----------
@@ -90,9 +90,10 @@ class PlaneAdjustment:
     ----------
     seen : Sightings
     systematic : float
-        Error that the points of an observation have in common, as a share of their noise.
+        Error that the points of an observation have in common, as a fraction of their noise.
     free : dict of int to (3,) float64, optional
-        The direction, robot frame, in which a scan is held, for no plane tells where it was.
+        Scans and the direction, robot frame, in which their position is kept because planes
+        determine it poorly.
     """
 
     def __init__(
@@ -118,13 +119,13 @@ class PlaneAdjustment:
         self.rounding = float(((least * self._root[:, 2]) ** 2).sum())
 
     def solve(self, scene: Scene) -> Scene:
-        """Return the scene on which all observations agree best; the first scan stays."""
+        """Return the least-squares scene; the first pose is fixed."""
         return gauss_newton(self, scene, self.weights, ROUNDS, unsure=1e-6).state
 
     def weights(self, residual: Floats) -> Floats:
-        """Return the weights (3 n,) of residuals, by the size of all three of an observation.
+        """Return the weights (3 n,) of residuals, by the norm of the three of an observation.
 
-        A scan that is off as a whole is taken for misplaced as yet, rather than wrong.
+        If all residuals of a scan are large, its pose is wrong rather than its observations.
         """
         from relmap.core.linalg.order_kernels import medians
 
@@ -133,7 +134,7 @@ class PlaneAdjustment:
         return np.repeat(1 / (1 + (size / np.maximum(DOUBTFUL, USUAL * usual)) ** 2), 3)
 
     def residuals(self, state: Scene) -> Floats:
-        """Return how far each observation is off (3 n,): tilt along u, along v, and distance."""
+        """Return the residuals (3 n,) of each observation: tilt along u, along v, and distance."""
         return self.linearised(state).off
 
     def equations(
@@ -152,7 +153,7 @@ class PlaneAdjustment:
     def stepped(
         self, state: Scene, equations: NormalEquations, step: Floats, weight: Floats
     ) -> Scene | None:
-        """Return the scene after a step; None where that turns anything too far."""
+        """Return the scene after a step; None if the step is too large."""
         poses = equations.eliminated_steps(step)
         poses[0] = 0.0
         planes = step[self.pattern.first[:, None] + np.arange(3)]
@@ -171,23 +172,23 @@ class PlaneAdjustment:
         )
 
     def linearised(self, state: Scene) -> Linearised:
-        """Return residuals and Jacobians; those of the last state are remembered."""
+        """Return residuals and Jacobians; those of the last state are cached."""
         if self._latest is None or self._latest[0] is not state:
             self._latest = state, _linearised(self.seen, state, self._root)
         return self._latest[1]
 
 
 def information(seen: Sightings, systematic: float) -> Floats:
-    """Return the information (n, 3) of observations with an error in common."""
+    """Return the information (n, 3) of observations whose points have an error in common."""
     lever = np.column_stack([seen.spread[:, :2], np.ones(len(seen.scan))])
     shared = systematic * seen.spread[:, 2:] / np.maximum(lever, 1e-9)
     return np.asarray(1 / (1 / np.maximum(seen.information, 1e-12) + shared**2))
 
 
 def systematic_share(seen: Sightings, scene: Scene) -> float:
-    """Return the error that the points of an observation have in common, as a share of their noise.
+    """Return the error common to the points of an observation, as a fraction of their noise.
 
-    With it half of the residuals are as large as their standard deviations make expect.
+    With it the median residual is that of a normal distribution.
     """
     problem = PlaneAdjustment(seen)
     spare = np.sqrt(problem.freedoms / (3 * len(seen.scan)))
@@ -200,7 +201,7 @@ def systematic_share(seen: Sightings, scene: Scene) -> float:
 
 
 def across(normal: Floats) -> tuple[Floats, Floats]:
-    """Return two directions (l, 3) each, across normals and each other."""
+    """Return two unit vectors (l, 3) each, perpendicular to the normals and to each other."""
     axis = np.eye(3)[np.abs(normal).argmin(axis=1)]
     e = np.cross(normal, axis)
     e /= np.linalg.norm(e, axis=1, keepdims=True)

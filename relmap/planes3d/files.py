@@ -38,29 +38,29 @@ COLOURS = np.array(
         [186, 176, 172],
     ]
 )
-"""Of planes, by number."""
+"""Colours of planes, by number modulo their count."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Plane3dResult(Result):
-    """A result whose landmarks are planes in space, at the middle of their points.
+    """A result whose landmarks are planes in space, at the mean of their points.
 
     Attributes
     ----------
     planes : Plane3dTable
-        Iterations are the log's own numbers.
+        Iterations are numbered as in the log.
     """
 
     planes: Plane3dTable
 
 
 def write_planes3d(folder: Path, table: Plane3dTable) -> None:
-    """Write ``planes.csv`` into an existing folder; the corners of an outline are x y z;x y z;...
+    """Write ``planes.csv`` into an existing folder; an outline is written as ``x y z;x y z;...``.
 
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     columns = [
         table.plane.tolist(),
@@ -85,7 +85,7 @@ def read_result3d(folder: Path) -> Plane3dResult:
     Raises
     ------
     RelmapError
-        Where a file is missing or not what was written.
+        If a file is missing or invalid.
     """
     table = read_table(folder / PLANES, COLUMNS)
     normal, centre = (
@@ -106,7 +106,7 @@ def write_mesh(folder: Path, part: Submap | None, chosen: Ints) -> None:
     Raises
     ------
     RelmapError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     corners, colours = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int64)]
     if part is not None:
@@ -133,7 +133,7 @@ def write_mesh(folder: Path, part: Submap | None, chosen: Ints) -> None:
 
 
 def _quads(filled: Bools) -> Floats:
-    """Return the corners (4 f, 2) of rectangles that cover the squares, one for each run."""
+    """Return the corners (4 f, 2) of rectangles that cover the squares, one per run of a row."""
     edges = np.diff(np.pad(filled, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, begin = np.nonzero(edges == 1)
     end = np.nonzero(edges == -1)[1]

@@ -1,4 +1,4 @@
-"""Which planes of the map a scan shows where it is taken to be, and where that puts it."""
+"""Matches of the planes of a scan with those of the map, and the pose fitted to them."""
 
 from __future__ import annotations
 
@@ -11,27 +11,28 @@ from relmap.planes3d.hypotheses import SKEW, Held
 from relmap.segmentation.space import Patches
 
 LOOKED_AT = 800
-"""Cells of a scan that tell which planes overlap."""
+"""Number of cells of a scan from which overlapping planes are found."""
 NEAR = 3.0
-"""How far from a cell of the map a cell on the same plane is, in cells, where surfaces overlap."""
+"""Largest distance, in cells, of cells of overlapping surfaces."""
 SIDE = np.cos(np.deg2rad(12.0))
-"""How far the normals of one plane may differ (cosine)."""
+"""Tolerance of the normals of one plane (cosine)."""
 SYSTEMATIC = 0.5
-"""Error that the points of a plane have in common, as a share of their noise, as long as the map
-does not tell."""
+"""Error that the points of a plane have in common, as a fraction of their noise, until it is
+estimated."""
 BENT_RAD = 1e-4
-"""How far the map may be bent."""
+"""Standard deviation of the bend of the map."""
 DOUBTFUL = 4.0
 """Standard deviations from which a match counts less."""
 ROUNDS, SETTLED, ROUNDING = 8, 1e-7, 1e-13
-"""Steps of a fit at most, and step that ends it, and the last one, metres and radians."""
+"""Most steps of a fit, and the step that ends it, or the last fit: metres and radians."""
 WEAK, OPEN = 0.015, 0.1
-"""A direction in which the place is known no better than the first share of the range is weak.  It
-is held where planes tell less than the last steps do, or not even the second share."""
+"""A direction is weak if the standard deviation of the position exceeds the first fraction of the
+range. The prediction is used there if it is more accurate, or if the second fraction is
+exceeded."""
 
 
 class Surfaces:
-    """Planes of the map with the places where they were seen.
+    """Planes of the map with a search tree of the cells where they were seen.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ class Surfaces:
         self.tree = cKDTree(planes.cells)
 
     def near(self, points: Floats, reach: float) -> Ints:
-        """Return the plane of the nearest cell of each point (n,); -1 where it is out of reach."""
+        """Return the plane (n,) of the cell nearest to each point (n, 3); -1 out of reach."""
         cell = self.tree.query(points, distance_upper_bound=reach)[1]
         return np.asarray(np.append(self.planes.cell_patch, -1)[cell])
 
@@ -57,19 +58,24 @@ class Surfaces:
 def matched(
     R: Floats, t: Floats, seen: Patches, there: Surfaces, loose: float
 ) -> tuple[Ints, Floats]:
-    """Return the plane of the map (m,) that each plane of a scan lies on, and how far off it is.
-
-    It is -1 for none, and as far off as a match may be where that is 1.
-
-    Of several the one that fits best is taken, of those that it overlaps with.
+    """Match the planes of a scan to overlapping planes of the map, each to the one that fits best.
 
     Parameters
     ----------
-    R, t
-        Where the scan was taken.
-    seen, there
+    R : (3, 3) float64, t : (3,) float64
+        Pose of the scan.
+    seen : Patches
+        Planes of the scan, robot frame.
+    there : Surfaces
     loose : float
-        How many times as far off as usual planes may be.
+        Tolerance, as a multiple of the usual one.
+
+    Returns
+    -------
+    match : (m,) int64
+        Plane of the map; -1 for none.
+    off : (m,) float64
+        Residual as a fraction of the tolerance.
     """
     planes = there.planes
     off = distances(R, t, seen, planes)
@@ -85,7 +91,7 @@ def matched(
 
 
 def overlapping(R: Floats, t: Floats, seen: Patches, there: Surfaces) -> Bools:
-    """Tell which planes of a scan were seen near where those of the map (k,) were; (m, k)."""
+    """Return which planes of a scan were seen near which planes of the map: (m, k)."""
     planes, near = there.planes, np.zeros((len(seen), len(there.planes)), dtype=bool)
     rows = np.arange(0, len(seen.cells), max(len(seen.cells) // LOOKED_AT, 1))
     points, of = seen.cells[rows] @ R.T + t, seen.cell_patch[rows]
@@ -98,9 +104,9 @@ def overlapping(R: Floats, t: Floats, seen: Patches, there: Surfaces) -> Bools:
 
 
 def distances(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Floats:
-    """Return the root mean square distances (m, k) of planes, where seen, from those of a map.
+    """Return the root mean square distances (m, k) of the surfaces of patches from planes of a map.
 
-    Without what is noise.
+    The noise of the points across their own plane does not count.
     """
     normal = planes.normal @ R
     across = (seen.centre @ R.T + t) @ planes.normal.T - planes.offset
@@ -110,7 +116,7 @@ def distances(R: Floats, t: Floats, seen: Patches, planes: Patches) -> Floats:
 
 
 def fixes_turn(normal: Floats) -> bool:
-    """Tell whether planes (m, 3) that match fix a turn."""
+    """Return whether matched normals (m, 3) determine a rotation."""
     return len(normal) > 1 and bool(np.linalg.svd(normal, compute_uv=False)[1] > SKEW)
 
 
@@ -123,15 +129,26 @@ def fitted(
     held: Held,
     last: bool = False,
 ) -> tuple[Floats, Floats, Floats | None, bool]:
-    """Fit a placement to matches, by least squares that let go of what does not fit.
+    """Fit a pose to matches by robust least squares.
 
-    Only the last fit asks for weak directions in which something tells.
+    Only the last fit looks for weak directions that planes determine at all.
+
+    Parameters
+    ----------
+    R : (3, 3) float64, t : (3,) float64
+        First estimate.
+    seen, planes : Patches
+        Of the scan, robot frame, and of the map, map frame.
+    match : (m,) int64
+        Plane of the map that each plane of the scan matches; -1 for none.
+    held : Held
+    last : bool
 
     Returns
     -------
     R : (3, 3) float64, t : (3,) float64
     free : (3,) float64 or None, is_held : bool
-        As `Placed` has them.
+        See `Placed`.
     """
     from relmap.planes3d.fitting_kernels import placement_equations
 
@@ -142,7 +159,7 @@ def fitted(
     axes, centre = seen.axes[rows], seen.centre[rows]
     for _ in range(ROUNDS):
         H, g = placement_equations(R, t, axes, centre, there, root, DOUBTFUL)
-        # A little that holds where nothing tells.
+        # Damps what is undetermined.
         hold = np.repeat([np.trace(H[:3, :3]), np.trace(H[3:, 3:])], 3) * 1e-12 + 1e-30
         step = -np.linalg.solve(H + np.diag(hold), g)
         R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:]
@@ -164,10 +181,10 @@ def directed(axis: Floats) -> Floats:
 
 
 def _weakest(H: Floats, n: Floats) -> tuple[Floats, float]:
-    """Return the direction in which the place is known worst, and how well: metres.
+    """Return the direction in which the position is known worst, and its deviation, metres.
 
-    Planes that are parallel but for their noise would invent a constraint there, so the directions
-    of the normals count, not how sure they are.
+    If the normals (m, 3) span two directions only, it is infinite: planes that are parallel but for
+    their noise would determine it by chance.
     """
     _, singular, axes = np.linalg.svd(n)
     if len(n) < 3 or singular[2] < 0.1:
@@ -178,9 +195,9 @@ def _weakest(H: Floats, n: Floats) -> tuple[Floats, float]:
 
 
 def _information(seen: Patches, rows: Ints, planes: Patches, match: Ints) -> Floats:
-    """Return the information (r, 3) of matches: of patches, and of the planes that they are.
+    """Return the information (r, 3) of matches, from the noise of patches and of planes of the map.
 
-    Points of a plane have some of their errors in common, and the map is not exact.
+    Points of a plane have some of their errors in common, and the map may be bent.
     """
     spread, range_m = seen.spread[rows], np.linalg.norm(seen.centre[rows], axis=1)
     shared = SYSTEMATIC * np.hypot(spread[:, 2], planes.spread[match[rows], 2])

@@ -1,4 +1,4 @@
-"""Where matches put a scan, compiled; see `relmap.planes3d.hypotheses` and `fitting`."""
+"""Compiled loops of `relmap.planes3d.hypotheses` and `relmap.planes3d.fitting`."""
 
 from __future__ import annotations
 
@@ -46,20 +46,21 @@ def placement_equations(
     root: Floats,
     doubtful: float,
 ) -> tuple[Floats, Floats]:
-    """Return the normal equations of a turn and a way, (6, 6) and (6,).
+    """Return the normal equations of a rotation and a translation, (6, 6) and (6,).
 
     Parameters
     ----------
     R : (3, 3) float64, t : (3,) float64
-        The placement so far.
+        Current estimate.
     axes : (r, 3, 3) float64, centre : (r, 3) float64
-        Of patches, robot frame.
+        Axes and centres of patches, robot frame.
     planes : (r, 4) float64
-        Normals and offsets of the planes that they are, map frame.
+        Normals and offsets of the planes that they match, map frame.
     root : (r, 3) float64
-        Roots of the information of the tilt along the first two axes, and of the distance.
+        Square roots of the information of the tilt along the first two axes, and of the distance.
     doubtful : float
-        Deviations from which a match counts less (Cauchy), or twice the usual if that is more.
+        Residual, in standard deviations, at which the weight is halved (Cauchy); or twice the
+        median residual if that is larger.
     """
     n_rows = len(centre)
     off, J = np.zeros((n_rows, 3)), np.zeros((n_rows, 3, 6))
@@ -86,7 +87,7 @@ def placement_equations(
 def _way_of_two(
     a: Floats, b: Floats, off_a: float, off_b: float, held: Floats, area: float, way: Floats
 ) -> None:
-    """Set the way (3,) nearest to the held one on which two matches agree."""
+    """Set the translation (3,) closest to the predicted one that satisfies two matches."""
     cosine = 0.0
     for d in range(3):
         off_a -= a[d] * held[d]
@@ -101,18 +102,18 @@ def _way_of_two(
 def crossings(
     normal: Floats, off: Floats, of: Ints, held: Floats, least_three: float, least_two: float
 ) -> Floats:
-    """Return the ways (w, 3) on which three matches agree, and those on which two do.
+    """Return the translations (w, 3) that satisfy three matches, and those that satisfy two.
 
     Parameters
     ----------
     normal : (p, 3) float64, off : (p,) float64
-        A match asks for ``normal @ way == off``.
+        A match requires ``normal @ translation == off``.
     of : (p,) int64
-        What each match is of; two of one are never taken together.
+        Plane of the scan of each match; two matches of one plane are not combined.
     held : (3,) float64
-        The way that is gone where matches do not tell.
+        Predicted translation, used in the direction that two matches leave open.
     least_three, least_two : float
-        Least volume and area that the normals of three and two span.
+        Least volume and area that the normals of three and two matches span.
     """
     count, found = len(of), 0
     ways = np.empty((count * (count - 1) // 2 + count * (count - 1) * (count - 2) // 6, 3))

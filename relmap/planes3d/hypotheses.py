@@ -1,9 +1,9 @@
-"""Where a scan may have been taken, by what no motion changes of planes.
+"""Hypotheses of the pose of a scan, from properties of planes that do not depend on the motion.
 
-The angles between normals do not depend on where planes are seen from, nor do the distances between
-parallel ones, nor the shape of the corners that three of them make.  Two planes that are not
-parallel fix a turn; three with independent normals fix the whole motion (the consistent basis in
-space).  Where a scan shows two directions only, the way along both is not fixed: it is held.
+These are the angles between normals, the distances between parallel planes, and the points where
+three planes meet. Two planes that are not parallel determine a rotation; three with independent
+normals determine the pose (the consistent basis in space). If the normals of a scan have two
+directions only, the translation along both planes is undetermined and is predicted instead.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from relmap.core.arrays import Bools, Floats, Ints
 from relmap.segmentation.space import Patches
 
 SKEW = np.sin(np.deg2rad(20.0))
-"""Normals nearer to parallel than this (sine) do not fix a turn."""
+"""Two normals closer to parallel than this (sine) do not determine a rotation."""
 ALIKE_RAD = np.deg2rad(3.0)
-"""How far angles between normals may differ, and normals once turned."""
+"""Tolerance of angles between normals, and of matched normals after the rotation."""
 SAME_TURN = np.cos(np.deg2rad(6.0))
-"""Turns that differ by less are one (cosine)."""
+"""Rotations that differ by less are the same (cosine)."""
 LEADERS, PAIRS, TURNS, PER_TURN = 10, 18, 36, 4
-"""How many planes of a scan, the largest, make hypotheses; how many candidate matches of a turn,
-how many turns are looked at, and how many ways of each are kept."""
+"""Number of largest planes of a scan that give hypotheses, of candidate matches per rotation, of
+rotations, and of translations per rotation."""
 FLAT_CORNER = 0.15
-"""Least determinant of three normals that fix a way."""
+"""Least determinant of three normals that determine a translation."""
 OFF_M, OFF_SHARE = 4.0, 0.01
-"""How far offsets may differ: so many standard deviations of points, and a share of the range."""
+"""Tolerance of offsets: standard deviations of the points, and a fraction of the range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Where a scan is taken to be in a direction that no plane measures.
+    """The predicted position of a scan, used in a direction that no plane determines.
 
     Attributes
     ----------
     place : (3,) float64, map frame, metres
     off_m : float
-        How far it may be off, metres; infinite where nothing is known of the last steps.  A
-        direction that planes measure better is not held.
+        Standard deviation of the prediction, metres; infinite if there were no last steps. It is
+        not used in a direction that the planes determine better.
     """
 
     place: Floats
@@ -49,14 +49,14 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Motions:
-    """Hypotheses: h rigid motions from the frame of a scan into that of the map.
+    """Hypotheses: h rigid motions from the frame of the scan to that of the map.
 
     Attributes
     ----------
     R : (h, 3, 3) float64
     t : (h, 3) float64, metres
     support : (h,) float64
-        Share of the scan's planes that match, weighed by the root of their size.
+        Fraction of the scan's planes that match, weighted by the square root of their size.
     """
 
     R: Floats
@@ -65,13 +65,17 @@ class Motions:
 
 
 def motions(seen: Patches, there: Patches, held: Held) -> Motions:
-    """Return where a scan may have been taken, those of most support first.
+    """Return hypotheses of the pose of a scan, largest support first.
 
     Parameters
     ----------
     seen, there : Patches
-        Planes of the scan, and of the map.
+        Planes of the scan, robot frame, and of the map, map frame.
     held : Held
+
+    Returns
+    -------
+    Motions
     """
     weight = importance(seen)
     mine, others = leaders(seen), leaders(there, 2 * LEADERS)
@@ -90,9 +94,9 @@ def motions(seen: Patches, there: Patches, held: Held) -> Motions:
 
 
 def importance(seen: Patches) -> Floats:
-    """Return what each patch (m,) counts, by the root of its size; 1 in all.
+    """Return the weight of each patch (m,), the square root of its size; the sum is 1.
 
-    By its size a floor would count for more than all that tells where on the floor a scan is.
+    Weighted by size, a floor would outweigh all planes that determine the position on it.
     """
     size = np.sqrt(np.bincount(seen.cell_patch, minlength=len(seen)))
     return np.asarray(size / max(size.sum(), 1.0))
@@ -105,13 +109,13 @@ def leaders(patches: Patches, most: int = LEADERS) -> Ints:
 
 
 def tolerance(patches: Patches, rows: Ints) -> Floats:
-    """Return how far the offsets of patches (k,) may be off, metres."""
+    """Return the tolerance of the offsets of patches (k,), metres."""
     away = np.linalg.norm(patches.centre[rows], axis=1)
     return np.asarray(OFF_M * patches.spread[rows, 2] + OFF_SHARE * away)
 
 
 def _turns(a: Floats, b: Floats) -> tuple[Floats, int]:
-    """Return the turns (h, 3, 3) that bring two of the normals a onto two of b, and how many."""
+    """Return the rotations (h, 3, 3) that bring two of the normals a onto two of b, and h."""
     i = np.array(list(itertools.combinations(range(len(a)), 2)), dtype=np.int64).reshape(-1, 2)
     j = np.array(list(itertools.permutations(range(len(b)), 2)), dtype=np.int64).reshape(-1, 2)
     frame_a, angle_a = _frames(a, i)
@@ -129,7 +133,7 @@ def _frames(normal: Floats, pairs: Ints) -> tuple[Floats, Floats]:
     sine = np.linalg.norm(across, axis=1)
     skew = sine > SKEW
     first, second, across, sine = first[skew], second[skew], across[skew], sine[skew]
-    # Halfway between the two, so that both are as far off.
+    # Halfway between the two normals, so that both have the same error.
     x = first + second
     x /= np.linalg.norm(x, axis=1, keepdims=True)
     z = across / sine[:, None]
@@ -138,14 +142,14 @@ def _frames(normal: Floats, pairs: Ints) -> tuple[Floats, Floats]:
 
 
 def _parallel(R: Floats, a: Floats, b: Floats) -> Bools:
-    """Tell which normals a (m, 3), once turned, are parallel to which of b (k, 3)."""
+    """Return which normals a (m, 3), rotated, are parallel to which normals b (k, 3)."""
     return np.asarray((a @ R.T) @ b.T > np.cos(ALIKE_RAD))
 
 
 def _distinct(
     turns: Floats, count: int, near: tuple[Floats, Floats], weight: Floats
 ) -> list[Floats]:
-    """Return turns, each unlike the others and fitted to what it makes parallel; best first."""
+    """Return distinct rotations, each fitted to the normals it makes parallel; best first."""
     if not count:
         return []
     a, b = near
@@ -162,20 +166,20 @@ def _distinct(
 
 
 def _fitted(R: Floats, a: Floats, b: Floats, weight: Floats) -> Floats:
-    """Return the turn that brings normals onto those that they are parallel to already."""
+    """Return the rotation that fits best the normals that are parallel already."""
     i, j = np.nonzero(_parallel(R, a, b))
     u, _, vt = np.linalg.svd((b[j] * weight[i, None]).T @ a[i])
     sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    # Normals of one direction only do not fix a turn: what two planes said stands.
+    # Normals of one direction do not determine a rotation: the one from two planes is kept.
     return R if np.linalg.matrix_rank(a[i], SKEW) < 2 else np.asarray(u @ sign @ vt)
 
 
 def _ways(
     seen: Patches, there: Patches, pairs: Ints, held: Floats, weight: Floats
 ) -> list[tuple[Floats, float]]:
-    """Return ways from candidate matches (p, 2) of parallel planes, and their supports.
+    """Return translations from candidate matches (p, 2) of parallel planes, and their supports.
 
-    Three matches fix a way; two do, held where they do not.
+    Three matches determine a translation; two do together with the predicted position.
     """
     from relmap.planes3d.fitting_kernels import crossings
 
@@ -183,7 +187,7 @@ def _ways(
     normal, off = there.normal[j], there.offset[j] - seen.offset[i]
     ways, gate = crossings(normal, off, i, held, FLAT_CORNER, SKEW), tolerance(seen, i)
     fits = np.abs(ways @ normal.T - off) < gate
-    # A plane of the scan counts once, whatever number of planes it may be.
+    # A plane of the scan counts once, however many planes of the map it may match.
     own, place = np.unique(i, return_inverse=True)
     counted = np.zeros((len(ways), len(own)), dtype=bool)
     for column, row in enumerate(place):

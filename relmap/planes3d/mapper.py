@@ -1,4 +1,4 @@
-"""`Plane3dMapper`: planes of any direction, and a sensor that moves with six degrees of freedom."""
+"""`Plane3dMapper`: planes of any direction, and a sensor with six degrees of freedom."""
 
 from __future__ import annotations
 
@@ -21,26 +21,31 @@ from relmap.segmentation.space import Patches, PatchSegmenter
 
 Span = tuple[int, int]
 LEAST_SCANS, MOST_TIED = 3, 12
-"""Scans of a submap that is tied to others, and how many of the largest are tried."""
-SURE = 5
-"""Planes in common without which submaps are not tied: three match any others at right angles."""
+"""Least number of scans of a submap that is tied, and number of largest submaps that are tried."""
+LEAST_SHARED = 5
+"""Least number of shared planes of two submaps: three at right angles match any others."""
 STEADY = 6
-"""Scans whose mean step is gone on with where planes do not tell."""
+"""Number of poses whose mean step predicts the next one in a direction that planes leave open."""
 
 
 class Plane3dMapper:
     """Maps planes of any direction with a carried lidar or depth camera, in six degrees of freedom.
 
-    A scan is placed among the planes of the scans before by what no motion changes: the angles
-    between planes, the distances of parallel ones, the corners of three.  No motion is estimated
-    before.  Where no placement is believed, a submap begins.
+    A scan is placed among the planes of the previous scans by what does not depend on the motion:
+    the angles between planes, the distances of parallel planes, and the points where three meet.
+    No motion is predicted. If no placement is accepted, a new submap begins.
 
     Parameters
     ----------
     segmenter : PatchSegmenter, optional
-        What turns points into planes.
+        Finds the planes of a cloud; default settings if omitted.
     max_missed : int
-        A plane unseen for more scans than this is not looked for in the next.
+        A plane that was not seen in more than this many scans is not matched in the next one.
+
+    Raises
+    ------
+    RelmapError
+        If `max_missed` is less than 1.
 
     Examples
     --------
@@ -67,22 +72,22 @@ class Plane3dMapper:
         self._name: dict[int, int] = {}
 
     def update(self, points: ArrayLike | Patches) -> Ints:
-        """Take in one scan.
+        """Add a scan.
 
         Parameters
         ----------
         points : (n, 3) array, sensor frame, metres; or Patches
-            A cloud, or what a `PatchSegmenter` found in it.
+            A cloud, or the planes that a `PatchSegmenter` found in it.
 
         Returns
         -------
         (m,) int64
-            Number of the plane of each patch; see `landmarks_of`.
+            Landmark of each patch; `landmarks_of` gives its current number.
 
         Raises
         ------
         RelmapError
-            Where the points cannot be used; the mapper is then as it was.
+            If the points are invalid; the mapper is unchanged.
         """
         seen = points if isinstance(points, Patches) else self.segmenter.fit(points).patches_
         iteration, self._n_iterations = self._n_iterations, self._n_iterations + 1
@@ -105,9 +110,9 @@ class Plane3dMapper:
         return number.copy()
 
     def finish(self) -> None:
-        """Tie submaps that show the same place: five planes at least, and no other way to do so.
+        """Tie submaps that share at least five planes in only one way, and find uncertain steps.
 
-        The largest are tried, and none of fewer than three scans.
+        Only the 12 largest submaps of at least three scans are tried.
         """
         failed: set[tuple[Span, Span]] = set()
         while self._tied_two(failed):
@@ -115,9 +120,10 @@ class Plane3dMapper:
         self._name_unsure()
 
     def refine(self) -> None:
-        """Bring planes and poses to where all observations agree best, in each submap.
+        """Adjust planes and poses of each submap to all observations by least squares.
 
-        Landmarks that come to lie on one plane and overlap are joined, see `landmarks_of`.
+        Landmarks that are one surface are joined; `landmarks_of` gives their current numbers.
+        Uncertain steps are found again, see `weak_links`.
         """
         for k, part in enumerate(self._parts):
             if len(part.iteration) > 1:
@@ -126,19 +132,28 @@ class Plane3dMapper:
         self._name_unsure()
 
     def landmarks_of(self, labels: ArrayLike) -> Ints:
-        """Return the numbers (n,) that planes, numbered by earlier updates, have now.
+        """Return the current numbers of landmarks.
+
+        Parameters
+        ----------
+        labels : (n,) array of int
+            Numbers that `update` returned.
+
+        Returns
+        -------
+        (n,) int64
 
         Raises
         ------
         RelmapError
-            Where no update has returned such a number.
+            If `update` has not returned one of the numbers.
         """
         checked = checked_labels(labels, np.arange(self._n_planes))
         return np.array([self._name.get(label, label) for label in checked.tolist()], np.int64)
 
     @property
     def n_iterations(self) -> int:
-        """How many scans were taken in, empty ones included."""
+        """Number of scans, empty ones included."""
         return self._n_iterations
 
     @property
@@ -154,17 +169,17 @@ class Plane3dMapper:
 
     @property
     def submaps(self) -> list[Submap]:
-        """The parts of the run that nothing ties to one another, those of most scans first."""
+        """The parts of the run that are not tied to each other, largest number of scans first."""
         return sorted(self._parts, key=lambda part: (-len(part.iteration), part.iteration[0]))
 
     @property
     def planes(self) -> Plane3dTable:
-        """Every plane, in the frame of its submap; mapped are those of the first."""
+        """All planes, each in the frame of its submap; those of the first submap are mapped."""
         return plane_table(self.submaps)
 
     @property
     def trajectory(self) -> Floats:
-        """``T_map_sensor`` of every iteration (k, 4, 4); NaN beyond the first submap."""
+        """``T_map_sensor`` of each iteration (k, 4, 4); NaN outside the first submap."""
         poses = np.full((self._n_iterations, 4, 4), np.nan)
         for part in self.submaps[:1]:
             poses[part.iteration] = part.trajectory
@@ -172,20 +187,22 @@ class Plane3dMapper:
 
     @property
     def weak_links(self) -> dict[int, Floats]:
-        """The iterations before which too little was seen, and the free direction.
+        """The iterations whose position is poorly determined, and the direction.
 
-        It is that (3,), in the sensor's frame, in which planes do not tell where the sensor was
-        then: it was taken to go on as before.
+        The direction (3,), sensor frame, is one in which the planes of the scan did not determine
+        the position well, so that constant motion may have been assumed; or, after `finish` or
+        `refine`, one in which the step from the scan before is uncertain.
         """
         found = [part.unsure | part.weak for part in self._parts]
         return {k: free for each in found for k, free in sorted(each.items())}
 
     def _name_unsure(self) -> None:
+        """Find the uncertain steps of all submaps."""
         for part in self._parts:
             part.unsure = unsure_steps(part) if len(part.iteration) > 1 else {}
 
     def _placed(self, seen: Patches, iteration: int) -> Placed | None:
-        """Return where a scan lies in the last submap; its matches are numbers of planes."""
+        """Return the placement of a scan in the last submap; its matches are landmark numbers."""
         part = self._parts[-1]
         chosen = np.flatnonzero(part.recent(iteration, self.max_missed))
         if not len(chosen):
@@ -194,7 +211,7 @@ class Plane3dMapper:
         return placed and placed.named(part.number[chosen])
 
     def _tied_two(self, failed: set[tuple[Span, Span]]) -> bool:
-        """Tie two submaps; tell whether any could be.  What was tried before is not tried again."""
+        """Tie two submaps, if any two can be tied that did not fail before; return whether."""
         large = [part for part in self.submaps if len(part.iteration) >= LEAST_SCANS][:MOST_TIED]
         for other, part in itertools.combinations(large, 2):
             key = _span(other), _span(part)
@@ -206,17 +223,17 @@ class Plane3dMapper:
         return False
 
     def _tie(self, part: Submap, other: Submap) -> bool:
-        """Tie a submap to another, if it shows the same place; tell whether it does."""
+        """Tie a submap to another if they show the same place; return whether they do."""
         placed = place(
             part.all_planes(), Surfaces(other.all_planes()), None, Held(np.zeros(3), np.inf)
         )
-        if placed is None or placed.free is not None or placed.n_planes < SURE:
+        if placed is None or placed.free is not None or placed.n_planes < LEAST_SHARED:
             return False
         match = placed.named(other.number).match.tolist()
         name = {a: b for a, b in zip(part.number.tolist(), match, strict=True) if b >= 0}
         both = other.joined(part, (placed.R, placed.t), name)
         parts = [each for each in self._parts if each not in (part, other)]
-        # The one whose last scan is the latest goes on with the next.
+        # The next scan is added to the last submap: the one that holds the latest scan.
         self._parts = sorted([*parts, both], key=lambda each: each.iteration[-1])
         self._rename(name)
         return True
@@ -226,7 +243,7 @@ class Plane3dMapper:
 
 
 def _going_on(part: Submap) -> Held:
-    """Return where the next scan is if it goes on as the last ones did."""
+    """Return the position of the next scan if the mean of the last steps continues."""
     way = np.array([t for _, t in part.poses[-STEADY:]])
     steps = np.diff(way, axis=0)
     known = [k not in part.held for k in part.iteration[-STEADY:]][1:]
@@ -236,5 +253,5 @@ def _going_on(part: Submap) -> Held:
 
 
 def _span(part: Submap) -> Span:
-    """Return what tells a submap from others, and from itself before it was joined."""
+    """Return a key of a submap that changes when it is joined to another."""
     return part.iteration[0], len(part.iteration)

@@ -1,4 +1,4 @@
-"""How a scan lies in the map: hypotheses are fitted, judged by surfaces, compared with rivals."""
+"""Placement of a scan in the map: hypotheses are fitted, judged by surfaces, and compared."""
 
 from __future__ import annotations
 
@@ -12,46 +12,49 @@ from relmap.planes3d.hypotheses import Held, Motions, importance, motions
 from relmap.segmentation.space import Patches
 
 JUDGED = 10
-"""Hypotheses that are fitted, those that lay most surfaces of the scan near those of the map."""
+"""Number of hypotheses that are fitted: those with most surfaces near those of the map."""
 HOPELESS = 0.5
-"""Those that lay a smaller share of what the best one does there are not."""
+"""Hypotheses with a smaller fraction of the best one's surfaces there are not fitted."""
 SAMPLE, ROUGHLY = 400, 150
-"""Cells of a scan that judge, and that choose whom to judge."""
+"""Number of cells of a scan that judge a placement, and that choose the hypotheses to fit."""
 OVERLAP = 1.5
-"""How far from a cell of the map a cell on the same plane is, in cells, that was seen before."""
+"""Largest distance, in cells, of a cell of the scan from one of the map on the same surface."""
 LEAST = 0.35
-"""Share of the scan's surfaces that lie on those of the map, of a placement that is believed."""
+"""Least fraction of the scan's surfaces on surfaces of the map, of an accepted placement."""
 RIVAL, RIVAL_LESS_ONE = 0.9, 0.6
-"""Share of the surface that a rival explains, of what the best does, which puts it in doubt; and
-where it explains all planes but one of a few, which is new or matches by chance: three planes at
-right angles match any others."""
+"""A rival is a placement that explains at least this fraction of what the best one does; the second
+value holds if at most `FEW` planes match and the rival misses one of them, which may be new or
+match by chance: three planes at right angles match any others."""
 FEW = 4
 APART_RAD, APART = np.deg2rad(8.0), 0.05
-"""Placements that differ by less are no rivals: a turn, and a way as a share of the range."""
+"""Tolerance of placements that are the same: rotation, and translation over the range."""
 CLOSE, SETTLES = 0.3, 0.85
-"""Hypotheses within this share of that from a placement that explains so much come to the same."""
+"""A hypothesis this close to a placement, as a fraction of `APART`, is not fitted if the placement
+explains at least the second value."""
 CLEARLY = 0.5
-"""A rival is none where it takes a step so many times as long."""
+"""The step to the chosen placement is at most this fraction of the step to any other rival."""
 LEAP = 1.0
-"""A step longer than this share of the range is a leap; a turn counts by how far things move."""
+"""A step longer than this fraction of the range is a leap; a rotation counts by how far it moves
+things at the range."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Where a scan was taken.
+    """The pose of a scan, and the planes of the map that it shows.
 
     Attributes
     ----------
     R : (3, 3) float64, t : (3,) float64
         ``T_map_robot``.
     match : (m,) int64
-        The plane of the map that each plane of the scan is; -1 for none.
+        The plane of the map that each plane of the scan matches; -1 for none.
     share : float
-        Of the scan's surfaces, those that lie on surfaces of the map, less where these are off.
+        Fraction of the scan's surfaces on surfaces of the map, reduced by their residuals.
     free : (3,) float64 or None
-        The direction, map frame, in which planes hardly tell where it was; None where they do.
+        The direction, map frame, in which planes determine the position poorly; None if there is
+        none.
     is_held : bool
-        Whether the scan was taken to go on as before in that direction.
+        Whether the predicted position was used in that direction.
     """
 
     R: Floats
@@ -62,19 +65,19 @@ class Placed:
     is_held: bool
 
     def named(self, number: Ints) -> Placed:
-        """Return the placement with what the planes of the map (k,) are called for matches."""
+        """Return the placement with matches given as numbers (k,) of the planes of the map."""
         return replace(self, match=np.where(self.match >= 0, number[self.match], -1))
 
     @property
     def n_planes(self) -> int:
-        """How many planes of the map the scan shows."""
+        """Number of planes of the map that the scan shows."""
         return len(np.unique(self.match[self.match >= 0]))
 
 
 def place(
     seen: Patches, there: Surfaces, last: tuple[Floats, Floats] | None, held: Held
 ) -> Placed | None:
-    """Return where a scan was taken; None where that is not believed.
+    """Return the placement of a scan; None if none is accepted.
 
     Parameters
     ----------
@@ -83,13 +86,18 @@ def place(
     there : Surfaces
         Planes of the map.
     last : R (3, 3) and t (3,), optional
-        Where the scan before was taken: of placements that explain as much, as in a room that looks
-        the same from two sides, the next one is taken if the others are far; none without it.
+        Pose of the previous scan. Of placements that explain the scan equally well, as in a room
+        that looks the same from two sides, the closest to it is accepted if the others are far.
+        Without it, a placement with a rival is not accepted.
     held : Held
+
+    Returns
+    -------
+    Placed or None
     """
     best: list[Placed] = []
     tried = _promising(motions(seen, there.planes, held), seen, there)
-    # Where the scan before was, planes are met by what is nearest, as in the paper.
+    # At the previous pose planes are matched to the nearest, as in the paper.
     for R, t in tried if last is None else [*tried, last]:
         if any(other.share > SETTLES and _same(R, t, other, seen, CLOSE) for other in best):
             continue
@@ -106,23 +114,23 @@ def place(
     sure = [each for each in rivals if not each.is_held]
     chosen, *others = sure or rivals
     step, leap = _step(chosen, last, seen), LEAP * seen.reach_m
-    # To go on as before is no invention where all else is a leap.
+    # Constant motion is accepted if everything else is a leap.
     if step > leap and CLEARLY * step > _step(rivals[0], last, seen):
         return rivals[0]
-    # Two directions match much by chance.
+    # Normals of two directions often match by chance.
     if chosen.is_held and step > leap:
         return None
     return None if others and step > CLEARLY * _step(others[0], last, seen) else chosen
 
 
 def _rivals(other: Placed, best: Placed) -> bool:
-    """Tell whether a placement puts the best in doubt."""
+    """Return whether a placement is a rival of the best one."""
     less = best.n_planes <= FEW and other.n_planes >= best.n_planes - 1
     return other.share > (RIVAL_LESS_ONE if less else RIVAL) * best.share
 
 
 def _distinct(placed: list[Placed], seen: Patches) -> list[Placed]:
-    """Return the first of all placements that are one."""
+    """Return the first of each group of placements that are the same."""
     chosen: list[Placed] = []
     for each in placed:
         if not any(_same(each.R, each.t, other, seen, 1.0) for other in chosen):
@@ -131,7 +139,7 @@ def _distinct(placed: list[Placed], seen: Patches) -> list[Placed]:
 
 
 def _sample(seen: Patches, most: int) -> tuple[Floats, Ints, Floats]:
-    """Return some of the cells of a scan, evenly, their planes, and what each counts; 1 in all."""
+    """Return evenly chosen cells of a scan, their planes, and their weights, whose sum is 1."""
     rows = np.linspace(0, len(seen.cells) - 1, min(most, len(seen.cells))).astype(np.int64)
     of = seen.cell_patch[rows]
     weight = (importance(seen) / np.maximum(np.bincount(of, minlength=len(seen)), 1))[of]
@@ -139,7 +147,7 @@ def _sample(seen: Patches, most: int) -> tuple[Floats, Ints, Floats]:
 
 
 def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Floats, Floats]]:
-    """Return the hypotheses that lay most surfaces of a scan near those that look their way."""
+    """Return the hypotheses with most surfaces of a scan near surfaces that face the same way."""
     cells, of, weight = _sample(seen, ROUGHLY)
     points = np.einsum("hij,cj->hci", tried.R, cells) + tried.t[:, None]
     normal = np.einsum("hij,cj->hci", tried.R, seen.normal[of])
@@ -153,7 +161,7 @@ def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Flo
 
 
 def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -> Placed | None:
-    """Fit a hypothesis to what it matches, twice, and judge it."""
+    """Fit a hypothesis to its matches, three times, and judge it; None if it is undetermined."""
     match, _ = matched(R, t, seen, there, loose=4.0)
     for loose in (2.0, 1.0):
         if not fixes_turn(there.planes.normal[match[match >= 0]]):
@@ -171,13 +179,13 @@ def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -
 
 
 def _same(R: Floats, t: Floats, other: Placed, seen: Patches, share: float) -> bool:
-    """Tell whether two placements are one, or no farther apart than a share of that."""
+    """Return whether two placements differ by less than a multiple of the tolerance."""
     turn, way = _apart(R, t, other.R, other.t)
     return turn < share * APART_RAD and way < share * APART * seen.reach_m
 
 
 def _step(placed: Placed, last: tuple[Floats, Floats], seen: Patches) -> float:
-    """Return how long a step it takes from the last placement: turn times range, and way."""
+    """Return the length of the step from the last pose: rotation times range, plus translation."""
     turn, way = _apart(placed.R, placed.t, *last)
     return turn * seen.reach_m + way
 

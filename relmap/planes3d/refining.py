@@ -1,4 +1,4 @@
-"""A submap refined: plane adjustment, and landmarks that turn out to be one plane joined."""
+"""Refinement of a submap: plane adjustment, joining of landmarks, and uncertain steps."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from relmap.planes3d.steps import step_covariances
 from relmap.planes3d.submap import Submap
 
 ROUNDS = 4
-"""How often landmarks are joined and all is solved again, at most."""
+"""Most rounds of adjusting and joining."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
 ONE = 2.0
-"""How far apart two landmarks that are one plane may lie, in deviations of their points."""
+"""Largest distance of two landmarks that are one plane, in standard deviations of their points."""
 BENT, COVERED = 0.003, 0.5
-"""How much farther apart if the map is bent, as a fraction of the range: where this fraction of one
-surface is at the other, and no sensor sees through either."""
+"""What is added to that distance, as a fraction of the range, because the map may be bent, if this
+fraction of one surface lies at the other: a sensor does not see through either."""
 
 
 def refined(part: Submap) -> tuple[Submap, dict[int, int]]:
-    """Return a submap on which all observations agree best.
+    """Return a submap adjusted to all its observations by least squares.
 
     Returns
     -------
     part : Submap
     name : dict of int to int
-        Landmarks that turned out to be others.
+        New numbers of landmarks that were joined to others.
     """
     names: dict[int, int] = {}
     for round_ in range(ROUNDS):
@@ -79,7 +79,7 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
 
 
 def sightings(part: Submap) -> Sightings:
-    """Return what was seen of a submap's planes, by all its scans that saw any."""
+    """Return the observations of a submap."""
     scan = np.concatenate([np.full(len(seen), k) for k, seen in enumerate(part.seen)])
     columns = [
         np.concatenate([getattr(seen, name) for seen in part.seen])
@@ -89,7 +89,7 @@ def sightings(part: Submap) -> Sightings:
 
 
 def scene(part: Submap) -> Scene:
-    """Return poses and planes as they are."""
+    """Return the current poses and planes of a submap."""
     planes = part.all_planes()
     R, t = (np.array(each) for each in zip(*part.poses, strict=True))
     return Scene(R, t, planes.normal.copy(), planes.centre, np.zeros(len(part)))
@@ -108,13 +108,13 @@ def _adjusted(part: Submap) -> Submap:
 
 
 def _doubles(part: Submap) -> dict[int, int]:
-    """Return which landmarks are others, of lower number, by number."""
+    """Return landmarks that are one surface with another of lower number, and that number."""
     planes = part.all_planes()
     still, origin = np.eye(3), np.zeros(3)
     surfaces, off = Surfaces(planes), distances(still, origin, planes, planes)
     noise = np.hypot(planes.spread[:, None, 2], planes.spread[:, 2])
     bent_m = BENT * float(np.median([seen.reach_m for seen in part.seen]))
-    # The smaller of two must lie on the larger; from the larger's ends the smaller's plane strays.
+    # The smaller must lie on the larger: at the larger's ends the smaller's plane is inaccurate.
     size = np.bincount(planes.cell_patch, minlength=len(planes))
     one = (off < ONE * noise) & overlapping(still, origin, planes, surfaces)
     one &= size[:, None] <= size
@@ -124,7 +124,7 @@ def _doubles(part: Submap) -> dict[int, int]:
     name: dict[int, int] = {}
     for k in np.argsort(off[a, b] / noise[a, b], kind="stable").tolist():
         pair = sorted((int(part.number[a[k]]), int(part.number[b[k]])))
-        # One at a time: what is joined is looked at again in the next round.
+        # Each landmark is joined once a round, and compared again in the next.
         if not any(number in name or number in name.values() for number in pair):
             name[pair[1]] = pair[0]
     return name

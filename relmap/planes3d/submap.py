@@ -1,4 +1,4 @@
-"""A part of the run with a frame of its own: who was seen from where, and planes so far."""
+"""A part of the run in its own frame: scans, observations and landmarks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOWHERE, NOTHING = np.empty((0, 3)), np.empty(0, dtype=np.int64)
 
 
 class Submap:
-    """Planes, their observations and the scans that nothing ties to others.
+    """Scans that are tied to each other, and the planes that they saw.
 
     Attributes
     ----------
@@ -23,25 +23,26 @@ class Submap:
     poses : list of R (3, 3) and t (3,)
         ``T_submap_robot`` of each of its scans.
     weak : dict of int to (3,) float64
-        Iterations whose place along a direction, robot frame, planes hardly told.
+        Iterations whose position planes determined poorly when they were placed, and the
+        direction, robot frame.
     held : set of int
-        Those of them that were taken to go on as before in that direction.
+        Those of them for which constant motion was assumed in that direction.
     unsure : dict of int to (3,) float64
         Iterations whose step from the scan before all observations together determine poorly, and
         the direction, robot frame; set by `finish` and `refine`.
     seen : list of Patches
-        What each scan saw, untransformed; without cells, see `scan`.
+        Patches of each scan, robot frame; without cells, see `scan`.
     match : list of (m,) int64
         The landmark of each patch of a scan.
     number : (l,) int64
-        What each landmark is called outside.
+        Number of each landmark in the mapper.
     scatter : (l, 4, 4) float64
-        Condensed points of each landmark, submap frame.
+        Condensed points of each landmark, submap frame; see `Patches`.
     last : (l,) int64
-        When each landmark was seen last.
+        Iteration in which each landmark was last seen.
     share : float or None
-        Error that the points of an observation have in common, as a share of their noise; as the
-        refinement found it, None before.
+        Error that the points of an observation have in common, as a fraction of their noise;
+        None before it is estimated by refinement.
     """
 
     def __init__(self) -> None:
@@ -68,15 +69,17 @@ class Submap:
         return len(self.last)
 
     def add(self, iteration: int, seen: Patches, pose: Pose, number: Ints) -> None:
-        """Take in a scan.
+        """Add a scan.
 
         Parameters
         ----------
         iteration : int
         seen : Patches
+            Planes of the scan, robot frame.
         pose : R (3, 3) and t (3,)
+            ``T_submap_robot``.
         number : (m,) int64
-            What the landmark of each patch is called outside.
+            Number of the landmark of each patch in the mapper.
         """
         R, t = pose
         match = np.array([self._row.setdefault(k, len(self._row)) for k in number.tolist()], int)
@@ -89,7 +92,7 @@ class Submap:
         np.add.at(self.scatter, match, moved(seen.scatter, R, t))
         self.last[match] = iteration
         fresh = self._add_cells(seen.cells @ R.T + t, match[seen.cell_patch], seen.cell_m)
-        # Cells where planes were seen before are not kept: memory grows with the map alone.
+        # Cells where a plane was seen before are dropped: memory grows with the map only.
         self._untransformed.append((seen.cells[fresh], seen.cell_patch[fresh]))
         self.iteration.append(iteration)
         self.poses.append(pose)
@@ -97,7 +100,7 @@ class Submap:
         self.match.append(match)
 
     def scan(self, k: int) -> Patches:
-        """Return what a scan saw, untransformed, with the cells that it saw first."""
+        """Return the patches of a scan, robot frame, with the cells that it saw first."""
         cells, patch = self._untransformed[k]
         return replace(self.seen[k], cells=cells, cell_patch=patch)
 
@@ -151,11 +154,11 @@ class Submap:
         return self.planes(np.arange(len(self)))
 
     def recent(self, iteration: int, max_missed: int) -> Bools:
-        """Tell which landmarks (l,) were seen not more than so many scans ago."""
+        """Return which landmarks (l,) were missed in at most so many scans before an iteration."""
         return np.asarray(self.last >= iteration - 1 - max_missed)
 
     def again(self, poses: list[Pose], name: dict[int, int]) -> Submap:
-        """Return the submap with other poses, and landmarks that turned out to be others."""
+        """Return the submap with other poses, and with landmarks renamed by number."""
         part = Submap()
         for k, iteration in enumerate(self.iteration):
             numbers = self.number[self.match[k]].tolist()
@@ -172,9 +175,9 @@ class Submap:
         ----------
         other : Submap
         pose : R (3, 3) and t (3,)
-            Where the frame of the other lies.
+            Pose of the frame of the other.
         name : dict of int to int
-            The landmarks of the other that are known here.
+            Landmarks of the other that are landmarks of this one.
         """
         R, t = pose
         placed = other.again([(R @ S, R @ s + t) for S, s in other.poses], name)

@@ -1,4 +1,4 @@
-"""The planes of a run as they are handed out, with their outlines."""
+"""The public table of planes, with their outlines."""
 
 from __future__ import annotations
 
@@ -13,31 +13,35 @@ from relmap.planes3d.submap import Submap
 from relmap.segmentation.space import Patches
 
 FEWEST = 2
-"""Scans that saw a plane that is mapped."""
+"""Least number of scans that saw a mapped plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plane3dTable:
-    """Every plane, one row each: those of the first submap, by number, then those of the others.
+    """All planes, one row each, by submap and number.
 
     Attributes
     ----------
     plane : (n,) int64
+        Landmark number.
     normal : (n, 3) float64, frame of the submap
-        Unit, on the side that the plane was seen from.
+        Unit normals that point to the side from which the plane was seen.
     offset : (n,) float64, metres
         ``normal @ x == offset`` on the plane.
-    centre : (n, 3) float64, metres
-        Middle of its points.
+    centre : (n, 3) float64, frame of the submap, metres
+        Weighted mean of its points.
     sd : (n,) float64, metres
         Standard deviation of its points across it.
     area_m2 : (n,) float64
-    outline : list of (k, 3) float64, metres
-        Anticlockwise as seen from its front, of the largest part of its surface.
+        Area of the squares, of the size of a voxel, in which it was seen.
+    outline : list of (k, 3) float64, frame of the submap, metres
+        Of the largest part of its surface, anticlockwise as seen from its front.
     observations, first_iteration, last_iteration : (n,) int64
+        Number of scans that saw it, the first and the last.
     status : (n,) str
-        "static" in the first submap where two scans saw it, else "unmapped".
+        "static" if it is in the first submap and at least two scans saw it, else "unmapped".
     submap : (n,) int64
+        Rank of the submap, the largest first.
     """
 
     plane: Ints
@@ -56,16 +60,18 @@ class Plane3dTable:
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """The surface of a plane as squares.
+    """The surface of a plane as a grid of squares.
 
     Attributes
     ----------
     filled : (a, b) bool
+        Squares in which the plane was seen.
     origin : (2,) float64, metres
-        Corner of the first square, along `u` and `v`.
+        Corner of the first square, along `u` and `v` from `base`.
     size_m : float
+        Side of a square.
     base, u, v : (3,) float64
-        A point on the plane, and directions along it.
+        A point on the plane, and unit vectors along it.
     """
 
     filled: Bools
@@ -76,7 +82,7 @@ class Raster:
     v: Floats
 
     def in_space(self, points: Floats) -> Floats:
-        """Return points (n, 2), in squares from the first one's corner, in space (n, 3)."""
+        """Convert points (n, 2), in squares from the origin, to points in space (n, 3)."""
         at = self.origin + self.size_m * points
         return np.asarray(self.base + at[:, :1] * self.u + at[:, 1:] * self.v)
 
@@ -123,7 +129,7 @@ def _rows(part: Submap, rank: int) -> dict[str, Any]:
 
 
 def raster(planes: Patches, k: int) -> Raster:
-    """Return the surface on which a plane was seen, gaps of one square closed."""
+    """Return the grid of a plane, with gaps of one square closed."""
     from scipy.ndimage import binary_closing
 
     u, v, _ = planes.axes[k]
@@ -141,7 +147,7 @@ def raster(planes: Patches, k: int) -> Raster:
 
 
 def outline(surface: Raster) -> Floats:
-    """Return the outline (k, 3) of the largest part of a surface, anticlockwise."""
+    """Return the outline (k, 3) of the largest connected part of a surface, anticlockwise."""
     from contourpy import contour_generator  # comes with matplotlib, as Pillow does
     from scipy.ndimage import gaussian_filter
 
@@ -156,6 +162,6 @@ def outline(surface: Raster) -> Floats:
 
 
 def _area(line: Floats) -> float:
-    """Return the area that a closed line (k, 2) goes round, positive if anticlockwise."""
+    """Return the area enclosed by a closed line (k, 2), positive if anticlockwise."""
     x, y = line.T
     return float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2

@@ -1,4 +1,4 @@
-"""Points in space -> planes of any direction, as seen by a carried lidar or depth camera."""
+"""Segmentation of clouds of a carried lidar or depth camera into planes of any direction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops over points and voxels, compiled; see `relmap.segmentation.space`."""
+"""Compiled loops over points and voxels; see `relmap.segmentation.space`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from relmap.core.linalg.compiling import compiled
 
 @compiled
 def add_moments(points: Floats, of: Ints, weight: Floats, moments: Floats) -> None:
-    """Add the moments of points (n, 3) to those of their groups (v, 10); negative: of none."""
+    """Add the moments of points (n, 3) to those of their groups (v, 10); negative is no group."""
     for i in range(len(points)):
         g = of[i]
         if g < 0:
@@ -44,15 +44,15 @@ def grow(
     Parameters
     ----------
     plane : (5,) float64
-        Normal, offset, and the least cosine between it and the normal of a voxel.
+        Normal, offset, and the least cosine between the normal and that of a voxel.
     reach : (v,) float64
-        How far from the plane the centre of each voxel may be.
+        Largest distance of the centre of each voxel from the plane.
     open_ : (v,) bool
-        Voxels that may belong.
+        Voxels that may be labelled.
     label : (v,) int64
-        Of each voxel; those of `region` before are taken off first.
+        Region of each voxel, changed; none is `region` before the call.
     queue : (v,) int64
-        Room; the voxels found stand at its begin.
+        Filled from its start with the voxels found.
     """
     n, found = len(label), 1
     label[seed] = region
@@ -88,9 +88,9 @@ def label_points(
     planes: Floats,
     label: Ints,
 ) -> None:
-    """Give each point the nearest of the planes (m, 4) in its voxel and, if none, in those around.
+    """Label each point (n,) with the nearest plane in its voxel, or if none in those around.
 
-    It is -1 where it is farther than `gate` of its standard deviations from each.
+    The label is -1 if every plane (m, 4) is more than `gate` standard deviations away.
     """
     for i in range(len(points)):
         v, best, nearest = of[i], -1, gate * sigma[i]

@@ -1,4 +1,4 @@
-"""What a segmenter in space hands out: the planes of one scan, condensed."""
+"""The planes of one scan in space, condensed."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from relmap.core.arrays import Floats, Ints
 class Patches:
     """Planes of any direction seen in one scan, without their points: m planes, robot frame.
 
-    The weighted squares of the distances of a patch's points from any plane are known from
-    `centre`, `axes` and `information` alone: of a plane with the unit normal n whose distance from
-    the centre is d they are, but for a constant,
-    ``information @ [(n @ u) ** 2, (n @ v) ** 2, d ** 2]``.  This is the 4x4 scatter of the points
-    in the patch's own frame (as in BALM, Z. Liu and F. Zhang, RA-L 2021).
+    The weighted sum of squared distances of a patch's points from any plane follows from
+    `centre`, `axes` and `information`. For a plane with unit normal n at distance d from the
+    centre it is, up to a constant, ``information @ [(n @ u) ** 2, (n @ v) ** 2, d ** 2]``. This is
+    the 4x4 scatter of the points in the frame of the patch (as in BALM, Z. Liu and F. Zhang,
+    RA-L 2021).
 
     Attributes
     ----------
     centre : (m, 3) float64, metres
         Weighted mean of the points.
     axes : (m, 3, 3) float64
-        Rows u, v, n: the directions of most, of middle and of least spread; right-handed.  n is
-        the normal and points to the sensor.
+        Rows u, v, n: the directions of largest, middle and smallest spread; right-handed. n is the
+        normal and points to the sensor.
     information : (m, 3) float64
         1 / rad^2 of the tilt along u and along v, 1 / m^2 of the distance across.
     spread : (m, 3) float64, metres
         Standard deviation of the points along u, v and n.
     n_points : (m,) int64
     cells : (c, 3) float64, metres
-        Where on their planes the points lie, about one for each voxel.
+        Positions of the points on the planes, about one per voxel.
     cell_patch : (c,) int64, ascending
         The patch of each cell.
     cell_m : float
         Size of the voxels.
     reach_m : float
-        Distance of the cells from the origin in the median.
+        Median distance of the cells from the origin.
     """
 
     centre: Floats
@@ -62,12 +62,12 @@ class Patches:
 
     @property
     def offset(self) -> Floats:
-        """Where the planes are (m,): ``normal @ x == offset``; metres, never above 0."""
+        """Offsets (m,), metres, at most 0: ``normal @ x == offset`` on a plane."""
         return np.asarray(np.einsum("ij,ij->i", self.normal, self.centre))
 
     @property
     def scatter(self) -> Floats:
-        """Condensed 4x4 scatters (m, 4, 4): ``[n, -d] @ S @ [n, -d]`` is a plane's squares."""
+        """Scatters (m, 4, 4): ``[n, -d] @ S @ [n, -d]`` is the sum of squares of a plane (n, d)."""
         weight = self.information[:, 2]
         moment = (self.axes.transpose(0, 2, 1) * self.spread[:, None] ** 2) @ self.axes
         scatter = np.empty((len(self), 4, 4))
@@ -91,7 +91,7 @@ def reach_of(cells: Floats) -> float:
 
 
 def no_patches(cell_m: float) -> Patches:
-    """Return what is handed out where no plane was found."""
+    """Return the patches of a scan without planes."""
     none = np.empty((0, 3))
     number: Ints = np.empty(0, dtype=np.int64)
     return Patches(none, np.empty((0, 3, 3)), none, none, number, none, number, cell_m, 0.0)

@@ -1,9 +1,9 @@
-"""Planes of any direction out of the points of one scan: grown from flat voxels, then refitted.
+"""Segmentation of one scan into planes of any direction, grown from flat voxels and refitted.
 
-Voxels whose points are flat are seeds; a plane grows over those connected to it that lie on it, and
-is fitted anew as it grows (Poppinga et al., IROS 2008; Feng et al., ICRA 2014).  Planes that
-are one within the noise are joined.  Every point then goes to the nearest plane in its voxel or
-those around, and planes are fitted to their points, weighed by a noise that grows with range.
+Flat voxels are seeds. A plane grows over connected voxels that lie on it and is refitted as it
+grows (Poppinga et al., IROS 2008; Feng et al., ICRA 2014). Planes that are the same within the
+noise are joined. Each point is then assigned to the nearest plane in its voxel or its neighbours,
+and planes are fitted to their points with a noise that grows with the range.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from relmap.segmentation.space.patches import Patches, no_patches, reach_of
 from relmap.segmentation.space.voxels import Voxels, cells_of, moments_of, principal, voxels_of
 
 VOXEL = 0.04
-"""Size of a voxel, as a share of the median range."""
+"""Size of a voxel, as a fraction of the median range."""
 PARALLEL = np.cos(np.deg2rad(5.0))
-"""Planes that are one have normals no farther apart (cosine)."""
+"""Tolerance of the normals of planes that are the same (cosine)."""
 TURN = np.cos(np.deg2rad(25.0))
-"""How far the normal of a voxel may be off (cosine): that of few points is unsure."""
+"""Tolerance of the normal of a voxel (cosine): it is inaccurate if it has few points."""
 REACH, GATE = 3.0, 3.0
-"""How far from a plane its voxels' centres, and its points, may be, in standard deviations."""
+"""Largest distance of the centres of voxels, and of points, from their plane, in standard
+deviations."""
 FEWEST_VOXELS = 4
-"""Voxels of a plane."""
+"""Least number of voxels of a plane."""
 REGROWN, REFITS = 6, 2
-"""How often at most a plane is fitted anew while it grows, and how often to its points."""
+"""Most refits of a plane while it grows, and number of refits to its points."""
 SCALES = (1.0, 2.5)
-"""Voxels of twice and a half the size find what is noisy or sparse in what is left."""
+"""Sizes of voxels: larger ones find noisy or sparse planes in the points that are left."""
 ALIKE = 1.5
-"""Two planes are one if the points of each are off the common one by at most so many times the
-noise."""
+"""Two planes are the same if the root mean square distance of the points of each from their common
+plane is at most this multiple of the noise."""
 SPARSE, COARSER, COARSEST = 30, 1.5, 0.2
-"""Voxels with so few points in the middle are taken larger, so many times, but not beyond a share
-of the median range."""
+"""If voxels have fewer points in the median they are enlarged by this factor, up to a fraction of
+the median range."""
 
 
 class PatchSegmenter:
@@ -45,21 +46,21 @@ class PatchSegmenter:
     Parameters
     ----------
     voxel_m : float, optional
-        Size of the voxels; a twentieth of the median range where left out.
+        Size of the voxels at the median range; 4 % of the median range or more if omitted.
     min_points : int
-        Points of a plane at least.
+        Least number of points of a plane.
     most : int
-        Planes of a scan at most, those of most points.
+        Largest number of planes of a scan; those with most points are kept.
 
     Raises
     ------
     RelmapError
-        Where a setting makes no sense.
+        If a setting is out of range.
 
     Attributes
     ----------
     patches_ : Patches
-        Planes of the scan that was fitted last.
+        Planes of the last scan.
     labels_ : (n,) int64
         The plane of each of its points, -1 for none.
     noise_m_ : (n,) float64
@@ -95,7 +96,7 @@ class PatchSegmenter:
         Raises
         ------
         RelmapError
-            Where the points are planar, or a coordinate is not finite.
+            If the points are 2-D, or a coordinate is not finite.
         """
         points = checked_points(points, 0)
         if points.shape[1] != 3:
@@ -130,10 +131,7 @@ class PatchSegmenter:
         return self
 
     def _cells(self, points: Floats, range_m: Floats, middle_m: float) -> tuple[float, Ints, Ints]:
-        """Return a size of voxels that hold enough points, metres, with these as `cells_of` does.
-
-        A few may hold less.
-        """
+        """Return a size of voxels with enough points in the median, and their `cells_of`."""
         size_m = self.voxel_m or VOXEL * middle_m
         while True:
             keys, of = cells_of(points, range_m, size_m, middle_m)
@@ -171,7 +169,7 @@ class PatchSegmenter:
         return found, noise_m, label
 
     def _condense(self, points: Floats, cells: Floats, cell_of: Ints, size_m: float) -> None:
-        """Join what is one, and set `labels_` and `patches_`, those of most points first."""
+        """Join planes that are the same, and set `labels_` and `patches_`, most points first."""
         count = int(self.labels_.max(initial=-1)) + 1
         mine = self.labels_ >= 0
         sums = moments_of(points, self.labels_, count)
@@ -185,7 +183,7 @@ class PatchSegmenter:
         name = np.append(name[own[:-1]], -1)
         self.labels_, cell_of, number = name[self.labels_], name[cell_of], number[order]
         middle = _means(points, self.labels_, number)
-        # About their own middle, so that rounding does not grow with the range.
+        # About their own mean, so that rounding errors do not grow with the range.
         near = points - middle[self.labels_] if len(order) else points
         sums = moments_of(near, self.labels_, len(order), self.noise_m_**-2)
         shift, variance, axes = principal(sums)
@@ -194,7 +192,7 @@ class PatchSegmenter:
         axes[:, 2] *= np.where((axes[:, 2] * centre).sum(axis=1) > 0, -1.0, 1.0)[:, None]
         axes[:, 0] = np.cross(axes[:, 1], axes[:, 2])
         variance = variance[:, ::-1]
-        # How thick a plane is tells its noise better than its range does.
+        # The thickness of a plane is a better estimate of its noise than its range.
         expected = number / weight
         weight = weight * expected / np.maximum(variance[:, 2], 1e-2 * expected)
         tilt = weight[:, None] * (variance[:, :2] - variance[:, 2:])
@@ -207,7 +205,7 @@ class PatchSegmenter:
 
 
 def _sums(moments: Floats, label: Ints) -> Floats:
-    """Return the moments (m, 10) of planes, of those of their voxels."""
+    """Return the moments (m, 10) of planes, the sums of those of their voxels."""
     sums = np.zeros((int(label.max(initial=-1)) + 1, moments.shape[1]))
     np.add.at(sums, label[label >= 0], moments[label >= 0])
     return sums
@@ -229,7 +227,7 @@ def _means(points: Floats, label: Ints, number: Ints) -> Floats:
 
 
 def _grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
-    """Return the plane (v,) that each voxel was found to lie on, -1 for none."""
+    """Return the plane (v,) of each voxel, -1 for none."""
     from relmap.segmentation.space.growing_kernels import grow
 
     n = len(flat)
@@ -240,7 +238,7 @@ def _grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
     points = np.maximum(voxels.moments[:, 0], 1)
     reach = REACH * sigma * np.sqrt(1 / points + 0.25)
     region = 0
-    # The flattest first, compared with what noise brings; many points tell best.
+    # The flattest first, relative to the noise.
     for seed in np.flatnonzero(may)[np.argsort((voxels.thickness / sigma)[may], kind="stable")]:
         if label[seed] >= 0:
             continue
@@ -264,14 +262,14 @@ def _grown(voxels: Voxels, flat: Bools, sigma: Floats) -> Ints:
 
 
 def _joined(sums: Floats, noise: Floats) -> Ints:
-    """Return the number (m + 1,) of each plane after those that are one were joined; -1 at last.
+    """Return the number (m + 1,) of each plane after joining the same ones; the last is -1.
 
     Parameters
     ----------
     sums : (m, 10) float64
         Moments of their points; changed.
     noise : (m,) float64
-        Mean square of it; changed.
+        Mean square of the noise of each plane; changed.
     """
     own = np.arange(len(sums))
     for a, b in _alike(sums, noise).tolist():
@@ -298,7 +296,7 @@ def _square_off(moments: Floats, plane: Floats) -> Floats:
 
 
 def _alike(sums: Floats, noise: Floats) -> Ints:
-    """Return the pairs (p, 2) of planes that may be one, those with most points first."""
+    """Return the pairs (p, 2) of planes that may be the same, those with most points first."""
     planes, centre = _planes(sums), sums[:, 1:4] / sums[:, :1]
     off = np.abs(centre @ planes[:, :3].T - planes[:, 3])
     near = off < REACH * np.sqrt(noise[:, None] + noise)
@@ -307,7 +305,7 @@ def _alike(sums: Floats, noise: Floats) -> Ints:
 
 
 def _cells(cells: Floats, of: Ints, centre: Floats, normal: Floats) -> tuple[Floats, Ints]:
-    """Return centres of voxels (c, 3), brought onto their planes, and these (c,), ascending."""
+    """Return centres of voxels (c, 3) projected to their planes, and the planes (c,), ascending."""
     order = np.argsort(of, kind="stable")
     order = order[of[order] >= 0]
     at, of = cells[order], of[order]

@@ -1,4 +1,4 @@
-"""Points in cubes: what each cube's points say of a plane, and how noisy they are."""
+"""Voxels of a cloud: the plane of the points of each, and their noise."""
 
 from __future__ import annotations
 
@@ -10,37 +10,38 @@ import numpy as np
 from relmap.core.arrays import Bools, Floats, Ints
 
 FEWEST = 6
-"""Points of a voxel that define a plane."""
+"""Least number of points of a voxel that define a plane."""
 FLAT, WIDE = 0.08, 0.1
-"""Largest thickness of a voxel's points as a share of their width, from which noise is estimated
-and planes begin; and least width as a share of the voxel."""
+"""Of a flat voxel: largest thickness of its points over four times their width, and least width by
+the size of the voxel. Noise is estimated, and planes grow, from flat voxels."""
 QUANTILE = 0.7
-"""Of the thickness of flat voxels at a range: surfaces are rough, and ranges come in steps."""
+"""Quantile of the thickness of flat voxels that is the noise: surfaces are rough, and ranges have
+steps."""
 BINS = 8
-"""Ranges at which the noise is estimated."""
+"""Number of ranges at which the noise is estimated."""
 ROUNDING = 1e-6
-"""Noise below this share of the range cannot be told from rounding, as of float32."""
+"""Noise below this fraction of the range is rounding, as of float32."""
 NEAR = 0.1
-"""Voxels do not shrink any more below this share of the range in the middle."""
+"""Voxels have the same size below this fraction of the median range."""
 AROUND = np.array([a for a in itertools.product((-1, 0, 1), repeat=3) if any(a)])
 _BITS = 21
 
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Voxels of one scan: v of them.
+    """The v voxels of one scan.
 
     Attributes
     ----------
     of : (n,) int64
         The voxel of each point.
     around : (v, 26) int64
-        The voxels around each; -1 where there is none.
+        The neighbours of each; -1 for none.
     moments : (v, 10) float64
         Number, sum and sums of products (xx, xy, xz, yy, yz, zz) of its points.
     centre, normal : (v, 3) float64
     thickness, width : (v,) float64, metres
-        Standard deviation of its points in the directions of least and of middle spread.
+        Standard deviations of its points in the directions of smallest and middle spread.
     range_m : (v,) float64
     size_m : (v,) float64
     """
@@ -57,12 +58,12 @@ class Voxels:
 
     @property
     def flat(self) -> Bools:
-        """Which voxels (v,) hold points of one plane, by all appearance."""
+        """Which voxels (v,) probably hold points of one plane only."""
         enough = (self.moments[:, 0] >= FEWEST) & (self.width > WIDE * self.size_m)
         return np.asarray(enough & (self.thickness < FLAT * 4 * self.width))
 
     def noise(self, flat: Bools) -> tuple[Floats, Floats]:
-        """Return ranges and the noise across planes there, which grows; both (b,), metres."""
+        """Return ranges and the noise across planes at these, ascending; both (b,), metres."""
         range_m, thick = self.range_m[flat], self.thickness[flat]
         if not len(range_m):
             return np.ones(1), np.ones(1)
@@ -76,8 +77,8 @@ class Voxels:
 def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) -> tuple[Ints, Ints]:
     """Return the keys (v,) of the voxels of points (n, 3), and the voxel (n,) of each.
 
-    They grow with the root of the range, as points lie farther apart and noise grows, and have
-    their size at the range in the middle.
+    Their size grows with the square root of the range, because the spacing of points and the noise
+    grow; `size_m` is the size at the median range.
     """
     scale = np.sqrt(middle_m / np.maximum(range_m, NEAR * middle_m)) / size_m
     cell = np.floor(points * scale[:, None]).astype(np.int64) + (1 << (_BITS - 1))
@@ -87,7 +88,7 @@ def cells_of(points: Floats, range_m: Floats, size_m: float, middle_m: float) ->
 
 
 def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: float) -> Voxels:
-    """Return the voxels of points (n, 3), robot frame, metres, as `cells_of` has them."""
+    """Return the voxels of points (n, 3), robot frame, metres; see `cells_of`."""
     step = AROUND @ np.array([1 << (2 * _BITS), 1 << _BITS, 1])
     there = keys[:, None] + step
     place = np.minimum(np.searchsorted(keys, there), len(keys) - 1)
@@ -95,7 +96,7 @@ def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: flo
     moments = moments_of(points, of, len(keys))
     centre, spread, axes = principal(moments)
     n = moments[:, 0]
-    # A plane takes three degrees of freedom off its points.
+    # A fitted plane has three degrees of freedom.
     scale = np.sqrt(n / np.maximum(n - 3, 1))
     thickness, width = np.sqrt(spread[:, 0]) * scale, np.sqrt(spread[:, 1])
     away = np.linalg.norm(centre, axis=1)
@@ -104,7 +105,7 @@ def voxels_of(points: Floats, keys: Ints, of: Ints, size_m: float, middle_m: flo
 
 
 def moments_of(points: Floats, of: Ints, count: int, weight: Floats | None = None) -> Floats:
-    """Return the moments (count, 10) of points (n, 3) by group, as `Voxels` has them."""
+    """Return the moments (count, 10) of points (n, 3) by group; see `Voxels`."""
     from relmap.segmentation.space.growing_kernels import add_moments
 
     moments = np.zeros((count, 10))
