@@ -56,7 +56,7 @@ class Surfaces:
 
 
 def matched(
-    R: Floats, t: Floats, seen: Patches, there: Surfaces, loose: float
+    R: Floats, t: Floats, seen: Patches, planes: Patches, near: Bools, loose: float
 ) -> tuple[Ints, Floats]:
     """Match the planes of a scan to overlapping planes of the map, each to the one that fits best.
 
@@ -64,9 +64,10 @@ def matched(
     ----------
     R : (3, 3) float64, t : (3,) float64
         Pose of the scan.
-    seen : Patches
-        Planes of the scan, robot frame.
-    there : Surfaces
+    seen, planes : Patches
+        Planes of the scan, robot frame, and of the map, map frame.
+    near : (m, k) bool
+        Which planes overlap; see `overlapping`.
     loose : float
         Tolerance, as a multiple of the usual one.
 
@@ -77,14 +78,13 @@ def matched(
     off : (m,) float64
         Residual as a fraction of the tolerance.
     """
-    planes = there.planes
     off = distances(R, t, seen, planes)
     noise = np.hypot(seen.spread[:, None, 2], planes.spread[:, 2])
     away = np.linalg.norm(seen.centre, axis=1)[:, None]
     ratio = off / (loose * (2.0 * noise + 0.003 * away))
     turned = (seen.normal @ R.T) @ planes.normal.T
     ratio[turned < SIDE] = np.inf
-    ratio[~overlapping(R, t, seen, there)] = np.inf
+    ratio[~near] = np.inf
     best = ratio.argmin(axis=1) if ratio.shape[1] else np.zeros(len(seen), dtype=np.int64)
     least = ratio.min(axis=1, initial=np.inf)
     return np.where(least <= 1.0, best, -1), least

@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from relmap.core.arrays import Floats, Ints
-from relmap.planes3d.fitting import NEAR, SIDE, Surfaces, fitted, fixes_turn, matched
+from relmap.planes3d.fitting import (
+    NEAR,
+    SIDE,
+    Surfaces,
+    fitted,
+    fixes_turn,
+    matched,
+    overlapping,
+)
 from relmap.planes3d.hypotheses import Held, Motions, importance, motions
 from relmap.segmentation.space import Patches
 
@@ -162,18 +170,21 @@ def _promising(tried: Motions, seen: Patches, there: Surfaces) -> list[tuple[Flo
 
 def _settled(R: Floats, t: Floats, seen: Patches, there: Surfaces, held: Held) -> Placed | None:
     """Fit a hypothesis to its matches, three times, and judge it; None if it is undetermined."""
-    match, _ = matched(R, t, seen, there, loose=4.0)
+    planes, near = there.planes, overlapping(R, t, seen, there)
+    match, _ = matched(R, t, seen, planes, near, loose=4.0)
     for loose in (2.0, 1.0):
-        if not fixes_turn(there.planes.normal[match[match >= 0]]):
+        if not fixes_turn(planes.normal[match[match >= 0]]):
             return None
-        R, t, *_ = fitted(R, t, seen, there.planes, match, held)
-        match, off = matched(R, t, seen, there, loose)
-    if not fixes_turn(there.planes.normal[match[match >= 0]]):
+        R, t, *_ = fitted(R, t, seen, planes, match, held)
+        # After the first fit the pose hardly changes.
+        near = overlapping(R, t, seen, there) if loose > 1.0 else near
+        match, off = matched(R, t, seen, planes, near, loose)
+    if not fixes_turn(planes.normal[match[match >= 0]]):
         return None
-    R, t, free, is_held = fitted(R, t, seen, there.planes, match, held, last=True)
+    R, t, free, is_held = fitted(R, t, seen, planes, match, held, last=True)
     fit = np.where(match >= 0, 1 - off**2, 0.0)
     cells, of, weight = _sample(seen, SAMPLE)
-    reach = OVERLAP * max(there.planes.cell_m, seen.cell_m)
+    reach = OVERLAP * max(planes.cell_m, seen.cell_m)
     overlap = there.near(cells @ R.T + t, reach) >= 0
     return Placed(R, t, match, float((fit[of] * overlap) @ weight), free, is_held)
 
