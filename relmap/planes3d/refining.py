@@ -22,6 +22,8 @@ ROUNDS = 4
 """Most rounds of adjusting and joining."""
 SURE, UNUSUAL = 3.0, 2.5
 """Standard deviations within which a step is known, and how many times the median is unusual."""
+UNSURE = 0.0125
+"""Standard deviation of an unsure step, as a fraction of the range."""
 ONE = 2.0
 """Largest distance of two landmarks that are one plane, in standard deviations of their points."""
 BENT, COVERED = 0.003, 0.5
@@ -53,8 +55,8 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
     """Return the iterations whose step from the scan before is poorly determined.
 
     A step is unsure if in some direction the standard deviation of the translation, or of what the
-    rotation moves at the range, exceeds 1.5 % of the range; or if three of them do and it is two
-    and a half times the usual one.
+    rotation moves at the range, exceeds 1.25 % of the range; or if three of them exceed 1.5 % and
+    it is two and a half times the usual one.
 
     Returns
     -------
@@ -73,7 +75,7 @@ def unsure_steps(part: Submap) -> dict[int, Floats]:
         sd_m = np.sqrt(np.maximum(variance, 0.0))
         usual_m = np.median(sd_m[known]) if known.any() else np.inf
         unsure |= (SURE * sd_m > WEAK * reach_m) & (sd_m > UNUSUAL * usual_m)
-        unsure |= sd_m > WEAK * reach_m
+        unsure |= sd_m > UNSURE * reach_m
     rows = np.flatnonzero(unsure).tolist()
     return {part.iteration[k + 1]: directed(axes[k, :, 2]) for k in rows}
 
