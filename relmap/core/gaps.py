@@ -16,8 +16,7 @@ from relmap.core.refinement.bridging import Bridged, bridge, measured_motions, n
 from relmap.core.refinement.chained import Sigmas
 from relmap.core.refinement.chaining import PartSolver, Solved, join_parts
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.extending import AGREEING
-from relmap.core.refinement.joint import STEADY
+from relmap.core.refinement.resting import at_rest, placed_observations
 from relmap.core.state.table import NONE
 
 AGAIN = 2
@@ -60,10 +59,12 @@ def bridge_gaps(engine: RelativeMapper, to_the_last: bool = False, is_open: bool
         engine.odometry = use
         return False
     solve = _solver(engine, rows, believed, noise, sigmas, to_the_last, is_open).solve
+    suspects = _suspects(engine) if to_the_last or not engine.refined else hanging[:0]
+    engine.table.dynamic[suspects] = False
     bridged, solved = _solved(bridged, solve, engine.association.has_ids)
-    cleared = _at_rest(engine, solved)
-    if len(cleared):
-        engine.table.dynamic[cleared] = False
+    moving = _moving(engine, solved, suspects)
+    if len(moving):
+        engine.table.dynamic[moving] = True
         solved = solve(bridged)
     _place(engine, solved)
     engine.odometry = _in_use(use, solved, hanging, engine.store.n_iterations)
@@ -112,28 +113,34 @@ def _solver(
     )
 
 
-def _at_rest(engine: RelativeMapper, solved: list[Solved]) -> Ints:
-    """Return the landmarks (k,) taken for moving that keep their place as well as others do.
+def _suspects(engine: RelativeMapper) -> Ints:
+    """Return the landmarks (k,) considered dynamic that were seen often enough to be judged again.
 
-    Groups of two or three landmarks make more of noise than it is.
+    Groups of two or three landmarks underestimate the noise.
     """
+    table = engine.table
+    seen = np.bincount(table.now(engine.kept.landmark), minlength=len(table))
+    return np.flatnonzero(table.dynamic & (seen >= engine.config.group_after))
+
+
+def _moving(engine: RelativeMapper, solved: list[Solved], suspects: Ints) -> Ints:
+    """Return the suspects (k,) that do not keep their place where they were solved for as static.
+
+    If they are at rest, the poses agree with them within the noise of odometry; a robust solution
+    leaves out those that are not.
+    """
+    if not len(suspects):
+        return suspects
     table, kept = engine.table, engine.kept
     poses = np.full((engine.store.n_iterations, 4, 4), np.nan)
     for part in solved[-1:]:
         poses[part.iterations] = part.poses
-    d, landmark = kept.location.shape[1], table.now(kept.landmark)
-    own = poses[kept.iteration]
-    placed = np.einsum("nij,nj->ni", own[:, :d, :d], kept.location) + own[:, :d, 3]
-    seen = np.isfinite(placed[:, 0])
-    apart = np.full(len(table), np.nan)
-    for one in np.unique(landmark[seen]):
-        places = placed[seen & (landmark == one)]
-        if len(places) >= engine.config.group_after:
-            off = np.linalg.norm(places - np.median(places, axis=0), axis=1)
-            apart[one] = np.quantile(off, AGREEING)
-    still = apart[~table.dynamic & np.isfinite(apart)]
-    usual = STEADY * float(np.median(still)) if len(still) else 0.0
-    return np.flatnonzero(table.dynamic & (apart <= usual))
+    static = ~table.dynamic
+    static[suspects] = False
+    landmark = table.now(kept.landmark)
+    seen = np.bincount(landmark, minlength=len(table)) >= engine.config.group_after
+    rests = at_rest(landmark, placed_observations(kept, poses), static & seen)
+    return suspects[~rests[suspects]]
 
 
 def _place(engine: RelativeMapper, solved: list[Solved]) -> None:
