@@ -21,7 +21,7 @@ from relmap.core.refinement.by_submap import refine_submaps
 from relmap.core.refinement.condensing import SegmentRows
 from relmap.core.refinement.extending import extend_submaps
 from relmap.core.refinement.misread import take_off_misread
-from relmap.core.revisiting import close_revisits, merge_in_place
+from relmap.core.revisiting import close_revisits, gather, merge_in_place
 from relmap.core.state.table import NONE
 from relmap.core.turns import group_or_found, last_pass, placed_first
 
@@ -158,7 +158,7 @@ def _repair(engine: RelativeMapper) -> None:
     undone = undo(engine)
     if is_bridged(engine):
         _refine(engine, to_the_last=False)
-        merge_in_place(engine, at_last=True)
+        gather(engine)
     rare = _rare(engine) & ~grouped
     engine.table.take_off_map(np.flatnonzero(rare))
     if undone or rare.any() or engine.config.keep_observations or is_bridged(engine):

@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from relmap.core.arrays import Ints
+from relmap.core.association.gathering import gathered
 from relmap.core.association.loops import TIED
 from relmap.core.association.revisits import RevisitFinder, lying_together, seen_with_both
+from relmap.core.association.scale import spacing_of
 from relmap.core.association.sightings import Sightings, rows_of_tracks
 from relmap.core.association.tying import CLEAR
 from relmap.core.gaps import bridge_gaps
 from relmap.core.mapper import RelativeMapper
 from relmap.core.refinement.drift import Drift
+from relmap.core.refinement.resting import at_rest, by_landmark, placed_observations
 from relmap.core.state.table import LandmarkState
 
 ROUNDS = 10
@@ -61,20 +64,48 @@ def mergeable(table: LandmarkState, pairs: Ints) -> Ints:
     return np.asarray(pairs[~np.isin(pairs[:, 1], pairs[:, 0])])
 
 
-def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
-    """Merge landmarks that coincide in a map with odometry and were never seen together.
-
-    With `at_last`, also those that were found to be distinct before but still coincide.
-    """
+def merge_in_place(engine: RelativeMapper) -> None:
+    """Merge landmarks that coincide in a map with odometry and were never seen together."""
     merger, found = engine.merger, True
     sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
     while found:
         noise_m = max(refined.noise_m for refined in engine.refined)
         pairs = lying_together(engine.table, noise_m)
-        if not at_last:
-            pairs = pairs[merger.allowed(pairs)]
+        pairs = pairs[merger.allowed(pairs)]
         apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
         pairs = pairs[np.array(apart, dtype=bool)]
         landmark, kept = engine.table.now(engine.kept.landmark), engine.kept
         both = seen_with_both(pairs, landmark, kept.iteration, len(engine.table))
         found = engine.merge_pairs(pairs[both >= TIED]) > 0
+
+
+def gather(engine: RelativeMapper) -> None:
+    """Merge all pieces of a thing, mapped or not, where poses are as well known as they can be."""
+    table, kept = engine.table, engine.kept
+    if engine.odometry is None or not engine.refined:
+        return
+    landmark = table.now(kept.landmark)
+    places = placed_observations(kept, engine.odometry.poses)
+    mapped = table.weight > 0
+    rests = mapped | at_rest(landmark, places, mapped)
+    pieces = [(one, rows) for one, rows in by_landmark(landmark, places) if rests[one]]
+    own = np.array([one for one, _ in pieces])
+    middle = np.array([np.median(places[rows], axis=0) for _, rows in pieces])
+    counts = np.array([len(rows) for _, rows in pieces])
+    scans = [kept.iteration[rows] for _, rows in pieces]
+    noise_m = max(refined.noise_m for refined in engine.refined)
+    whole = own[gathered(middle, counts, scans, noise_m, spacing_of(table.position[mapped]))]
+    became = np.arange(len(table))
+    became[own] = whole
+    known, total = np.zeros(len(table), dtype=bool), np.zeros(len(table), dtype=np.int64)
+    np.logical_or.at(known, whole, mapped[own])
+    np.add.at(total, whole, counts)
+    # Pieces of which none was mapped may be those of something that moves.
+    known |= at_rest(became[landmark], places, mapped) & (total >= engine.config.group_after)
+    oldest = np.arange(len(table))
+    for one in own[np.argsort(-table.first[own], kind="stable")].tolist():
+        oldest[became[one]] = one
+    pairs = np.column_stack([own, oldest[whole]])
+    pairs = pairs[known[whole] & (pairs[:, 0] != pairs[:, 1])]
+    table.dynamic[pairs] = False
+    engine.merge_pairs(pairs)

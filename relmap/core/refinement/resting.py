@@ -35,7 +35,7 @@ def scattered(landmark: Ints, places: Floats, m: int) -> Floats:
     m : int
     """
     found = np.full(m, np.nan)
-    for one, rows in _by_landmark(landmark, places):
+    for one, rows in by_landmark(landmark, places):
         off = np.linalg.norm(places[rows] - np.median(places[rows], axis=0), axis=1)
         found[one] = np.quantile(off, AGREEING)
     return found
@@ -56,7 +56,7 @@ def drifting(landmark: Ints, places: Floats, m: int) -> Bools:
     m : int
     """
     found = np.zeros(m, dtype=bool)
-    for one, rows in _by_landmark(landmark, places):
+    for one, rows in by_landmark(landmark, places):
         n, d = len(rows), places.shape[1]
         if n < 3:
             continue
@@ -89,7 +89,7 @@ def at_rest(landmark: Ints, places: Floats, static: Bools) -> Bools:
     return np.asarray(steady | (noisy & ~drifting(landmark, places, len(static))))
 
 
-def _by_landmark(landmark: Ints, places: Floats) -> list[tuple[int, Ints]]:
+def by_landmark(landmark: Ints, places: Floats) -> list[tuple[int, Ints]]:
     """Return each landmark with its placed observations, in order."""
     known = np.flatnonzero(np.isfinite(places[:, 0]))
     known = known[np.argsort(landmark[known], kind="stable")]

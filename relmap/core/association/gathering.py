@@ -1,0 +1,62 @@
+"""Landmarks of a solved map with odometry that are the same thing seen in pieces.
+
+A thing that is detected now and then makes many tracks of few observations, and one whose shape
+differs from side to side makes several landmarks beside each other.  No scan shows two of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from relmap.core.arrays import Floats, Ints
+from relmap.core.state.table import NONE
+
+SPACING = 0.2
+"""Largest distance of two places of one thing, in spacings of the landmarks: at random 3 % of the
+landmarks in the plane have another one as near."""
+DEVIATIONS = 12.5
+"""The same in standard deviations of an observation: things look different from different sides."""
+
+
+def gathered(
+    places: Floats, counts: Ints, iterations: list[Ints], noise_m: float, spacing_m: float
+) -> Ints:
+    """Return for each landmark (n,) the one that it is a piece of; its own number if of none.
+
+    Each goes to the nearest that was seen more often (Rodriguez and Laio, 2014), unless a scan shows
+    it together with a piece of that.
+
+    Parameters
+    ----------
+    places : (n, d) float64, metres
+        Median places of the observations of each landmark.
+    counts : (n,) int64
+        Their numbers.
+    iterations : list of n (k,) int64
+        The scans that show each.
+    noise_m : float
+        Standard deviation of an observed coordinate.
+    spacing_m : float
+        Median distance from a mapped landmark to the nearest other.
+    """
+    n, reach_m = len(places), min(DEVIATIONS * noise_m, SPACING * spacing_m)
+    whole = np.arange(n)
+    rank = np.empty(n, dtype=np.int64)
+    rank[np.argsort(-counts, kind="stable")] = np.arange(n)
+    towards = np.full(n, NONE)
+    near = cKDTree(places).query_pairs(reach_m, output_type="ndarray").reshape(-1, 2)
+    near = np.concatenate([near, near[:, ::-1]])
+    near = near[rank[near[:, 1]] < rank[near[:, 0]]]
+    apart = np.linalg.norm(places[near[:, 0]] - places[near[:, 1]], axis=1)
+    for piece, other in near[np.argsort(-apart, kind="stable")].tolist():
+        towards[piece] = other
+    seen = [set(scans.tolist()) for scans in iterations]
+    for piece in np.argsort(rank)[towards[np.argsort(rank)] != NONE].tolist():
+        of = int(whole[towards[piece]])
+        is_near = np.linalg.norm(places[piece] - places[of]) <= reach_m
+        if is_near and seen[of].isdisjoint(seen[piece]):
+            whole[piece] = of
+            seen[of] |= seen[piece]
+    return whole
+
