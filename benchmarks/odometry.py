@@ -22,7 +22,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from pose_chain import Floats, Ints, Problem, State, laid_on, peer_solved, solved, start
+from pose_chain import CONVEX, Floats, Ints, Problem, State, laid_on, peer_solved, solved, start
 
 from relmap import PointMapper
 from relmap.datasets import open_log
@@ -60,7 +60,7 @@ def _row(path: Path, truth: Path | str) -> str:
     mapper = PointMapper()
     feed(mapper, log, "known", refine=True, odometry=True)
     problem, ids = problem_of(log, mapper)
-    begun = start(problem)
+    begun = solved(problem, start(problem), loss=CONVEX)
     batch = solved(problem, begun)
     peer = peer_solved(problem, begun, batch.constant)
     own = np.full((len(ids), 2), np.nan)

@@ -7,7 +7,7 @@ Cauchy's, of the observations and of the steps of odometry, each in its standard
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CAUCHY = 7.0
-"""Standard deviations where Cauchy's weight is a half."""
+"""Standard deviations where Cauchy's weight is a half, and Huber's 0.7."""
 CONSTANT = 0.03
 """Standard deviation of each constant error."""
 CHUNK = 100
@@ -81,6 +81,25 @@ class State:
     cost: float = np.inf
 
 
+class Loss(NamedTuple):
+    """Cost of squared residuals (n,), and the weight of each in least squares."""
+
+    cost: Callable[[Floats], Floats]
+    weight: Callable[[Floats], Floats]
+
+
+SQUARE = CAUCHY**2
+ROBUST = Loss(
+    lambda squares: SQUARE * np.log1p(squares / SQUARE), lambda squares: 1 / (1 + squares / SQUARE)
+)
+"""Cauchy's."""
+CONVEX = Loss(
+    lambda squares: 2 * SQUARE * (np.sqrt(1 + squares / SQUARE) - 1),
+    lambda squares: 1 / np.sqrt(1 + squares / SQUARE),
+)
+"""Huber's, smoothed: it has fewer local minima."""
+
+
 def start(problem: Problem) -> State:
     """Return a start: the scans are placed by odometry, a chunk at a time, and solved each time.
 
@@ -97,7 +116,7 @@ def start(problem: Problem) -> State:
     return whole
 
 
-def solved(problem: Problem, state: State, given: Floats | None = None, fine: float = FINE) -> State:
+def solved(problem: Problem, state: State, given: Floats | None = None, fine: float = FINE, loss: Loss = ROBUST) -> State:
     """Return the state of least cost, found from another one.
 
     Parameters
@@ -108,14 +127,15 @@ def solved(problem: Problem, state: State, given: Floats | None = None, fine: fl
         Landmarks that stay where they are; NaN for those that do not.
     fine : float
         Relative gain below which it is finished.
+    loss : Loss
     """
     if given is not None:
         here = np.where(np.isfinite(given), given, state.landmarks)
         state = replace(state, landmarks=here)
-    state = replace(state, cost=_cost(problem, state))
+    state = replace(state, cost=_cost(problem, state, loss))
     damping = 0.0
     while damping < MOST_DAMPED:
-        after = _stepped(problem, state, damping, given)
+        after = _stepped(problem, state, damping, given, loss)
         if after.cost > state.cost:
             damping = max(10 * damping, 1e-4)
             continue
@@ -135,7 +155,7 @@ def _stretch(problem: Problem, m: int) -> State:
             state.poses[i] = _moved(state.poses[i - 1], problem.motion[i], state.constant)
         part = problem.between(0, end)
         landmarks = _placed(part, state)
-        found = solved(part, State(state.poses[:end], landmarks, state.constant), fine=ROUGH)
+        found = solved(part, State(state.poses[:end], landmarks, state.constant), None, ROUGH, CONVEX)
         state = replace(state, landmarks=found.landmarks, constant=found.constant)
         state.poses[:end] = found.poses
     return state
@@ -227,22 +247,22 @@ def _wrapped(angle: Floats) -> Floats:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def _cost(problem: Problem, state: State) -> float:
+def _cost(problem: Problem, state: State, loss: Loss) -> float:
     cost = float(np.sum((state.constant / CONSTANT) ** 2))
     for rows in _rows(problem, state):
         squares = np.sum(rows.residual**2, axis=1)
-        cost += float(CAUCHY**2 * np.log1p(squares / CAUCHY**2).sum())
+        cost += float(loss.cost(squares).sum())
     return cost
 
 
-def _stepped(problem: Problem, state: State, damping: float, given: Floats | None) -> State:
+def _stepped(problem: Problem, state: State, damping: float, given: Floats | None, loss: Loss) -> State:
     """Return the state after a damped step of iteratively reweighted least squares."""
     k, m = len(state.poses), len(state.landmarks)
     size = 3 * k + 2 * m + 3
     matrix: Any = sparse.csc_array((size, size))
     right = np.zeros(size)
     for rows in _rows(problem, state):
-        weight = 1 / np.sqrt(1 + np.sum(rows.residual**2, axis=1) / CAUCHY**2)
+        weight = np.sqrt(loss.weight(np.sum(rows.residual**2, axis=1)))
         jacobian, residual = rows.jacobian * weight[:, None, None], rows.residual * weight[:, None]
         n, r, c = jacobian.shape
         columns = np.broadcast_to(rows.unknown[:, None], (n, r, c)).ravel()
@@ -264,7 +284,7 @@ def _stepped(problem: Problem, state: State, damping: float, given: Floats | Non
     if given is not None:
         landmarks = np.where(np.isfinite(given), given, landmarks)
     after = State(state.poses + step[: 3 * k].reshape(k, 3), landmarks, state.constant + step[-3:])
-    return replace(after, cost=_cost(problem, after))
+    return replace(after, cost=_cost(problem, after, loss))
 
 
 def peer_solved(problem: Problem, state: State, constant: Floats) -> Floats | None:

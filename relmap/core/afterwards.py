@@ -158,6 +158,8 @@ def _repair(engine: RelativeMapper) -> None:
     undone = undo(engine)
     if is_bridged(engine):
         _refine(engine, to_the_last=False)
+        merge_in_place(engine, at_last=True)
+        _refine(engine, to_the_last=False)
         gather(engine)
     rare = _rare(engine) & ~grouped
     engine.table.take_off_map(np.flatnonzero(rare))

@@ -64,14 +64,18 @@ def mergeable(table: LandmarkState, pairs: Ints) -> Ints:
     return np.asarray(pairs[~np.isin(pairs[:, 1], pairs[:, 0])])
 
 
-def merge_in_place(engine: RelativeMapper) -> None:
-    """Merge landmarks that coincide in a map with odometry and were never seen together."""
+def merge_in_place(engine: RelativeMapper, at_last: bool = False) -> None:
+    """Merge landmarks that coincide in a map with odometry and were never seen together.
+
+    With `at_last`, also those that were found to be distinct before but still coincide.
+    """
     merger, found = engine.merger, True
     sightings = Sightings(rows_of_tracks(engine.rows, engine.table), engine.table)
     while found:
         noise_m = max(refined.noise_m for refined in engine.refined)
         pairs = lying_together(engine.table, noise_m)
-        pairs = pairs[merger.allowed(pairs)]
+        if not at_last:
+            pairs = pairs[merger.allowed(pairs)]
         apart = [not sightings.together(new, old) for new, old in pairs.tolist()]
         pairs = pairs[np.array(apart, dtype=bool)]
         landmark, kept = engine.table.now(engine.kept.landmark), engine.kept

@@ -9,12 +9,19 @@ import numpy as np
 
 from relmap.core.arrays import Floats, Ints
 from relmap.core.geometry.alignment import fit_rigid, fixes_rotation, sums_each
-from relmap.core.geometry.robust import OUTLIER, huber, lenient, limit_of, strict
+from relmap.core.geometry.robust import (
+    OUTLIER,
+    huber,
+    lenient,
+    limit_of,
+    robust_cost,
+    strict,
+)
 from relmap.core.motion_noise import MotionNoise
 from relmap.core.refinement.bridging import Bridged
 from relmap.core.refinement.chained import Chain, Chained, ChainProblem, Sigmas
 from relmap.core.refinement.condensing import SegmentRows
-from relmap.core.refinement.gauss_newton import Weigh, gauss_newton
+from relmap.core.refinement.gauss_newton import Solution, Weigh, gauss_newton
 from relmap.core.refinement.joint import Refined, Spread, joint_rows
 from relmap.core.refinement.residuals import (
     MergeResiduals,
@@ -228,9 +235,9 @@ def _settled(
     problem = ChainProblem(
         chain, odds, sigmas or Sigmas(), state.positions, anchor, turns_whole=not has_ids
     )
+    is_first = not known and not is_open
     if is_open:
-        weigh = _weighing(problem, huber, BENT)
-        state = gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
+        state = _bent(problem, state)
     for _ in range(TIMES):
         weigh = _weighing(problem, lenient, OUTLIER)
         found = gauss_newton(problem, state, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
@@ -242,12 +249,40 @@ def _settled(
         problem = ChainProblem(
             chain, odds, sigmas, state.positions, anchor, problem.pattern, not has_ids
         )
+    if is_first:
+        found = _better(problem, found)
+        state = found.state
     if to_the_last:
         found = gauss_newton(
             problem, state, _weighing(problem, strict, OUTLIER), ROUNDS, unsure=FINE, faint=FAINT
         )
     converged = found.converged or found.gain <= WORTH_SAYING
     return Settled(found.state, found.weight, converged or not to_the_last), problem
+
+
+def _bent(problem: ChainProblem, state: Chained) -> Chained:
+    """Return the state of least cost by Huber's weights."""
+    weigh = _weighing(problem, huber, BENT)
+    return gauss_newton(problem, state, weigh, ROUNDS, unsure=ROUGH, faint=WORTH_SAYING).state
+
+
+def _better(problem: ChainProblem, known: Solution[Chained]) -> Solution[Chained]:
+    """Return the better of a solution and one found by way of Huber's weights.
+
+    Lenient weights have many local minima, each with other outliers.  Huber's have few, but are of
+    use only if the noise is known.
+    """
+    d, residual = problem.chain.points.shape[1], problem.residuals(known.state)
+    limits = [max(limit_of(residual[part], d, 0.0), OUTLIER) for part in problem.parts]
+
+    def cost(state: Chained) -> float:
+        residual = problem.residuals(state)
+        of = zip(problem.parts, limits, strict=True)
+        return sum(robust_cost(residual[part], limit) for part, limit in of)
+
+    bent, weigh = _bent(problem, known.state), _weighing(problem, lenient, OUTLIER)
+    found = gauss_newton(problem, bent, weigh, FEW_ROUNDS, unsure=ROUGH, faint=WORTH_SAYING)
+    return found if cost(found.state) < cost(known.state) else known
 
 
 def _weighing(
