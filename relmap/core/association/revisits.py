@@ -40,6 +40,10 @@ Errors of real sensors are correlated over time, so chains drift farther than wi
 errors."""
 TOLERANCE = 5.0
 """Largest distance between the landmarks of a match, in standard deviations of an observation."""
+NEIGHBOUR, USUAL = 4, 3.67
+"""Rank of the neighbour whose distance tells how dense the landmarks are, and their number within
+it as the distance is the median (of a gamma distribution).  Nearer ones may be the same landmark,
+mapped twice."""
 WIDER = 2.0
 """Factor on that distance before the map is refined with the matches."""
 APART = 2.5
@@ -125,8 +129,8 @@ class RevisitFinder:
         own &= (table.submap[landmarks] != NONE) & (table.now(landmarks) == landmarks)
         self._own = np.flatnonzero(own)
         at = drift.state.positions[self._own]
-        apart = nearest(cKDTree(at), at, 2)[0] if len(at) > 1 else np.full((1, 2), np.inf)
-        self._apart_m = float(np.median(apart[:, 1]))
+        apart = nearest(cKDTree(at), at, NEIGHBOUR + 1)[0] if len(at) else np.full((1, 1), np.inf)
+        self._apart_m = float(np.median(apart[:, -1]))
 
     def revisits(self) -> list[Revisit]:
         """Return the revisits that are new, the most certain first, without conflicts."""
@@ -194,7 +198,9 @@ class RevisitFinder:
     def _chance(self, stretch: Stretch, placement: Placement, matches: Ints) -> float:
         """Return the expected number of placements with so many matches by chance, in the map.
 
-        Many matches may be within the tolerance, or fewer within a smaller one.
+        Many matches may be within the tolerance, or fewer within a smaller one.  Placements are
+        those that can be distinguished within the drift, or in the plane those on which two matches
+        agree, whichever are fewer.
         """
         n, d = stretch.points.shape
         extent_m = float(np.linalg.norm(stretch.points - stretch.points.mean(0), axis=1).max())
@@ -203,13 +209,16 @@ class RevisitFinder:
         reach_m, turned_m = stretch.reach_m.max(), min(stretch.turn_rad, np.pi) * extent_m
         chance = []
         for tolerance_m in (self._tolerance_m, self._tolerance_m / WIDER):
-            # Half of the landmarks have another within `apart_m`, so many of which lie nearer.
-            share = min(0.5, float(np.log(2) * (tolerance_m / self._apart_m) ** d))
+            # Half of the landmarks have so many others within `apart_m`.
+            share = min(0.5, USUAL * (tolerance_m / self._apart_m) ** d)
             trials = max(1.0, FINE * reach_m / tolerance_m) ** d
             trials *= max(1.0, FINE * turned_m / tolerance_m) ** (2 * d - 3)
             trials *= max(1.0, len(self._own) / n)
             agreeing = int(np.sum(off_m <= tolerance_m))
             chance.append(trials * float(bdtrc(agreeing - 1, n, share)))
+            if d == 2:
+                pairs = _pairs_alike(stretch, tolerance_m) * max(1.0, len(self._own) / n)
+                chance.append(pairs * float(bdtrc(agreeing - 3, n - 2, share)))
         return float(len(chance) * min(chance))
 
 
@@ -240,6 +249,17 @@ def _places(stretch: Stretch, tolerance_m: float) -> list[tuple[Placement, Ints]
             found.append((placement, matches))
     found.sort(key=lambda place: -len(place[1]))
     return found
+
+
+def _pairs_alike(stretch: Stretch, tolerance_m: float) -> float:
+    """Return how many pairs of landmarks may be which older ones, by distance and direction."""
+    i, j = np.triu_indices(len(stretch.points), 1)
+    lengths = np.linalg.norm(stretch.points[i] - stretch.points[j], axis=1)
+    k, m = np.triu_indices(len(stretch.there), 1)
+    others = np.sort(np.linalg.norm(stretch.there[k] - stretch.there[m], axis=1))
+    begin = np.searchsorted(others, lengths - 2 * tolerance_m)
+    end = np.searchsorted(others, lengths + 2 * tolerance_m)
+    return float(2 * np.sum(end - begin) * min(stretch.turn_rad / np.pi, 1.0))
 
 
 def _elsewhere(matches: Ints, others: Ints) -> int:
